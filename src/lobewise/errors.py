@@ -1,0 +1,67 @@
+"""What can go wrong, said in one sentence: argument, expected, got, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class LobewiseError(Exception):
+    """Root of every error that a user can mend; the command line turns it into exit code 2."""
+
+
+class InputError(LobewiseError, ValueError):
+    """An argument, array or setting is not what the function takes."""
+
+
+class MissingChannelError(InputError):
+    """The frame lacks a channel that the chosen similarity needs."""
+
+
+class FileError(LobewiseError):
+    """A file cannot be read, or an output cannot be written; nothing was changed on disk."""
+
+
+class MissingDependencyError(LobewiseError):
+    """An optional package or a system library is absent; the message names what to install."""
+
+
+class DeviceError(LobewiseError):
+    """The requested device cannot run the kernels; the message says why."""
+
+
+class UnsupportedBsdfError(LobewiseError):
+    """A scene uses a BSDF whose reflection lobe is unknown."""
+
+
+def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
+    """Return the one sentence of an error: ``what``, what was expected, what came, what to do.
+
+    Examples
+    --------
+    >>> describe_problem("radius", expected="an integer from 0 to 64", got="-3", action="pass radius=8")
+    'radius: expected an integer from 0 to 64, got -3; pass radius=8.'
+    """
+    return f"{what}: expected {expected}, got {got}; {action}."
+
+
+def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
+    """Return ``got`` if it is one of ``valid``; otherwise raise an error that names the nearest valid one.
+
+    Raises
+    ------
+    InputError
+        If ``got`` is not one of ``valid``.
+    """
+    options = list(valid)
+    if got in options:
+        return got
+    near = difflib.get_close_matches(got, options, n=1, cutoff=0.0)
+    raise InputError(
+        describe_problem(
+            what,
+            expected="one of " + ", ".join(options),
+            got=repr(got),
+            action=f"did you mean {near[0]!r}?" if near else "choose one of them",
+        ).replace("?.", "?")
+    )

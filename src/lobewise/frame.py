@@ -1,0 +1,388 @@
+"""What travels between the rooms: camera, G-buffer, radiance, frame and result. Checked once, then frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, describe_problem
+
+FloatArray = NDArray[np.float32]
+
+
+class LobeKind(IntEnum):
+    """Which specular reflection lobe a pixel has; the value is what the channel ``lobe_kind.I`` holds.
+
+    A pixel of any kind may carry a diffuse lobe as well: that is told by its diffuse albedo.
+    """
+
+    NONE = 0
+    """No specular lobe: a diffuse surface, a light source, or no surface at all."""
+    GGX = 1
+    """Microfacet lobe with GGX (Trowbridge-Reitz) normals."""
+    BECKMANN = 2
+    """Microfacet lobe with Beckmann normals."""
+    DELTA = 3
+    """Perfect mirror or smooth dielectric; the alphas are 0."""
+
+
+def _as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
+    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels)."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    shape = "(height, width)" if channels is None else f"(height, width, {channels})"
+    good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
+    if not good or array.dtype.kind not in "fiub":
+        raise InputError(
+            describe_problem(
+                name,
+                expected=f"a real array of shape {shape}",
+                got=f"{array.dtype} of shape {array.shape}",
+                action="reshape it or leave it out",
+            )
+        )
+    if 0 in array.shape:
+        raise InputError(
+            describe_problem(
+                name, expected="at least one pixel", got=f"an image of shape {array.shape}", action="give it pixels"
+            )
+        )
+    out = np.ascontiguousarray(array, dtype=np.float32)
+    if out is value or not out.flags.owndata:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+class _Images:
+    """Shared checks of the frozen data classes whose fields are images of one size."""
+
+    def _check(self, channels: dict[str, int | None]) -> None:
+        size: tuple[str, tuple[int, int]] | None = None
+        for item in fields(self):  # type: ignore[arg-type]
+            if item.name not in channels:
+                continue
+            image = _as_image(item.name, getattr(self, item.name), channels[item.name])
+            object.__setattr__(self, item.name, image)
+            if image is None:
+                continue
+            this = (int(image.shape[0]), int(image.shape[1]))
+            if size is not None and size[1] != this:
+                raise InputError(
+                    describe_problem(
+                        item.name,
+                        expected=f"the size of {size[0]}, {size[1][1]}x{size[1][0]} pixels",
+                        got=f"{this[1]}x{this[0]}",
+                        action="give every image of a frame the same width and height",
+                    )
+                )
+            size = size or (item.name, this)
+
+    def _shape(self) -> tuple[int, int] | None:
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray) and value.ndim >= 2:
+                return int(value.shape[0]), int(value.shape[1])
+        return None
+
+
+def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(
+            describe_problem(name, expected="three finite numbers", got=str(value), action="pass (x, y, z)")
+        )
+    vector = vector.copy()
+    vector.flags.writeable = False
+    return vector
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera in world space.
+
+    Parameters
+    ----------
+    position : array_like, shape (3,)
+        Centre of projection, in the world unit of the G-buffer's positions.
+    forward : array_like, shape (3,)
+        Viewing direction; normalised on construction.
+    up : array_like, shape (3,)
+        Any vector that is not parallel to ``forward``; made orthonormal to it.
+    fov_y : float
+        Full vertical angle of view, radians, in (0, pi).
+    fov_x : float, optional
+        Full horizontal angle of view, radians; by default that of square pixels.
+
+    Raises
+    ------
+    InputError
+        If a vector is not three finite numbers, is zero, or ``up`` is parallel to ``forward``.
+    """
+
+    position: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    up: NDArray[np.float64]
+    fov_y: float
+    fov_x: float | None = None
+
+    def __post_init__(self) -> None:
+        position = _as_vector("camera position", self.position)
+        forward = _as_vector("camera forward", self.forward)
+        up = _as_vector("camera up", self.up)
+        right = np.cross(forward, up)
+        if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
+            raise InputError(
+                describe_problem(
+                    "camera up",
+                    expected="a vector that is not parallel to forward",
+                    got=str(tuple(up)),
+                    action="pass another up",
+                )
+            )
+        for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):
+            if angle is not None and not 0.0 < angle < np.pi:
+                raise InputError(
+                    describe_problem(
+                        f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
+                    )
+                )
+        forward = forward / np.linalg.norm(forward)
+        up = np.cross(right / np.linalg.norm(right), forward)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "forward", _as_vector("camera forward", forward))
+        object.__setattr__(self, "up", _as_vector("camera up", up))
+
+    @property
+    def right(self) -> NDArray[np.float64]:
+        """Direction of increasing column in the image, shape (3,), unit length."""
+        return np.cross(self.forward, self.up)
+
+    def get_half_extent(self, width: int, height: int) -> tuple[float, float]:
+        """Return the half width and half height of the image plane at distance 1."""
+        half_height = float(np.tan(0.5 * self.fov_y))
+        half_width = half_height * width / height if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
+        return half_width, half_height
+
+    def get_pixel_angle(self, height: int) -> float:
+        """Return the angle that one pixel at the image centre subtends vertically, radians."""
+        return float(2.0 * np.tan(0.5 * self.fov_y) / height)
+
+    def make_ray_directions(self, width: int, height: int) -> FloatArray:
+        """Return the unit directions through the pixel centres, shape (height, width, 3), row 0 on top."""
+        half_width, half_height = self.get_half_extent(width, height)
+        x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
+        y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * half_height
+        rays = self.forward + x[None, :, None] * self.right + y[:, None, None] * self.up
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return rays.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Radiance(_Images):
+    """Linear radiance of one image, in total and by part; also used for its variance.
+
+    Parameters
+    ----------
+    color : array_like, shape (height, width, 3)
+        Total radiance, linear, scene-referred, >= 0.
+    diffuse, specular : array_like, shape (height, width, 3), optional
+        The part whose first bounce was diffuse, or specular. What neither holds (``color - diffuse - specular``)
+        is emission and background.
+    direct, indirect : array_like, shape (height, width, 3), optional
+        The part that came straight from a light to the first surface, and the rest.
+
+    Raises
+    ------
+    InputError
+        If an array is not real, has the wrong shape, no pixels, or not the size of the others.
+    """
+
+    color: FloatArray
+    diffuse: FloatArray | None = None
+    specular: FloatArray | None = None
+    direct: FloatArray | None = None
+    indirect: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.color is None:
+            raise InputError(
+                describe_problem("color", expected="an image", got="nothing", action="pass the noisy radiance")
+            )
+        self._check(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
+
+
+@dataclass(frozen=True)
+class GBuffer(_Images):
+    """The first surface that every pixel sees. World space, row 0 on top; a missing surface has depth 0.
+
+    Parameters
+    ----------
+    depth : array_like, shape (height, width), optional
+        Distance along the ray, world units, 0 where there is no surface.
+    position : array_like, shape (height, width, 3), optional
+        World position; ignored where there is no surface.
+    normal : array_like, shape (height, width, 3), optional
+        Shading normal (after normal and bump maps), on the camera's side; 0 where there is no surface.
+    tangent : array_like, shape (height, width, 3), optional
+        Direction of ``alpha_u``, perpendicular to ``normal``.
+    alpha_u, alpha_v : array_like, shape (height, width), optional
+        Microfacet roughness alpha (not perceptual) along and across the tangent, in [0, 1]; 0 is a mirror.
+    lobe_kind : array_like, shape (height, width), optional
+        `LobeKind` of the specular lobe.
+    diffuse_albedo : array_like, shape (height, width, 3), optional
+        Directional albedo of the diffuse lobe, in [0, 1].
+    specular_albedo : array_like, shape (height, width, 3), optional
+        Directional albedo of the specular lobe, tinted by its reflectance at normal incidence, in [0, 1].
+    hit_distance : array_like, shape (height, width), optional
+        Distance from the first surface to what its specular lobe sees, world units; 0 where unknown,
+        inf where it sees no surface.
+    hit_position : array_like, shape (height, width, 3), optional
+        World position of that hit.
+    motion : array_like, shape (height, width, 2), optional
+        Pixels from here to where the surface point was in the previous frame, x right and y down.
+
+    Raises
+    ------
+    InputError
+        If an array is not real, has the wrong shape, no pixels, or not the size of the others.
+    """
+
+    depth: FloatArray | None = None
+    position: FloatArray | None = None
+    normal: FloatArray | None = None
+    tangent: FloatArray | None = None
+    alpha_u: FloatArray | None = None
+    alpha_v: FloatArray | None = None
+    lobe_kind: FloatArray | None = None
+    diffuse_albedo: FloatArray | None = None
+    specular_albedo: FloatArray | None = None
+    hit_distance: FloatArray | None = None
+    hit_position: FloatArray | None = None
+    motion: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        channels: dict[str, int | None] = {item.name: None for item in fields(self)}
+        for name in ("position", "normal", "tangent", "diffuse_albedo", "specular_albedo", "hit_position"):
+            channels[name] = 3
+        channels["motion"] = 2
+        self._check(channels)
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(height, width), or None when the G-buffer is empty."""
+        return self._shape()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A noisy frame and what is known of it.
+
+    Parameters
+    ----------
+    radiance : Radiance
+        The noisy radiance, in total and where known by part.
+    gbuffer : GBuffer
+        The first surface of every pixel.
+    camera : Camera, optional
+        Needed by every similarity that looks at reflection lobes.
+    half_a, half_b : Radiance, optional
+        The same image from one half of the samples each.
+    variance : Radiance, optional
+        Per-pixel variance of the mean (of ``radiance``, not of one sample).
+    spp : int, optional
+        Samples per pixel, >= 1.
+
+    Raises
+    ------
+    InputError
+        If the parts do not have one size, or ``spp`` is below 1.
+    """
+
+    radiance: Radiance
+    gbuffer: GBuffer = field(default_factory=GBuffer)
+    camera: Camera | None = None
+    half_a: Radiance | None = None
+    half_b: Radiance | None = None
+    variance: Radiance | None = None
+    spp: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("gbuffer", "half_a", "half_b", "variance"):
+            part: Any = getattr(self, name)
+            shape = part._shape() if part is not None else None
+            if shape is not None and shape != self.shape:
+                raise InputError(
+                    describe_problem(
+                        name,
+                        expected=f"the size of the radiance, {self.width}x{self.height} pixels",
+                        got=f"{shape[1]}x{shape[0]}",
+                        action="give every image of a frame the same width and height",
+                    )
+                )
+        if self.spp is not None and self.spp < 1:
+            raise InputError(
+                describe_problem("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return int(self.radiance.color.shape[0]), int(self.radiance.color.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.shape[0]
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.shape[1]
+
+    def with_changes(self, **changes: Any) -> Frame:
+        """Return a copy with some fields replaced, checked again."""
+        return replace(self, **changes)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A denoised frame.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+        Denoised total radiance, linear, finite.
+    diffuse, specular : (height, width, 3) or None
+        The two filtered parts, with their albedo, where the frame gave them apart.
+    weight_sum : (height, width)
+        Sum of the filter weights of the layer that decides (specular where there is one); a tap that matches
+        fully counts 1.
+    effective_samples : (height, width)
+        ``(sum w)^2 / sum w^2``: how many equal neighbours the estimate is worth, >= 1 where anything was gathered.
+    bad_pixels : (height, width), bool
+        Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
+    settings : dict
+        Every parameter that was used, defaults resolved.
+    seconds : float
+        Wall time of the call.
+    """
+
+    image: FloatArray
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+    bad_pixels: NDArray[np.bool_]
+    settings: dict[str, Any]
+    seconds: float
+    diffuse: FloatArray | None = None
+    specular: FloatArray | None = None
+
+    @property
+    def bad_pixel_count(self) -> int:
+        """How many pixels were refilled."""
+        return int(np.count_nonzero(self.bad_pixels))

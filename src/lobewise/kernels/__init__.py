@@ -1,0 +1,1 @@
+"""Image kernels, the only importer of Halide."""

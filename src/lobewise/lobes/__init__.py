@@ -1,0 +1,1 @@
+"""The mathematics of reflection lobes: NumPy, no images."""

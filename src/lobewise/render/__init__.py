@@ -1,0 +1,1 @@
+"""Rendering, the only importer of Mitsuba."""
