@@ -1,0 +1,214 @@
+"""The cross-bilateral sum as a Halide algorithm: what each pixel is, not how it is computed.
+
+``out_i = sum_j w(i, j) I_j / sum_j w(i, j)`` with ``w = prod_f similarity_f(i, j)``. One pass sums over the taps of
+one form; ``separable`` and ``atrous`` chain passes and hand on the undivided sums, so that bad pixels, image borders
+and poorly supported rows are weighted rightly, a constant stays that constant and the weight sum stays testable.
+
+Channels of an undivided image: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import halide as hl
+
+from lobewise.kernels import expressions
+from lobewise.kernels.features import Feature, Pixel
+
+SUM_CHANNELS = 5
+WEIGHT = 3
+SQUARED_WEIGHT = 4
+
+ATROUS_RADIUS = 2
+# Cubic B-spline (1, 4, 6, 4, 1)/16 over its peak, so that a matching centre counts 1.
+ATROUS_PROFILE = (1.0, 2.0 / 3.0, 1.0 / 6.0)
+
+ALBEDO_FLOOR = 1e-3
+"""Albedo below which a pixel says nothing about the light it receives; it gets weight 0."""
+
+
+class Taps(Enum):
+    """The neighbours that one pass sums over."""
+
+    SQUARE = "square"
+    """All of (2r+1)^2."""
+    HORIZONTAL = "horizontal"
+    """2r+1 in the row."""
+    VERTICAL = "vertical"
+    """2r+1 in the column."""
+    ATROUS = "atrous"
+    """5x5, ``step`` pixels apart, with B-spline weights."""
+
+
+@dataclass(frozen=True)
+class PassKey:
+    """Everything that changes a pass's code; what may differ between two calls of it is an argument instead."""
+
+    taps: Taps
+    radius: int
+    features: tuple[Hashable, ...]
+    first: bool
+    """Reads radiance, albedo and mask; otherwise undivided sums."""
+    last: bool
+    """Writes radiance, weight sum and effective samples; otherwise undivided sums."""
+    demodulate: bool
+    """Divides by an albedo on the way in, multiplies by it on the way out."""
+
+
+@dataclass
+class PassFuncs:
+    """The Halide functions of one pass, for the schedules."""
+
+    out: hl.Func
+    sums: hl.Func
+    image: hl.Func
+    planes: hl.Func | None
+    plane_count: int
+    stages: list[hl.Func]
+    taps: hl.RDom
+    x: hl.Var
+    y: hl.Var
+    c: hl.Var
+    arguments: list[Any] = field(default_factory=list)
+
+
+def describe_structure(feature: Feature) -> Hashable:
+    """Return what identifies the code of a feature."""
+    return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())
+
+
+def _count_channels(feature: Feature) -> list[int]:
+    return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]
+
+
+def _tap_profile(offset: hl.Expr) -> hl.Expr:
+    """Return log2 of the B-spline weight at -2..2."""
+    distance = hl.abs(offset)
+    return hl.select(
+        distance == 0,
+        hl.f32(0.0),
+        distance == 1,
+        hl.f32(-0.5849625),
+        hl.f32(-2.5849625),
+    )
+
+
+def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
+    """Return the algorithm of one pass.
+
+    The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
+    albedo (c, x, y) where demodulated; mask (x, y) uint8, 1 where a pixel may give and take; the arrays of every
+    feature; step (int32); the parameters of every feature.
+    """
+    x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
+    source = hl.ImageParam(hl.Float(32), 3, "source")
+    mask = hl.ImageParam(hl.UInt(8), 2, "mask")
+    albedo = hl.ImageParam(hl.Float(32), 3, "albedo")
+    step = hl.Param(hl.Int(32), "step")
+    width, height = mask.width(), mask.height()
+    clamped = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    usable = inside & (mask[clamped[0], clamped[1]] != 0)
+
+    # Image: radiance over albedo and a weight of 1, or nothing at all where a pixel is bad.
+    image = hl.Func("image")
+    if key.first:
+        radiance = [source[k, clamped[0], clamped[1]] for k in range(3)]
+        good = usable
+        for value in radiance:
+            good = good & ~expressions.is_bad(value)
+        if key.demodulate:
+            tints = [albedo[k, clamped[0], clamped[1]] for k in range(3)]
+            for k, tint in enumerate(tints):
+                good = good & ~expressions.is_bad(tint)
+                radiance[k] = radiance[k] / hl.max(tint, hl.f32(ALBEDO_FLOOR))
+            # A coloured metal may lack a channel altogether; a pixel is dropped when it lacks all of them.
+            good = good & (hl.max(tints[0], tints[1], tints[2]) > hl.f32(ALBEDO_FLOOR))
+        zero = hl.f32(0.0)
+        image[x, c, y] = hl.select(good, hl.mux(c, [*radiance, hl.f32(1.0), hl.f32(1.0)]), zero)
+    else:
+        image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
+
+    # Planes: what the taps read of every feature, harmless where a pixel has no meaning.
+    arrays: list[hl.ImageParam] = []
+    parameters: list[hl.Param] = []
+    values: list[hl.Expr] = []
+    slices: list[tuple[Feature, slice, list[hl.Param]]] = []
+    for number, feature in enumerate(features):
+        inputs: list[hl.Expr] = []
+        neutral = iter(feature.neutral)
+        for slot, (array, channels) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+            deep = array.ndim == 3
+            param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"f{number}_{slot}")
+            arrays.append(param)
+            for k in range(channels):
+                value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
+                inputs.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
+        scalars = [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
+        parameters.extend(scalars)
+        prepared = feature.prepare(inputs, scalars) if inputs else []
+        slices.append((feature, slice(len(values), len(values) + len(prepared)), scalars))
+        values.extend(prepared)
+    planes: hl.Func | None = None
+    if values:
+        planes = hl.Func("planes")
+        planes[x, c, y] = hl.mux(c, values) if len(values) > 1 else values[0]
+
+    # Taps.
+    r = key.radius
+    across, down = {
+        Taps.SQUARE: (r, r),
+        Taps.HORIZONTAL: (r, 0),
+        Taps.VERTICAL: (0, r),
+        Taps.ATROUS: (ATROUS_RADIUS, ATROUS_RADIUS),
+    }[key.taps]
+    taps = hl.RDom([(-across, 2 * across + 1), (-down, 2 * down + 1)], "taps")
+    u, v = hl.Var("u"), hl.Var("v")
+    spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
+    offset = hl.f32(u * spread), hl.f32(v * spread)
+    stages: list[hl.Func] = []
+
+    def stage(value: hl.Expr) -> hl.Expr:
+        func = hl.Func(f"stage{len(stages)}")
+        func[x, y, u, v] = value
+        stages.append(func)
+        return func[x, y, u, v]
+
+    def read_planes(part: slice, px: hl.Expr, py: hl.Expr) -> Pixel:
+        assert planes is not None or part.start == part.stop
+        return [planes[px, k, py] for k in range(part.start, part.stop)] if planes is not None else []
+
+    exponent: hl.Expr = hl.f32(0.0)
+    if key.taps is Taps.ATROUS:
+        exponent = _tap_profile(u) + _tap_profile(v)
+    for feature, part, scalars in slices:
+        centre, tap = read_planes(part, x, y), read_planes(part, x + u * spread, y + v * spread)
+        exponent = exponent + feature.log2_similarity(centre, tap, scalars, offset, stage)
+    log_weight = hl.Func("log_weight")
+    log_weight[x, y, u, v] = exponent
+    stages.append(log_weight)
+    weight = expressions.exp2(log_weight[x, y, taps.x, taps.y])
+
+    sums = hl.Func("sums")
+    sums[x, y] = hl.Tuple([hl.f32(0.0)] * SUM_CHANNELS)
+    taken = [image[x + taps.x * spread, k, y + taps.y * spread] for k in range(SUM_CHANNELS)]
+    factors = [weight] * SQUARED_WEIGHT + [weight * weight]
+    sums[x, y] = hl.Tuple([sums[x, y][k] + factors[k] * taken[k] for k in range(SUM_CHANNELS)])
+
+    out = hl.Func("out")
+    if key.last:
+        total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
+        alive = (mask[x, y] != 0) & (total > hl.f32(0.0))
+        mean = [sums[x, y][k] / total for k in range(3)]
+        if key.demodulate:
+            tints = [albedo[k, x, y] for k in range(3)]
+            mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
+        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, total * total / squares]), hl.f32(0.0))
+    else:
+        out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(SUM_CHANNELS)])
+    arguments = [source, *([albedo] if key.demodulate else []), mask, *arrays, step, *parameters]
+    return PassFuncs(out, sums, image, planes, len(values), stages, taps, x, y, c, arguments)

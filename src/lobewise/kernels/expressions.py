@@ -1,0 +1,58 @@
+"""Fast base-2 exponential and logarithm as Halide expressions: the only transcendental functions in a tap.
+
+A filter tap needs one exponential and at most one logarithm. Both are polynomials on the mantissa, without table,
+branch or conversion of rounding mode, so that every target vectorises them. The coefficients are minimax fits made
+by ``benchmarks/fit_expressions.py``; their errors are stated and tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import halide as hl
+
+# Relative minimax polynomial of 2^f on [0, 1], degree 4, highest power first: error 2.7e-6.
+EXP2_COEFFICIENTS = (0.013534168, 0.0520114623, 0.241442754, 0.693003835, 1.00000259)
+# Absolute minimax polynomial of log2(m) - (m - 1) on [1, 2], degree 4, highest power first: error 8.8e-5.
+LOG2_COEFFICIENTS = (-0.081615813, 0.645142434, -2.12067539, 3.07009114, -1.51285478)
+
+_EXPONENT_BIAS = 127
+_ONE_BITS = 0x3F800000
+_MANTISSA_MASK = 0x007FFFFF
+_MANTISSA_SCALE = 2.0**-23
+
+
+def _evaluate_polynomial(coefficients: Sequence[float], x: hl.Expr) -> hl.Expr:
+    """Return the polynomial with ``coefficients`` (highest power first) at ``x``, by Horner's rule."""
+    value = hl.f32(coefficients[0])
+    for coefficient in coefficients[1:]:
+        value = value * x + hl.f32(coefficient)
+    return value
+
+
+def exp2(x: hl.Expr) -> hl.Expr:
+    """Return ``2**x`` for x <= 128 as float32; exactly 0 below -127, relative error 5e-6 above -100.
+
+    The result is finite for every ``x`` that is not NaN, which the filter relies on: a tap that is switched off is
+    multiplied by 0.
+    """
+    shifted = hl.clamp(x + hl.f32(_EXPONENT_BIAS), hl.f32(0.0), hl.f32(2.0 * _EXPONENT_BIAS))
+    whole = hl.i32(shifted)
+    fraction = shifted - hl.f32(whole)
+    power = hl.reinterpret(hl.Float(32), whole << 23)
+    return power * _evaluate_polynomial(EXP2_COEFFICIENTS, fraction)
+
+
+def log2(x: hl.Expr) -> hl.Expr:
+    """Return ``log2(x)`` for normal positive x as float32, absolute error 1e-4; about 128 for infinity."""
+    bits = hl.reinterpret(hl.Int(32), x)
+    # The integer value of a float's bits is its logarithm, linear between powers of two.
+    linear = hl.f32(bits - _ONE_BITS) * hl.f32(_MANTISSA_SCALE)
+    mantissa = hl.reinterpret(hl.Float(32), (bits & _MANTISSA_MASK) | _ONE_BITS)
+    return linear + _evaluate_polynomial(LOG2_COEFFICIENTS, mantissa)
+
+
+def is_bad(x: hl.Expr) -> hl.Expr:
+    """Return whether a float32 is NaN, infinite or negative, from its bits (safe under fast-math)."""
+    bits = hl.reinterpret(hl.UInt(32), x)
+    return (bits >= hl.u32(0x7F800000)) & (bits != hl.u32(0x80000000))

@@ -1,0 +1,35 @@
+"""How the passes are computed, per device; the algorithms are in `cross_filter`."""
+
+from __future__ import annotations
+
+import halide as hl
+
+from lobewise.kernels.cross_filter import SUM_CHANNELS, PassFuncs, PassKey
+
+
+def schedule_cpu(key: PassKey, funcs: PassFuncs, target: hl.Target) -> None:
+    """Rows in parallel, columns in vectors, the log-similarity of one row of taps at a time in cache."""
+    x, y, c = funcs.x, funcs.y, funcs.c
+    lanes = target.natural_vector_size(hl.Float(32))
+    rows = 8
+    xo, yo, xi, yi = hl.Var("xo"), hl.Var("yo"), hl.Var("xi"), hl.Var("yi")
+    out, tail = funcs.out, hl.TailStrategy.GuardWithIf
+    out.bound(c, 0, SUM_CHANNELS).reorder(c, x, y).unroll(c)
+    strip = 32
+    ys, yt = hl.Var("ys"), hl.Var("yt")
+    out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, lanes, rows, tail)
+    out.reorder(c, xi, yi, xo, yo, ys).vectorize(xi).parallel(ys).never_partition_all()
+
+    sums = funcs.sums
+    sums.compute_at(out, yi).vectorize(x, lanes)
+    update = sums.update()
+    update.reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes)
+    for stage in funcs.stages:
+        stage.compute_at(sums, funcs.taps.y).vectorize(x, lanes)
+
+    for func, channels in ((funcs.image, SUM_CHANNELS), (funcs.planes, funcs.plane_count)):
+        if func is None:
+            continue
+        func.bound(c, 0, channels)
+        func.compute_at(out, ys).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
+        func.vectorize(x, lanes).unroll(c).never_partition_all()

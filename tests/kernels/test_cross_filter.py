@@ -1,0 +1,163 @@
+"""The kernels against the float64 oracle: weights read back from single pixels, weight sums, images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lobewise.kernels.engine import count_compiled_kernels, run_filter
+from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.kernels.reference import filter_reference
+from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, make_radiance
+
+# The kernels' log2 is good to 1e-4 and is multiplied by beta = 4: 3e-4 relative. GGX adds the coupling that its
+# expression drops and the other tail (see GgxFeature); both are bounded by their own test.
+RELATIVE = {"ggx": 0.06, "diffuse": 0.02}
+DEFAULT_RELATIVE = 1e-3
+
+
+def get_tolerance(kind: str, form: str) -> float:
+    """Return the largest relative error of a product of weights: one factor per pass."""
+    return RELATIVE.get(kind, DEFAULT_RELATIVE) * {"full": 1.0, "separable": 2.0, "atrous": 5.0}[form]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", SIZES, ids=str)
+def test_image_and_weight_sum_agree_with_oracle(kind: str, form: str, shape: tuple[int, int]) -> None:
+    features = [make_feature(kind, shape)]
+    radiance, mask = make_radiance(shape), make_mask(shape)
+    out = run_filter(radiance, mask, features, form=form, radius=3)
+    image, total, effective = filter_reference(radiance, mask, features, form=form, radius=3)
+    tolerance = get_tolerance(kind, form)
+    np.testing.assert_allclose(out.weight_sum, total, rtol=tolerance)
+    np.testing.assert_allclose(out.effective_samples, effective, rtol=2.0 * tolerance)
+    np.testing.assert_allclose(out.image, image, rtol=2.0 * tolerance)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", SIZES, ids=str)
+def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, int]) -> None:
+    features = [make_feature(kind, shape)]
+    mask = make_mask(shape)
+    rng = np.random.default_rng(shape)
+    for _ in range(3):
+        at = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
+        impulse = np.zeros((*shape, 3), np.float32)
+        impulse[at] = 1.0
+        out = run_filter(impulse, mask, features, form=form, radius=3)
+        image, total, _ = filter_reference(impulse, mask, features, form=form, radius=3)
+        weights = image[..., 0] * total
+        np.testing.assert_allclose(
+            out.image[..., 0] * out.weight_sum, weights, rtol=2.0 * get_tolerance(kind, form), atol=2e-5
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_full_weights_are_symmetric(kind: str) -> None:
+    shape = (9, 11)
+    features = [make_feature(kind, shape)]
+    count = shape[0] * shape[1]
+    weights = np.empty((count, count), np.float32)
+    for j in range(count):
+        impulse = np.zeros((*shape, 3), np.float32)
+        impulse.reshape(count, 3)[j] = 1.0
+        out = run_filter(impulse, make_mask(shape), features, form="full", radius=4)
+        weights[:, j] = (out.image[..., 0] * out.weight_sum).ravel()
+    np.testing.assert_allclose(weights, weights.T, rtol=2e-5, atol=1e-7)
+    np.testing.assert_allclose(np.diag(weights), 1.0, atol=2e-3)
+    assert weights.max() <= 1.0 + 2e-3
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_constant_in_constant_out(kind: str, form: str) -> None:
+    shape = (33, 20)
+    radiance = np.full((*shape, 3), 0.37, np.float32)
+    out = run_filter(radiance, make_mask(shape), [make_feature(kind, shape)], form=form, radius=5)
+    np.testing.assert_allclose(out.image, 0.37, rtol=3e-6)
+
+
+@pytest.mark.parametrize("form", ["full", "separable"])
+def test_radius_zero_is_the_identity(form: str) -> None:
+    shape = (5, 18)
+    radiance = make_radiance(shape)
+    out = run_filter(radiance, make_mask(shape), [make_feature("sg", shape)], form=form, radius=0)
+    np.testing.assert_allclose(out.image, radiance, rtol=1e-6)
+    np.testing.assert_allclose(out.effective_samples, 1.0, rtol=1e-6)
+
+
+def test_features_multiply() -> None:
+    shape = (20, 23)
+    radiance, mask = make_radiance(shape), make_mask(shape)
+    features = [make_feature(kind, shape) for kind in ("screen", "position", "sg")]
+    out = run_filter(radiance, mask, features, form="full", radius=3)
+    image, total, _ = filter_reference(radiance, mask, features, form="full", radius=3)
+    np.testing.assert_allclose(out.weight_sum, total, rtol=1e-3)
+    np.testing.assert_allclose(out.image, image, rtol=2e-3)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
+    shape = (16, 21)
+    radiance = make_radiance(shape).copy()
+    for at, value in (((3, 4), np.nan), ((8, 8), np.inf), ((9, 9), -1.0), ((0, 0), -np.inf)):
+        radiance[at][1] = value
+    features = [make_feature("sg", shape), ScreenFeature(2.0)]
+    out = run_filter(radiance, make_mask(shape), features, form=form, radius=3)
+    image, total, _ = filter_reference(radiance, make_mask(shape), features, form=form, radius=3)
+    assert np.isfinite(out.image).all()
+    np.testing.assert_allclose(out.weight_sum, total, rtol=5e-3)
+    np.testing.assert_allclose(out.image, image, rtol=5e-3)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_masked_pixels_neither_give_nor_take(form: str) -> None:
+    shape = (16, 21)
+    mask = np.random.default_rng(1).random(shape) > 0.4
+    feature = make_feature("ggx", shape)
+    poisoned = type(feature)(  # guides that are garbage where the mask says so
+        np.where(mask[..., None], feature.axis, np.nan).astype(np.float32),  # type: ignore[attr-defined]
+        np.where(mask[..., None], feature.covariance, np.inf).astype(np.float32),  # type: ignore[attr-defined]
+        np.where(mask, feature.determinant, -1.0).astype(np.float32),  # type: ignore[attr-defined]
+        4.0,
+    )
+    radiance = make_radiance(shape)
+    out = run_filter(radiance, mask, [poisoned], form=form, radius=3)
+    image, total, _ = filter_reference(radiance, mask, [feature], form=form, radius=3)
+    assert (out.image[~mask] == 0.0).all()
+    assert (out.weight_sum[~mask] == 0.0).all()
+    np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance("ggx", form))
+    np.testing.assert_allclose(out.image, image, rtol=2.0 * get_tolerance("ggx", form))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_demodulation(form: str) -> None:
+    shape = (19, 18)
+    rng = np.random.default_rng(2)
+    albedo = rng.uniform(0.0, 1.0, (*shape, 3)).astype(np.float32)
+    albedo[4:6, 3:9] = 0.0
+    albedo[..., 2] = 0.0
+    light = np.full((*shape, 3), 2.5, np.float32)
+    out = run_filter(light * albedo, make_mask(shape), [make_feature("sg", shape)], form=form, radius=3, albedo=albedo)
+    lit = albedo > 1e-3
+    np.testing.assert_allclose(out.image[lit], (2.5 * albedo)[lit], rtol=1e-5)
+    assert (out.image[albedo == 0.0] == 0.0).all()
+
+
+def test_another_size_or_parameter_does_not_compile_again() -> None:
+    run_filter(make_radiance((8, 9)), make_mask((8, 9)), [make_feature("sg", (8, 9))], form="full", radius=2)
+    before = count_compiled_kernels()
+    shape = (31, 50)
+    other: list[Feature] = [make_feature("sg", shape, beta=9.0)]
+    run_filter(make_radiance(shape), make_mask(shape), other, form="full", radius=2)
+    assert count_compiled_kernels() == before
+
+
+def test_same_bits_twice_and_for_a_crop_of_strips() -> None:
+    shape = (70, 45)
+    features = [make_feature("ggx", shape)]
+    first = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=4)
+    again = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=4)
+    assert first.image.tobytes() == again.image.tobytes()
