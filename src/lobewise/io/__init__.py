@@ -1,1 +1,16 @@
-"""Files."""
+"""Files: OpenEXR images with the G-buffer, camera and sample count that a frame needs."""
+
+from __future__ import annotations
+
+from lobewise.io.describe import FileDescription, describe_file
+from lobewise.io.exr import read_frame, read_image, write_frame, write_image, write_result
+
+__all__ = [
+    "FileDescription",
+    "describe_file",
+    "read_frame",
+    "read_image",
+    "write_frame",
+    "write_image",
+    "write_result",
+]

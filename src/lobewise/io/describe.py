@@ -1,0 +1,205 @@
+"""What an EXR file holds, and what denoising would make of it; no pixel is read."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from lobewise.errors import LobewiseError
+from lobewise.frame import Camera
+from lobewise.io.container import Attribute, Container, Part, Window, read_container, show_name
+from lobewise.io.exr import plan_reading, read_camera, read_spp
+from lobewise.io.files import PathLike
+from lobewise.io.schema import CAMERA, SLOTS, SPP, find_beauty, find_foreign
+
+_LAYOUTS = {
+    "int": "i", "float": "f", "double": "d", "v2i": "2i", "v2f": "2f", "v2d": "2d", "v3i": "3i", "v3f": "3f",
+    "v3d": "3d", "m33f": "9f", "m33d": "9d", "m44f": "16f", "m44d": "16d", "box2i": "4i", "box2f": "4f",
+    "rational": "iI", "chromaticities": "8f",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ChannelDescription:
+    """One channel: its name, its pixel type, and the image of a frame that it is read into, or an empty text."""
+
+    name: str
+    pixel_type: str
+    used_as: str
+
+
+@dataclass(frozen=True)
+class PartDescription:
+    """One part: its place, kind, windows, channels and attributes as text."""
+
+    name: str
+    view: str
+    kind: str
+    compression: str
+    data_window: Window
+    display_window: Window
+    channels: tuple[ChannelDescription, ...]
+    attributes: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True)
+class ImageDescription:
+    """One image that a frame can have: its channels in short, whether the file has them, and what follows."""
+
+    label: str
+    found: bool
+    meaning: str
+    missing: str
+
+
+@dataclass(frozen=True)
+class FileDescription:
+    """What `describe_file` found.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    bytes : int
+        Its size.
+    parts : tuple of PartDescription
+        Everything in the file.
+    image_part : int or None
+        Index of the part that holds R, G and B.
+    images : tuple of ImageDescription
+        Every image that a frame can have, found or missing.
+    camera : Camera or None
+        From the header.
+    spp : int or None
+        From the header.
+    similarities : tuple of str
+        Those that can be computed from this file, the plainest first.
+    notes : tuple of str
+        What hinders denoising or lowers its quality, one sentence each.
+    """
+
+    path: str
+    bytes: int
+    parts: tuple[PartDescription, ...]
+    image_part: int | None
+    images: tuple[ImageDescription, ...]
+    camera: Camera | None
+    spp: int | None
+    similarities: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def describe_file(path: PathLike) -> FileDescription:
+    """Return what an EXR file holds: parts, channels, windows, attributes, and which of them denoising uses.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, unreadable, damaged, truncated or of zero size.
+    """
+    container = read_container(path)
+    beauty = find_beauty(container.parts)
+    notes: list[str] = []
+    used: dict[tuple[int, str], str] = {}
+    found: set[tuple[str, str]] = set()
+    camera: Camera | None = None
+    if beauty is None:
+        notes.append("There is no part with channels R, G and B, so there is no image to denoise.")
+    else:
+        try:
+            for part, slots in plan_reading(container, beauty):
+                for slot in slots:
+                    found.add((slot.owner, slot.field))
+                    used.update({(part.index, name): f"{slot.owner}.{slot.field}" for name in slot.channels})
+            camera = read_camera(beauty)
+        except LobewiseError as problem:
+            notes.append(f"Denoising will refuse this file: {problem}")
+    gbuffer = {field for owner, field in found if owner == "gbuffer"}
+    similarities = _list_similarities(gbuffer, camera)
+    if beauty is not None:
+        notes += _note_what_lacks(container, beauty, gbuffer, camera, similarities)
+    return FileDescription(
+        path=str(path),
+        bytes=container.path.stat().st_size,
+        parts=tuple(_describe_part(part, used) for part in container.parts),
+        image_part=beauty.index if beauty else None,
+        images=tuple(
+            ImageDescription(slot.label, (slot.owner, slot.field) in found, slot.meaning, slot.missing)
+            for slot in SLOTS
+        ),
+        camera=camera,
+        spp=read_spp(beauty) if beauty else None,
+        similarities=similarities,
+        notes=tuple(notes),
+    )
+
+
+def _list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
+    if "normal" not in gbuffer or not gbuffer & {"depth", "position"}:
+        return ()
+    lobes = "alpha_u" in gbuffer and camera is not None
+    return ("normal", "sg", "ggx") if lobes else ("normal",)
+
+
+def _note_what_lacks(
+    container: Container, beauty: Part, gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]
+) -> list[str]:
+    notes = []
+    renderer = find_foreign(container.parts)
+    if renderer:
+        notes.append(
+            f"{renderer} wrote this file; its channel names can mean other things than lobewise's, so only R, G and B "
+            "are read."
+        )
+    if not similarities:
+        notes.append("Without normal.X/Y/Z and depth.Z or position.X/Y/Z nothing tells similar pixels apart.")
+    elif similarities == ("normal",):
+        lacks = [
+            what
+            for what, there in (("alpha.U", "alpha_u" in gbuffer), (f"the camera ({CAMERA}...)", camera is not None))
+            if not there
+        ]
+        notes.append(f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes.")
+    if read_spp(beauty) is None:
+        notes.append(f"Without the attribute {SPP} the amount of noise is not known; pass --beta to set the strength.")
+    for part in container.parts:
+        if part.data_window != beauty.data_window:
+            notes.append(
+                f"Part {show_name(part.name) or part.index!r} has another data window than the image and is only copied."
+            )
+    return notes
+
+
+def _describe_part(part: Part, used: dict[tuple[int, str], str]) -> PartDescription:
+    return PartDescription(
+        name=show_name(part.name),
+        view=show_name(part.view),
+        kind=("deep " if part.deep else "") + ("tiled" if part.tiled else "scanline"),
+        compression=part.compression,
+        data_window=part.data_window,
+        display_window=part.display_window,
+        channels=tuple(
+            ChannelDescription(show_name(channel.name), channel.pixel_type, used.get((part.index, channel.name), ""))
+            for channel in part.channels
+        ),
+        attributes=tuple(
+            (show_name(item.name), show_name(item.type), _show_value(item))
+            for item in part.attributes
+            if item.name != "channels"
+        ),
+    )
+
+
+def _show_value(item: Attribute) -> str:
+    """Return an attribute's value as one line of text."""
+    if item.type == "string":
+        text = " ".join(item.value.decode("utf-8", "replace").split())
+        text = "".join(letter if letter.isprintable() else "?" for letter in text)
+        return text if len(text) <= 120 else f"{text[:100]}... ({len(item.value)} bytes)"
+    layout = _LAYOUTS.get(item.type)
+    if layout and struct.calcsize("<" + layout) == len(item.value):
+        numbers = struct.unpack("<" + layout, item.value)
+        return " ".join(f"{number:.9g}" if isinstance(number, float) else str(number) for number in numbers)
+    if len(item.value) == 1:
+        return str(item.value[0])
+    return f"{len(item.value)} bytes"

@@ -1,0 +1,182 @@
+"""Paths of users: what can go wrong with them, said once; outputs that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from lobewise.errors import FileError, describe_problem
+
+PathLike = str | os.PathLike[str]
+
+
+def require_readable(path: PathLike, *, what: str = "input") -> Path:
+    """Return ``path`` if it names a regular file that is not empty and can be opened.
+
+    Raises
+    ------
+    FileError
+        If it does not exist, is a directory or a device, is empty, or may not be read.
+    """
+    file = Path(path)
+    name = f"{what} {str(file)!r}"
+    try:
+        mode = file.stat()
+        if stat.S_ISDIR(mode.st_mode):
+            raise FileError(describe_problem(name, expected="a file", got="a directory", action="name a file in it"))
+        if not stat.S_ISREG(mode.st_mode):
+            raise FileError(
+                describe_problem(name, expected="a regular file", got="a device or pipe", action="copy it to a file")
+            )
+        if mode.st_size == 0:
+            raise FileError(
+                describe_problem(name, expected="an image", got="an empty file of 0 bytes", action="write it again")
+            )
+        with file.open("rb"):
+            pass
+    except FileNotFoundError:
+        near = _find_sibling(file)
+        raise FileError(
+            describe_problem(
+                name,
+                expected="an existing file",
+                got="no such file",
+                action=f"did you mean {near!r}?" if near else "check the path",
+            ).replace("?.", "?")
+        ) from None
+    except (OSError, ValueError) as problem:
+        raise FileError(
+            describe_problem(name, expected="a readable file", got=_say_reason(problem), action="check the path")
+        ) from None
+    return file
+
+
+def require_writable(path: PathLike, *, what: str = "output") -> Path:
+    """Return the real path that an output may be written to; nothing is created or changed.
+
+    A symbolic link is followed, so that writing replaces what it points at and not the link.
+
+    Raises
+    ------
+    FileError
+        If it is a directory or a device, its folder does not exist, or may not be written to.
+    """
+    name = f"{what} {str(path)!r}"
+    try:
+        target = Path(os.path.realpath(path))
+        if target.is_dir():
+            raise FileError(
+                describe_problem(name, expected="a file name", got="a directory", action="name a file in it")
+            )
+        if target.exists() and not target.is_file():
+            raise FileError(
+                describe_problem(
+                    name, expected="a regular file", got="a device or pipe", action="name a file that can be replaced"
+                )
+            )
+        folder = target.parent
+        if not folder.exists():
+            got, action = f"no folder {str(folder)!r}", "create it first"
+        elif not folder.is_dir():
+            got, action = f"{str(folder)!r}, which is not a folder", "choose another folder"
+        elif not os.access(folder, os.W_OK | os.X_OK):
+            got, action = f"the folder {str(folder)!r}, which is read-only", "choose another folder"
+        else:
+            return target
+    except (OSError, ValueError) as problem:
+        got, action = _say_reason(problem), "choose another path"
+    raise FileError(describe_problem(name, expected="a path that can be written", got=got, action=action))
+
+
+@contextmanager
+def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
+    """Open a temporary file beside ``path``; on success it replaces ``path`` in one step, on failure it is removed.
+
+    A reader sees the old file or the whole new one, never a part; an existing target keeps its permissions.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written or the disk refuses, for example because it is full.
+    """
+    target = require_writable(path, what=what)
+    name = f"{what} {str(path)!r}"
+    temporary: str | None = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent)
+        with os.fdopen(descriptor, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, _choose_mode(target))
+        os.replace(temporary, target)
+        temporary = None
+        _sync_folder(target.parent)
+    except OSError as problem:
+        raise FileError(
+            describe_problem(
+                name,
+                expected="a path that can be written",
+                got=_say_reason(problem),
+                action="choose another path or make room",
+            )
+        ) from problem
+    finally:
+        if temporary is not None:
+            with suppress(OSError):
+                os.unlink(temporary)
+
+
+def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
+    """Write ``text`` as UTF-8, whole or not at all.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written.
+    """
+    with open_atomic(path, what=what) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def _find_sibling(file: Path) -> str | None:
+    """Return the file of the same folder whose name is nearest, if one is near."""
+    import difflib
+
+    try:
+        names = [entry.name for entry in file.parent.iterdir()]
+    except (OSError, ValueError):
+        return None
+    near = difflib.get_close_matches(file.name, names, n=1, cutoff=0.8)
+    return str(file.parent / near[0]) if near else None
+
+
+def _say_reason(problem: OSError | ValueError) -> str:
+    reason = getattr(problem, "strerror", None) or str(problem)
+    return reason[:1].lower() + reason[1:]
+
+
+def _choose_mode(target: Path) -> int:
+    """Return the permissions of the file that is replaced, or those that a new file would get."""
+    try:
+        return stat.S_IMODE(target.stat().st_mode)
+    except OSError:
+        # The mask can only be read by setting it.
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name durable; some file systems do not support it, and the data is safe without."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

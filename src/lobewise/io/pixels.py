@@ -1,0 +1,182 @@
+"""Pixels of one part through the OpenEXR library, the only place that calls it."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import FileError, describe_problem
+from lobewise.io.container import COMPRESSIONS, Container, Part, parse_bytes, show_name
+from lobewise.io.splice import pack_part
+
+Pixels = NDArray[Any]
+
+_DTYPES = {"uint": np.dtype(np.uint32), "half": np.dtype(np.float16), "float": np.dtype(np.float32)}
+_quiet = threading.Lock()
+
+
+def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
+    """Return every channel of a part, each (height, width) in its own type: uint32, float16 or float32.
+
+    Raises
+    ------
+    FileError
+        If the pixels are damaged, or the part holds deep samples.
+    """
+    import OpenEXR
+
+    name = f"input {str(container.path)!r}"
+    if part.deep:
+        raise FileError(
+            describe_problem(
+                name, expected="an image with one value per pixel", got="deep samples", action="flatten it first"
+            )
+        )
+    try:
+        with container.path.open("rb") as stream:
+            data = pack_part(container, part, stream)
+        with _hush_library():
+            channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
+            # The library leaves the pixels out, with a printed warning, where it cannot decode them.
+            pixels = {key: np.asarray(channel.pixels) for key, channel in channels.items()}
+    except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
+        raise FileError(
+            describe_problem(
+                name,
+                expected="pixels that can be decoded",
+                got="not enough memory" if isinstance(problem, MemoryError) else "damaged pixels",
+                action="render or copy it again",
+            )
+        ) from problem
+    for channel in part.channels:
+        shape = (part.data_window.height // channel.y_sampling, part.data_window.width // channel.x_sampling)
+        found = pixels.get(channel.name)
+        plain = channel.x_sampling == channel.y_sampling == 1
+        if found is None or found.dtype != _DTYPES[channel.pixel_type] or (plain and found.shape != shape):
+            raise FileError(
+                describe_problem(
+                    name,
+                    expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",
+                    got="damaged pixels",
+                    action="render or copy it again",
+                )
+            )
+    return pixels
+
+
+def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) -> list[tuple[int, bytes]]:
+    """Return the chunks of ``part`` with new pixels, as (index in the chunk table, bytes without part number).
+
+    Raises
+    ------
+    FileError
+        If the part is of a kind that cannot be written: several resolution levels, or subsampled channels.
+    """
+    odd = [show_name(channel.name) for channel in part.channels if (channel.x_sampling, channel.y_sampling) != (1, 1)]
+    if part.levels > 1 or odd:
+        raise FileError(
+            describe_problem(
+                f"input {str(container.path)!r}",
+                expected="an image whose beauty can be written again",
+                got=f"a part with subsampled channels ({', '.join(map(show_name, odd))})"
+                if odd
+                else "a part with resolution levels",
+                action="convert it to a plain scanline file first",
+            )
+        )
+    header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
+    header["lineOrder"] = (part.get("lineOrder") or _missing("lineOrder")).value[0]
+    data = encode_file(header, pixels, part=part)
+    made = parse_bytes(data).parts[0]
+    ordered = sorted(made.chunks, key=lambda chunk: chunk.offset)
+    return [(chunk.index, data[chunk.offset : chunk.offset + chunk.size]) for chunk in ordered]
+
+
+def encode_file(
+    header: Mapping[str, Any], pixels: Mapping[str, Pixels], *, compression: str = "zip", part: Part | None = None
+) -> bytes:
+    """Return a single-part file; types, tiles and compression follow ``part`` where it is given.
+
+    Raises
+    ------
+    FileError
+        If the library cannot encode the pixels.
+    """
+    import OpenEXR
+
+    numbers = {name: number for number, (name, _) in COMPRESSIONS.items()}
+    full: dict[str, Any] = dict(header)
+    full["compression"] = OpenEXR.Compression(numbers[part.compression if part else compression])
+    full["type"] = OpenEXR.tiledimage if part and part.tiled else OpenEXR.scanlineimage
+    if "lineOrder" in full:
+        full["lineOrder"] = OpenEXR.LineOrder(full["lineOrder"])
+    if part and part.tiled:
+        tiles = (part.get("tiles") or _missing("tiles")).value
+        full["tiles"] = OpenEXR.TileDescription()
+        full["tiles"].xSize = int.from_bytes(tiles[:4], "little")
+        full["tiles"].ySize = int.from_bytes(tiles[4:8], "little")
+    linear = {channel.name: channel.linear for channel in part.channels} if part else {}
+    channels = {
+        # The library reads past strides: an array that is not contiguous would be written scrambled.
+        name: OpenEXR.Channel(name, np.ascontiguousarray(values), 1, 1, linear.get(name, False))
+        for name, values in pixels.items()
+    }
+    out = io.BytesIO()
+    try:
+        with _hush_library():
+            OpenEXR.File(full, channels).write(out)
+    except (RuntimeError, ValueError, TypeError, OSError, MemoryError) as problem:
+        raise FileError(
+            describe_problem("output", expected="pixels that can be encoded", got=str(problem), action="report it")
+        ) from problem
+    return out.getvalue()
+
+
+def _pair(window: Any) -> tuple[Pixels, Pixels]:
+    return (
+        np.array([window.x_min, window.y_min], dtype=np.int32),
+        np.array([window.x_max, window.y_max], dtype=np.int32),
+    )
+
+
+def _missing(name: str) -> Any:
+    raise FileError(
+        describe_problem("input", expected=f"the attribute {name!r}", got="none", action="render or copy it again")
+    )
+
+
+@contextmanager
+def _hush_library() -> Iterator[None]:
+    """Keep the library's own lines about damaged files off the terminal; other output is passed on afterwards.
+
+    Its C core writes to file descriptor 2 and leaves no way to ask for silence.
+    """
+    with _quiet, tempfile.TemporaryFile() as caught:
+        try:
+            saved = os.dup(2)
+        except OSError:
+            # A process without a standard error has nothing to keep clean.
+            yield
+            return
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        try:
+            os.dup2(caught.fileno(), 2)
+            with redirect_stdout(io.StringIO()):
+                yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            caught.seek(0)
+            rest = [line for line in caught if b"EXR_ERR" not in line and not line.startswith(b"ojph")]
+            if rest and sys.stderr is not None:
+                sys.stderr.write(b"".join(rest).decode("utf-8", "replace"))

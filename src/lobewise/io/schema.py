@@ -1,0 +1,147 @@
+"""The channel names of lobewise's own EXR files: which channels hold which image of a `Frame`, and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.io.container import Part
+
+SCHEMA_VERSION = 1
+SCHEMA = "lobewise/schema"
+SPP = "lobewise/spp"
+CAMERA = "lobewise/camera/"
+DENOISED = "lobewise/denoised"
+
+# Attributes that tell a file of another renderer, whose channels of the same name may mean another thing:
+# `diffuse` is lit radiance in one and albedo in the next, `normal` is in world space here and camera space there.
+FOREIGN = {
+    "vrayInfo/": "V-Ray",
+    "arnold/": "Arnold",
+    "cycles.": "Blender Cycles",
+    "unreal/": "Unreal Engine",
+    "rman_": "RenderMan",
+    "PixarRenderMan": "RenderMan",
+}
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One image of a frame and the channels that hold it.
+
+    Parameters
+    ----------
+    owner, field : str
+        Where it lives: `Frame` attribute and the attribute of that.
+    channels : tuple of str
+        Full channel names, in the order of the image's last axis.
+    kind : str
+        ``radiance``, ``variance``, ``albedo`` or ``geometry``; decides the pixel type.
+    meaning : str
+        What the values are: unit, space, range.
+    missing : str
+        What follows when the channels are not there.
+    """
+
+    owner: str
+    field: str
+    channels: tuple[str, ...]
+    kind: str
+    meaning: str
+    missing: str
+
+    @property
+    def label(self) -> str:
+        """The channels in short, for example ``normal.X/Y/Z``."""
+        head, dot, _ = self.channels[0].rpartition(".")
+        return head + dot + "/".join(name.rpartition(".")[2] for name in self.channels)
+
+
+def _name(prefix: str, suffixes: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}.{suffix}" if prefix else suffix for suffix in suffixes)
+
+
+_LAYERS = {
+    "color": ("", "total radiance", "nothing can be denoised"),
+    "diffuse": ("diffuse", "radiance whose first bounce was diffuse", "diffuse and specular are filtered together"),
+    "specular": ("specular", "radiance whose first bounce was specular", "diffuse and specular are filtered together"),
+    "direct": ("direct", "radiance that came straight from a light to the first surface", "not needed to denoise"),
+    "indirect": ("indirect", "radiance after more bounces", "not needed to denoise"),
+}
+_COPIES = {
+    "radiance": ("", "{}", "radiance", "{}"),
+    "half_a": ("half_a", "{}, from one half of the samples", "radiance", "noise is not measured between halves"),
+    "half_b": ("half_b", "{}, from the other half of the samples", "radiance", "noise is not measured between halves"),
+    "variance": ("variance", "variance of the mean of: {}", "variance", "noise is judged by the sample count"),
+}
+_GBUFFER = (
+    ("depth", "depth", "Z", "distance along the ray, world units, 0 = no surface", "taken from position and camera"),
+    ("position", "position", "XYZ", "world position of the first surface", "taken from depth and camera"),
+    ("normal", "normal", "XYZ", "shading normal, world space, unit, towards the camera",
+     "no similarity can be computed"),
+    ("tangent", "tangent", "XYZ", "direction of alpha.U, world space, unit", "roughness is taken as isotropic"),
+    ("alpha_u", "alpha", "U", "microfacet alpha along the tangent, 0..1, 0 = mirror", "only normals can be compared"),
+    ("alpha_v", "alpha", "V", "microfacet alpha across the tangent, 0..1", "taken equal to alpha.U"),
+    ("lobe_kind", "lobe_kind", "I", "0 none, 1 GGX, 2 Beckmann, 3 perfect mirror", "taken from alpha.U"),
+    ("diffuse_albedo", "diffuse_albedo", "RGB", "directional albedo of the diffuse lobe, 0..1",
+     "texture is filtered too"),
+    ("specular_albedo", "specular_albedo", "RGB", "directional albedo of the specular lobe, tinted, 0..1",
+     "texture is filtered too"),
+    ("hit_distance", "hit_distance", "Z", "distance to what the specular lobe sees, world units, 0 = unknown",
+     "what is reflected is not compared"),
+    ("hit_position", "hit_position", "XYZ", "world position of that hit", "what is reflected is not compared"),
+    ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
+)  # fmt: skip
+
+
+def _make_slots() -> Iterable[Slot]:
+    for owner, (copy, meaning, kind, missing) in _COPIES.items():
+        for field, (layer, what, without) in _LAYERS.items():
+            prefix = ".".join(part for part in (copy, layer) if part)
+            yield Slot(owner, field, _name(prefix, "RGB"), kind, meaning.format(what), missing.format(without))
+    for field, prefix, suffixes, meaning, missing in _GBUFFER:
+        kind = "albedo" if field.endswith("albedo") else "geometry"
+        yield Slot("gbuffer", field, _name(prefix, suffixes), kind, meaning, missing)
+
+
+SLOTS: tuple[Slot, ...] = tuple(_make_slots())
+BEAUTY = SLOTS[0]
+
+
+def find_foreign(parts: Iterable[Part]) -> str | None:
+    """Return the name of the other renderer that wrote a file, if an attribute tells and the file is not ours."""
+    names = [item.name for part in parts for item in part.attributes]
+    if SCHEMA in names:
+        return None
+    for mark, renderer in FOREIGN.items():
+        if any(name.startswith(mark) for name in names):
+            return renderer
+    return None
+
+
+def find_beauty(parts: Iterable[Part]) -> Part | None:
+    """Return the part that holds the image: the first with channels R, G and B and one value per pixel."""
+    for part in parts:
+        names = {channel.name for channel in part.channels if channel.x_sampling == channel.y_sampling == 1}
+        if not part.deep and names.issuperset(BEAUTY.channels):
+            return part
+    return None
+
+
+def build_frame(images: dict[tuple[str, str], object], camera: Camera | None, spp: int | None) -> Frame:
+    """Return the frame of images that are keyed by (owner, field)."""
+
+    def collect(owner: str) -> dict[str, object]:
+        return {field: image for (who, field), image in images.items() if who == owner}
+
+    copies = {owner: collect(owner) for owner in _COPIES}
+    return Frame(
+        radiance=Radiance(**copies["radiance"]),  # type: ignore[arg-type]  # checked by the class itself
+        gbuffer=GBuffer(**collect("gbuffer")),  # type: ignore[arg-type]  # checked by the class itself
+        camera=camera,
+        half_a=Radiance(**copies["half_a"]) if copies["half_a"] else None,  # type: ignore[arg-type]  # the same
+        half_b=Radiance(**copies["half_b"]) if copies["half_b"] else None,  # type: ignore[arg-type]  # the same
+        variance=Radiance(**copies["variance"]) if copies["variance"] else None,  # type: ignore[arg-type]  # the same
+        spp=spp,
+    )

@@ -1,0 +1,88 @@
+"""Cut parts out of OpenEXR files and put files together from old and new chunks, without decoding what stays."""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+from lobewise.errors import FileError, describe_problem
+from lobewise.io.container import LONG_NAMES, MAGIC, TILED, Attribute, Chunk, Container, Part
+
+
+def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
+    """Return one part as a file of its own with only the attributes that decoding needs.
+
+    ``stream`` is the open file. A codec that is given this never sees the other parts or the users' attributes.
+    """
+    needed = {
+        "channels", "compression", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio",
+        "screenWindowCenter", "screenWindowWidth",
+    }  # fmt: skip
+    if part.tiled:
+        needed.add("tiles")
+    kept = [item for item in part.attributes if item.name in needed]
+    version = 2 | (TILED if part.tiled else 0) | (container.version & LONG_NAMES)
+    header = MAGIC + struct.pack("<I", version) + b"".join(item.pack() for item in kept) + b"\0"
+    chunks = [(chunk.index, read_chunk(stream, chunk)) for chunk in sorted(part.chunks, key=lambda one: one.offset)]
+    return header + _pack_chunks(chunks, start=len(header), prefix=b"")
+
+
+def read_chunk(stream: BinaryIO, chunk: Chunk) -> bytes:
+    """Return the bytes of one chunk, leader included, part number excluded."""
+    stream.seek(chunk.offset)
+    data = stream.read(chunk.size)
+    if len(data) != chunk.size:
+        raise FileError(
+            describe_problem(
+                "input",
+                expected="a file that stays as it is",
+                got="one that shrank while being read",
+                action="try again",
+            )
+        )
+    return data
+
+
+def write_container(
+    out: BinaryIO,
+    container: Container,
+    source: BinaryIO,
+    headers: list[list[Attribute]],
+    new: dict[int, list[tuple[int, bytes]]],
+) -> None:
+    """Write a file with the given headers; parts in ``new`` get these chunks, the others keep theirs, byte for byte.
+
+    ``new`` maps a part's index to (index in its chunk table, bytes without part number). The other parts' chunks are
+    copied one by one, so that memory does not grow with them.
+    """
+    packed = [b"".join(item.pack() for item in header) + b"\0" for header in headers]
+    head = MAGIC + struct.pack("<I", container.version) + b"".join(packed) + (b"\0" if container.multipart else b"")
+    tables = {part.index: [0] * len(part.chunks) for part in container.parts}
+    position = len(head) + 8 * sum(len(table) for table in tables.values())
+    out.write(head)
+    out.write(b"\0" * (position - len(head)))
+    for part in container.parts:
+        prefix = struct.pack("<i", part.index) if container.multipart else b""
+        pending: list[Chunk] | list[tuple[int, bytes]]
+        pending = new[part.index] if part.index in new else sorted(part.chunks, key=lambda one: one.offset)
+        for item in pending:
+            index, data = (item.index, read_chunk(source, item)) if isinstance(item, Chunk) else item
+            tables[part.index][index] = position
+            out.write(prefix)
+            out.write(data)
+            position += len(prefix) + len(data)
+    out.seek(len(head))
+    for part in container.parts:
+        out.write(struct.pack(f"<{len(tables[part.index])}Q", *tables[part.index]))
+
+
+def _pack_chunks(chunks: list[tuple[int, bytes]], *, start: int, prefix: bytes) -> bytes:
+    """Return chunk table and chunks, for a file in which the table begins at ``start``."""
+    table = [0] * len(chunks)
+    position = start + 8 * len(chunks)
+    pieces = []
+    for index, data in chunks:
+        table[index] = position
+        pieces += [prefix, data]
+        position += len(prefix) + len(data)
+    return struct.pack(f"<{len(table)}Q", *table) + b"".join(pieces)

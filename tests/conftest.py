@@ -1,0 +1,82 @@
+"""Fixtures that several rooms' tests use: seeded random numbers, a frame with every image, real EXR files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.frame import Camera, Frame, GBuffer, Radiance
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return random numbers that are the same in every run."""
+    return np.random.default_rng(20150915)
+
+
+@pytest.fixture(scope="session")
+def exr_folder() -> Path:
+    """Return the folder of real EXR files, or skip and say how to get it."""
+    root = os.environ.get("LOBEWISE_TEST_DATA")
+    if not root:
+        pytest.skip("set LOBEWISE_TEST_DATA to a folder that contains exr/ with the files docs/conventions.md lists")
+    folder = Path(root) / "exr"
+    if not folder.is_dir():
+        pytest.fail(f"LOBEWISE_TEST_DATA is {root!r}, which has no folder exr/")
+    return folder
+
+
+@pytest.fixture
+def make_frame(rng: np.random.Generator) -> Callable[..., Frame]:
+    """Return a function of height and width that makes a frame with every image."""
+    return partial(_make_random_frame, rng)
+
+
+@pytest.fixture
+def full_frame(make_frame: Callable[..., Frame]) -> Frame:
+    """Return a frame of 13x9 pixels with every image that a frame can have, random and consistent in size only."""
+    return make_frame(height=9, width=13)
+
+
+def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> Frame:
+    """Return a frame with every image, for tests of plumbing rather than of pictures."""
+
+    def color() -> np.ndarray:
+        return rng.gamma(0.5, 1.0, (height, width, 3)).astype(np.float32)
+
+    def radiance() -> Radiance:
+        return Radiance(color=color(), diffuse=color(), specular=color(), direct=color(), indirect=color())
+
+    def vector(length: int) -> np.ndarray:
+        return rng.normal(size=(height, width, length)).astype(np.float32)
+
+    def plane() -> np.ndarray:
+        return rng.random((height, width)).astype(np.float32)
+
+    return Frame(
+        radiance=radiance(),
+        gbuffer=GBuffer(
+            depth=1.0 + plane(),
+            position=vector(3),
+            normal=vector(3),
+            tangent=vector(3),
+            alpha_u=plane(),
+            alpha_v=plane(),
+            lobe_kind=rng.integers(0, 4, (height, width)),
+            diffuse_albedo=rng.random((height, width, 3)),
+            specular_albedo=rng.random((height, width, 3)),
+            hit_distance=plane(),
+            hit_position=vector(3),
+            motion=vector(2),
+        ),
+        camera=Camera(position=(1.0, 2.0, 0.1), forward=(0.0, -0.3, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7, fov_x=0.9),
+        half_a=radiance(),
+        half_b=radiance(),
+        variance=radiance(),
+        spp=4,
+    )

@@ -1,0 +1,150 @@
+"""Damage is told in one sentence: no traceback, no crash, no hang, and no line of the library on the terminal."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import OpenEXR
+import pytest
+from exr_bytes import read_attributes
+
+from lobewise.errors import FileError, LobewiseError
+from lobewise.io import describe_file, read_frame, read_image, write_frame
+
+
+def assert_one_sentence(problem: BaseException) -> None:
+    text = str(problem)
+    assert text.startswith("input '")
+    assert "expected" in text
+    assert text.endswith((".", "?"))
+    assert text.isprintable()
+
+
+@pytest.fixture
+def whole(full_frame, tmp_path):
+    """Return the bytes of a file of several chunks, and a path to write changed ones to."""
+    path = tmp_path / "a.exr"
+    write_frame(path, full_frame, compression="zips")
+    return path.read_bytes(), path
+
+
+def test_a_file_cut_anywhere_is_refused(whole):
+    data, path = whole
+    lengths = {*range(64), *np.linspace(64, len(data) - 1, 200).astype(int)}
+    for length in sorted(lengths):
+        path.write_bytes(data[:length])
+        for read in (read_frame, read_image, describe_file):
+            with pytest.raises(FileError) as caught:
+                read(path)
+            assert_one_sentence(caught.value)
+
+
+def test_truncation_is_named(whole):
+    data, path = whole
+    path.write_bytes(data[:-1])
+    with pytest.raises(FileError, match=rf"got a truncated file of {len(data) - 1} bytes: chunk 9 of 9 is cut off"):
+        read_frame(path)
+
+
+def test_an_unfinished_file_is_named(whole):
+    data, path = whole
+    start = read_attributes(data)[1]
+    path.write_bytes(data[:start] + bytes(16) + data[start + 16 :])
+    with pytest.raises(FileError, match="an unfinished file: 2 of 9 chunks of pixels are missing"):
+        read_frame(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "an empty file of 0 bytes"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(100), "a file of another format"),
+        (b"v/1", "too short"),
+        (b"v/1\x01\x09\0\0\0" + bytes(100), "an unknown file version"),
+        (b"v/1\x01\x02\0\0\0\0" + bytes(100), "a file without any part"),
+    ],
+)
+def test_other_files_are_told(data, words, tmp_path):
+    (tmp_path / "a.exr").write_bytes(data)
+    with pytest.raises(FileError, match=words):
+        read_frame(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize(
+    ("window", "words"),
+    [
+        ((0, 0, -1, -1), "empty data window of 0x0 pixels, an image of zero size"),
+        ((0, 0, -1, 8), "empty data window of 0x9 pixels"),
+        ((0, 0, 2**30, 8), "more than 268435456"),
+        ((-(2**31), 0, -(2**31), 8), "more than"),
+    ],
+)
+def test_impossible_sizes_are_told(whole, window, words):
+    data, path = whole
+    at = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    path.write_bytes(data[:at] + struct.pack("<4i", *window) + data[at + 16 :])
+    with pytest.raises(FileError, match=words):
+        read_frame(path)
+
+
+def test_damaged_pixels_are_told_without_noise(whole, capfd):
+    data, path = whole
+    path.write_bytes(data[:-200] + bytes(200))
+    with pytest.raises(FileError, match=r"expected pixels that can be decoded, got damaged pixels; .*\.$"):
+        read_frame(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_deep_images_are_told(whole, tmp_path):
+    samples = np.empty((2, 2), dtype=object)
+    for at in np.ndindex(2, 2):
+        samples[at] = np.ones(1, np.float32)
+    path = tmp_path / "deep.exr"
+    try:
+        channels = dict.fromkeys("RGB", samples)
+        OpenEXR.File({"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}, channels).write(str(path))
+    except (RuntimeError, TypeError, ValueError) as problem:
+        pytest.skip(f"this version of OpenEXR cannot write deep images from Python: {problem}")
+    with pytest.raises(LobewiseError, match="R, G and B"):
+        read_frame(path)
+    assert describe_file(path).parts[0].kind == "deep scanline"
+
+
+def test_random_damage_never_escapes(rng, tmp_path, capfd):
+    """Bytes changed at random: the file is read or refused, and nothing else."""
+    bases = []
+    for index, name in enumerate(("ZIP", "PIZ", "RLE", "PXR24", "B44", "DWAA", "HTJ2K32", "ZSTD")):
+        header = {"compression": getattr(OpenEXR, f"{name}_COMPRESSION")}
+        if index % 2:
+            header |= {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+            header["tiles"].xSize = header["tiles"].ySize = 16
+        channels = {name: rng.random((33, 20)).astype(np.float16) for name in "RGB"}
+        OpenEXR.File(header, channels).write(str(tmp_path / "base.exr"))
+        bases.append((tmp_path / "base.exr").read_bytes())
+    refused = 0
+    for trial in range(400):
+        data = bytearray(bases[trial % len(bases)])
+        for _ in range(rng.integers(1, 5)):
+            at = rng.integers(500) if rng.random() < 0.5 else rng.integers(len(data))
+            data[at] = rng.choice([0, 127, 128, 255, rng.integers(256)])
+        (tmp_path / "a.exr").write_bytes(data)
+        try:
+            read_image(tmp_path / "a.exr")
+        except LobewiseError as problem:
+            refused += 1
+            assert_one_sentence(problem)
+    assert 100 < refused < 400
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.real_exr
+def test_the_damaged_files_of_the_openexr_project(exr_folder, capfd):
+    files = sorted((exr_folder / "damaged").glob("*.exr"))
+    assert len(files) == 23
+    for path in files:
+        for read in (read_frame, read_image, describe_file):
+            with pytest.raises(FileError) as caught:
+                read(path)
+            assert_one_sentence(caught.value)
+    assert capfd.readouterr() == ("", "")

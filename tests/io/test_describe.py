@@ -1,0 +1,103 @@
+"""What `inspect` says is what reading does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import OpenEXR
+import pytest
+from exr_bytes import EXOTIC, inject_attributes
+
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.io import describe_file, read_frame, write_frame
+from lobewise.io.schema import SLOTS
+
+
+def test_a_full_frame(full_frame, tmp_path):
+    path = tmp_path / "a.exr"
+    write_frame(path, full_frame)
+    found = describe_file(path)
+    assert found.bytes == path.stat().st_size
+    assert (found.image_part, found.spp, found.notes) == (0, 4, ())
+    assert found.camera.fov_y == 0.7
+    assert all(image.found for image in found.images)
+    assert found.similarities == ("normal", "sg", "ggx")
+    (part,) = found.parts
+    assert (part.kind, part.compression) == ("scanline", "zip")
+    assert (part.data_window.width, part.data_window.height) == (13, 9)
+    types = {channel.name: (channel.pixel_type, channel.used_as) for channel in part.channels}
+    assert types["half_a.specular.G"] == ("half", "half_a.specular")
+    assert types["alpha.U"] == ("float", "gbuffer.alpha_u")
+    values = {name: value for name, _, value in part.attributes}
+    assert values["lobewise/camera/position"] == "1 2 0.1"
+    assert values["lobewise/spp"] == "4"
+
+
+def test_what_is_missing_is_said(rng, tmp_path):
+    path = tmp_path / "a.exr"
+    image = Radiance(rng.random((4, 5, 3)))
+    write_frame(path, Frame(image))
+    found = describe_file(path)
+    assert [item.label for item in found.images if item.found] == ["R/G/B"]
+    assert found.similarities == ()
+    assert "nothing tells similar pixels apart" in found.notes[0]
+    normals = GBuffer(normal=rng.random((4, 5, 3)), depth=np.ones((4, 5)))
+    write_frame(path, Frame(image, normals, spp=1))
+    found = describe_file(path)
+    assert found.similarities == ("normal",)
+    (note,) = found.notes
+    assert (
+        note
+        == "Without alpha.U and the camera (lobewise/camera/...) only normals can be compared, not reflection lobes."
+    )
+
+
+def test_found_images_are_those_that_reading_fills(full_frame, rng, tmp_path):
+    for trial in range(12):
+        gbuffer = dataclasses.replace(
+            full_frame.gbuffer,
+            **{item.name: None for item in dataclasses.fields(GBuffer) if rng.random() < 0.5},
+        )
+        frame = Frame(full_frame.radiance, gbuffer, variance=full_frame.variance if trial % 2 else None)
+        write_frame(tmp_path / "a.exr", frame)
+        back = read_frame(tmp_path / "a.exr")
+        for slot, image in zip(SLOTS, describe_file(tmp_path / "a.exr").images, strict=True):
+            owner = getattr(back, slot.owner)
+            assert image.found == (owner is not None and getattr(owner, slot.field) is not None), slot.label
+
+
+def test_a_file_that_reading_refuses(tmp_path):
+    channels = {name: np.ones((2, 2), "f") for name in ("R", "G", "B", "normal.X")}
+    OpenEXR.File({}, channels).write(str(tmp_path / "a.exr"))
+    assert any("Denoising will refuse this file" in note and "normal.X/Y/Z" in note
+               for note in describe_file(tmp_path / "a.exr").notes)  # fmt: skip
+    OpenEXR.File({}, {"Z": channels["R"].pixels}).write(str(tmp_path / "b.exr"))
+    found = describe_file(tmp_path / "b.exr")
+    assert found.image_part is None
+    assert "no image to denoise" in found.notes[0]
+
+
+def test_any_attribute_can_be_shown(full_frame, tmp_path):
+    write_frame(tmp_path / "a.exr", full_frame)
+    inject_attributes(tmp_path / "a.exr", [*EXOTIC, (b"\xff\xfe", b"string", b"a\nb\x07" + b"x" * 500)])
+    attributes = {name: value for name, _, value in describe_file(tmp_path / "a.exr").parts[0].attributes}
+    assert attributes["framesPerSecond"] == "24000 1001"
+    assert attributes["exposureTime"] == "1.1"
+    assert attributes["ourOwnType"] == "3 bytes"
+    assert all(text.isprintable() for item in attributes.items() for text in item)
+    assert all(len(text) < 300 for text in attributes.values())
+
+
+@pytest.mark.real_exr
+def test_real_files(exr_folder):
+    arnold = describe_file(exr_folder / "arnold_multichannel.exr")
+    assert len(arnold.parts[0].channels) == 56
+    assert arnold.parts[0].kind == "tiled"
+    assert "Arnold wrote this file" in arnold.notes[0]
+    ball = describe_file(exr_folder / "beachball_multipart.0001.exr")
+    assert [part.name for part in ball.parts][:2] == ["rgba_right", "depth_left"]
+    assert ball.parts[0].view == "right"
+    assert sum("another data window" in note for note in ball.notes) == 7
+    mitsuba = describe_file(exr_folder / "mitsuba_multi_channels.exr")
+    assert [image.label for image in mitsuba.images if image.found] == ["R/G/B", "position.X/Y/Z"]

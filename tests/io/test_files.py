@@ -1,0 +1,143 @@
+"""Paths that cannot be used, and writes that leave no trace when they fail."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import numpy as np
+import pytest
+
+from lobewise.errors import FileError
+from lobewise.frame import Frame, Radiance
+from lobewise.io import read_frame, read_image, write_frame, write_image
+from lobewise.io.files import open_atomic, require_writable, write_text
+
+FRAME = Frame(Radiance(np.ones((2, 3, 3))))
+
+
+def list_names(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+@pytest.mark.parametrize("read", [read_frame, read_image])
+class TestInputs:
+    def test_missing(self, read, tmp_path):
+        with pytest.raises(FileError, match=r"^input '.*frame.exr': expected an existing file, got no such .*\.$"):
+            read(tmp_path / "frame.exr")
+
+    def test_misspelt(self, read, tmp_path):
+        write_image(tmp_path / "frame.exr", np.ones((2, 2, 3)))
+        with pytest.raises(FileError, match=r"did you mean '.*frame\.exr'\?$"):
+            read(tmp_path / "farme.exr")
+
+    def test_directory(self, read, tmp_path):
+        with pytest.raises(FileError, match="expected a file, got a directory"):
+            read(tmp_path)
+
+    def test_below_a_file(self, read, tmp_path):
+        (tmp_path / "a").write_text("")
+        with pytest.raises(FileError, match="not a directory"):
+            read(tmp_path / "a" / "b.exr")
+
+    def test_device_and_pipe(self, read, tmp_path):
+        os.mkfifo(tmp_path / "pipe")
+        for path in ("/dev/zero", tmp_path / "pipe"):
+            with pytest.raises(FileError, match="got a device or pipe"):
+                read(path)
+
+    def test_names_that_no_system_takes(self, read):
+        for path in ("a\0b.exr", "x" * 5000):
+            with pytest.raises(FileError, match="expected a readable file"):
+                read(path)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+    def test_forbidden(self, read, tmp_path):
+        write_frame(tmp_path / "a.exr", FRAME)
+        (tmp_path / "a.exr").chmod(0)
+        with pytest.raises(FileError, match="permission denied"):
+            read(tmp_path / "a.exr")
+
+
+class TestOutputs:
+    @pytest.mark.parametrize(
+        ("path", "words"),
+        [
+            ("", "a directory"),
+            ("missing/a.exr", "no folder '.*missing'"),
+            ("file/a.exr", "'.*file', which is not a folder"),
+            ("/dev/null", "a device or pipe"),
+            ("/proc/a.exr", "no such file or directory|permission denied"),
+            ("a\0b.exr", "embedded null"),
+        ],
+    )
+    def test_unwritable(self, path, words, tmp_path):
+        (tmp_path / "file").write_text("")
+        with pytest.raises(FileError, match=rf"^output '.*': expected .*, got {words}.*; .*\.$"):
+            write_frame(tmp_path / path, FRAME)
+        assert list_names(tmp_path) == ["file"]
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+    def test_forbidden(self, tmp_path):
+        tmp_path.chmod(0o500)
+        with pytest.raises(FileError, match="read-only"):
+            write_frame(tmp_path / "a.exr", FRAME)
+
+    def test_checking_changes_nothing(self, tmp_path):
+        assert require_writable(tmp_path / "a.exr") == (tmp_path / "a.exr").resolve()
+        assert list_names(tmp_path) == []
+
+
+class TestAtomic:
+    def fail_inside(self, path, error):
+        with pytest.raises(error), open_atomic(path) as stream:  # noqa: PT012 - the block is what fails
+            stream.write(b"half of it")
+            raise error
+
+    @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+    def test_failure_leaves_the_old_file_and_nothing_else(self, error, tmp_path):
+        (tmp_path / "a.exr").write_text("old")
+        self.fail_inside(tmp_path / "a.exr", error)
+        assert (tmp_path / "a.exr").read_text() == "old"
+        assert list_names(tmp_path) == ["a.exr"]
+
+    def test_failure_leaves_no_new_file(self, tmp_path):
+        self.fail_inside(tmp_path / "a.exr", RuntimeError)
+        assert list_names(tmp_path) == []
+
+    def test_a_full_disk_is_told(self, tmp_path):
+        with pytest.raises(FileError, match="no space left on device"), open_atomic(tmp_path / "a.exr"):
+            raise OSError(28, "No space left on device")
+        assert list_names(tmp_path) == []
+
+    def test_the_old_file_stays_until_the_end(self, tmp_path):
+        path = tmp_path / "a.exr"
+        path.write_text("old")
+        with open_atomic(path) as stream:
+            stream.write(b"new")
+            stream.flush()
+            assert path.read_text() == "old"
+        assert path.read_text() == "new"
+        assert list_names(tmp_path) == ["a.exr"]
+
+    def test_permissions(self, tmp_path):
+        old = os.umask(0o027)
+        try:
+            write_text(tmp_path / "new.txt", "x")
+        finally:
+            os.umask(old)
+        assert stat.S_IMODE((tmp_path / "new.txt").stat().st_mode) == 0o640
+        (tmp_path / "new.txt").chmod(0o604)
+        write_text(tmp_path / "new.txt", "y")
+        assert stat.S_IMODE((tmp_path / "new.txt").stat().st_mode) == 0o604
+
+    def test_links_are_followed(self, tmp_path):
+        (tmp_path / "real.txt").write_text("old")
+        (tmp_path / "link.txt").symlink_to("real.txt")
+        write_text(tmp_path / "link.txt", "new")
+        assert (tmp_path / "link.txt").is_symlink()
+        assert (tmp_path / "real.txt").read_text() == "new"
+
+    def test_long_names(self, tmp_path):
+        write_text(tmp_path / ("n" * 250), "x")
+        assert list_names(tmp_path) == ["n" * 250]

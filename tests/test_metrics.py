@@ -1,0 +1,156 @@
+"""Every metric against a second definition, written as a plain loop or taken from another library."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from lobewise import metrics
+from lobewise.errors import InputError, MissingDependencyError
+
+NUMBERS = ("mse", "rel_mse", "smape", "psnr")
+
+
+@pytest.fixture
+def pair(rng):
+    reference = rng.gamma(0.5, 1.0, (6, 5, 3))
+    reference[0, 0] = 0.0
+    return reference + rng.normal(0.0, 0.2, reference.shape), reference
+
+
+def loop(pair, mask, term):
+    """Return the mean of ``term(a, r)`` over chosen pixels and channels, one number at a time."""
+    terms = [
+        term(float(a), float(r))
+        for y, x in np.ndindex(mask.shape)
+        if mask[y, x]
+        for a, r in zip(pair[0][y, x], pair[1][y, x], strict=True)
+    ]
+    return math.fsum(terms) / len(terms)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_numbers_agree_with_loops(pair, masked, rng):
+    mask = rng.random((6, 5)) < 0.4 if masked else np.ones((6, 5), dtype=bool)
+    given = (mask,) if masked else ()
+    square = loop(pair, mask, lambda a, r: (a - r) * (a - r))
+    assert metrics.mse(*pair, *given) == pytest.approx(square, rel=1e-12)
+    relative = loop(pair, mask, lambda a, r: (a - r) * (a - r) / (r * r + 0.01))
+    assert metrics.rel_mse(*pair, *given) == pytest.approx(relative, rel=1e-12)
+    symmetric = loop(pair, mask, lambda a, r: abs(a - r) / (abs(a) + abs(r) + 0.01))
+    assert metrics.smape(*pair, *given) == pytest.approx(symmetric, rel=1e-12)
+    assert metrics.psnr(*pair, *given) == pytest.approx(-10.0 * math.log(square, 10.0), rel=1e-12)
+    assert metrics.psnr(*pair, *given, peak=4.0) == pytest.approx(10.0 * math.log(16.0 / square, 10.0), rel=1e-12)
+
+
+def test_known_values():
+    ones, halves = np.ones((2, 2, 3)), np.full((2, 2, 3), 0.5)
+    assert metrics.mse(halves, ones) == 0.25
+    assert metrics.rel_mse(halves, ones) == pytest.approx(0.25 / 1.01, rel=1e-12)
+    assert metrics.smape(halves, ones) == pytest.approx(0.5 / 1.51, rel=1e-12)
+    assert metrics.psnr(halves, ones) == pytest.approx(6.0206, abs=1e-4)
+
+
+def test_equal_images_have_no_error(pair):
+    reference = pair[1]
+    assert metrics.evaluate(reference, reference, metrics=NUMBERS) == {
+        "mse": 0.0, "rel_mse": 0.0, "smape": 0.0, "psnr": math.inf,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("metric", ["mse", "rel_mse", "smape"])
+def test_error_map_averages_to_the_metric(pair, metric):
+    image = metrics.make_error_map(*pair, metric)
+    assert image.shape == (6, 5)
+    assert float(image.astype(np.float64).mean()) == pytest.approx(getattr(metrics, metric)(*pair), rel=1e-5)
+    a, r = pair[0].copy(), pair[1]
+    a[...] = r
+    a[3, 2] += 1.0
+    assert np.argwhere(metrics.make_error_map(a, r, metric)).tolist() == [[3, 2]]
+
+
+class TestFlip:
+    """FLIP itself is another program: its ends, its order and our handling are tested."""
+
+    @pytest.fixture(autouse=True)
+    def _needs_flip(self):
+        pytest.importorskip("flip_evaluator", reason="flip_evaluator is not installed: pip install 'lobewise[compare]'")
+
+    def test_ends(self, pair):
+        _, reference = pair
+        assert metrics.flip(reference, reference) == 0.0
+        black = np.zeros_like(reference)
+        assert metrics.flip(black, black) == 0.0
+        assert 0.5 < metrics.flip(np.ones_like(reference), black) <= 1.0
+        assert 0.0 < metrics.flip(*pair) < metrics.flip(pair[1] + 4.0 * (pair[0] - pair[1]), pair[1])
+
+    def test_ldr_black_against_white_is_the_published_maximum(self):
+        # Andersson et al. 2020: black against white is the largest colour difference, and edges add nothing here.
+        black, white = np.zeros((40, 40, 3)), np.ones((40, 40, 3))
+        assert metrics.flip(black, white, hdr=False) == pytest.approx(1.0, abs=0.05)
+        with pytest.raises(InputError, match=r"values in \[0, 1\]"):
+            metrics.flip(black, 2.0 * white, hdr=False)
+
+    def test_mask_and_map(self, pair, rng):
+        mask = rng.random((6, 5)) < 0.4
+        image = metrics.make_error_map(*pair, "flip")
+        assert metrics.flip(*pair) == pytest.approx(float(image.mean()), rel=1e-5)
+        assert metrics.flip(*pair, mask) == pytest.approx(float(image[mask].mean()), rel=1e-5)
+
+    def test_input_order_in_memory_does_not_matter(self, pair):
+        turned = tuple(np.asfortranarray(x) for x in pair)
+        assert metrics.flip(*turned) == metrics.flip(*pair)
+
+    def test_missing_package_is_named(self, pair, monkeypatch):
+        monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+        with pytest.raises(MissingDependencyError, match=r"^flip: expected the package flip-evaluator, .*compare"):
+            metrics.flip(*pair)
+
+
+@pytest.mark.parametrize("metric", metrics.METRICS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("which", [0, 1])
+def test_pixels_that_are_not_finite_are_refused(pair, metric, value, which):
+    pair[which][4, 3, 1] = value
+    name = ("image", "reference")[which]
+    with pytest.raises(InputError, match=rf"^{name}: expected finite pixels, got 1 of 30 .*x=3, y=4; .*\.$"):
+        getattr(metrics, metric)(*pair)
+
+
+def test_masked_out_pixels_must_be_finite_too(pair):
+    pair[0][4, 3] = np.nan
+    mask = np.ones((6, 5), dtype=bool)
+    mask[4, 3] = False
+    with pytest.raises(InputError, match="finite pixels"):
+        metrics.mse(*pair, mask)
+
+
+@pytest.mark.parametrize("metric", metrics.METRICS)
+def test_sizes_must_match(pair, metric):
+    with pytest.raises(InputError, match=r"^image: expected the size of the reference, 5x6 pixels, got 4x6; .*\.$"):
+        getattr(metrics, metric)(pair[0][:, :4], pair[1])
+
+
+@pytest.mark.parametrize("shape", [(6, 5), (6, 5, 4), (0, 5, 3), (6, 0, 3), (6, 15)])
+def test_shapes_other_than_images_are_refused(shape):
+    with pytest.raises(InputError, match="height, width, 3"):
+        metrics.mse(np.zeros(shape), np.zeros(shape))
+
+
+@pytest.mark.parametrize("mask", [np.zeros((6, 5), dtype=bool), np.ones((5, 6), dtype=bool), np.ones((6, 5))])
+def test_masks_must_be_booleans_that_choose_something(pair, mask):
+    with pytest.raises(InputError, match="mask: expected booleans of shape"):
+        metrics.mse(*pair, mask)
+
+
+def test_unknown_names_and_peaks(pair):
+    with pytest.raises(InputError, match="did you mean 'rel_mse'"):
+        metrics.evaluate(*pair, metrics=["relmse"])
+    with pytest.raises(InputError, match="one of mse, rel_mse, smape, flip, got 'psnr'"):
+        metrics.make_error_map(*pair, "psnr")
+    for peak in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="peak"):
+            metrics.psnr(*pair, peak=peak)
