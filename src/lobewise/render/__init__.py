@@ -1,1 +1,42 @@
-"""Rendering, the only importer of Mitsuba."""
+"""Rendering, the only importer of Mitsuba. Importing this package does not import it: its first use does."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from lobewise.errors import MissingDependencyError, describe_problem
+from lobewise.render.variant import load_mitsuba
+
+if TYPE_CHECKING:
+    from lobewise.render.camera import get_camera
+    from lobewise.render.renderer import render_frame, render_reference
+    from lobewise.render.scenes import list_scenes, load_scene
+
+__all__ = ["get_camera", "list_scenes", "load_mitsuba", "load_scene", "render_frame", "render_reference"]
+
+_HOMES = {
+    "get_camera": "lobewise.render.camera",
+    "list_scenes": "lobewise.render.scenes",
+    "load_scene": "lobewise.render.scenes",
+    "render_frame": "lobewise.render.renderer",
+    "render_reference": "lobewise.render.renderer",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(import_module(_HOMES[name]), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("mitsuba", "drjit"):
+            raise
+        raise MissingDependencyError(
+            describe_problem(
+                "rendering",
+                expected="the packages mitsuba and drjit",
+                got=f"no module {error.name!r}",
+                action="pip install 'lobewise[mitsuba]'",
+            )
+        ) from error

@@ -1,0 +1,181 @@
+"""Open Mitsuba's BSDF objects: which plugin each is, what it nests, and the parameters that shape its lobes.
+
+A wrapper (``twosided``, ``normalmap``, ``bumpmap``, ``mask``, ``blendbsdf``) does not forward the attributes of what it
+nests, so the objects themselves are walked, once per scene; `lobewise.render.surface` evaluates them at every hit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from lobewise.errors import UnsupportedBsdfError, describe_problem
+from lobewise.frame import LobeKind
+from lobewise.render.bridge import mi
+
+PLUGIN_OF_CLASS = {
+    "SmoothDiffuse": "diffuse",
+    "SmoothConductor": "conductor",
+    "RoughConductor": "roughconductor",
+    "SmoothDielectric": "dielectric",
+    "RoughDielectric": "roughdielectric",
+    "SmoothPlastic": "plastic",
+    "RoughPlastic": "roughplastic",
+    "Principled": "principled",
+    "Null": "null",
+    "TwoSidedBRDF": "twosided",
+    "NormalMap": "normalmap",
+    "BumpMap": "bumpmap",
+    "MaskBSDF": "mask",
+    "BlendBSDF": "blendbsdf",
+}
+"""Plugin name by C++ class name: the first is what a scene file says, the second what an object tells of itself."""
+
+SUPPORTED_BSDFS = tuple(sorted(PLUGIN_OF_CLASS.values()))
+
+_NESTED = {
+    "twosided": ("brdf_0", "brdf_1"),
+    "normalmap": ("nested_bsdf",),
+    "bumpmap": ("nested_bsdf",),
+    "mask": ("nested_bsdf",),
+    "blendbsdf": ("bsdf_0", "bsdf_1"),
+}
+
+_NUMBERS = {
+    "dielectric": ("eta",),
+    "roughdielectric": ("eta",),
+    "plastic": ("eta",),
+    "roughplastic": ("eta", "alpha"),
+    "bumpmap": ("scale",),
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """One BSDF object and what it is made of.
+
+    Parameters
+    ----------
+    bsdf : mitsuba.BSDF
+        The object itself.
+    plugin : str
+        One of `SUPPORTED_BSDFS`.
+    textures : dict
+        Its textures by parameter name.
+    numbers : dict
+        Its plain numbers by parameter name, as Dr.Jit arrays of width 1.
+    nested : tuple of Material
+        What a wrapper wraps.
+    lobe_kind : LobeKind
+        Kind of its own specular lobe, NONE for a wrapper.
+    nonlinear : bool
+        Whether a plastic accounts for the colour shift of internal scattering.
+    """
+
+    bsdf: Any
+    plugin: str
+    textures: dict[str, Any] = field(default_factory=dict)
+    numbers: dict[str, Any] = field(default_factory=dict)
+    nested: tuple[Material, ...] = ()
+    lobe_kind: LobeKind = LobeKind.NONE
+    nonlinear: bool = False
+
+    def __iter__(self) -> Iterator[Material]:
+        """Yield this material, then every one below it."""
+        yield self
+        for child in self.nested:
+            yield from child
+
+    @property
+    def can_be_transparent(self) -> bool:
+        """Whether a ray may pass through without noticing (``mask``, ``null``)."""
+        return any(node.plugin in ("mask", "null") for node in self)
+
+
+def _list_parameters(bsdf: Any) -> tuple[dict[str, Any], set[str]]:
+    """Return the objects that a BSDF holds, by name, and the names of its plain numbers."""
+    objects: dict[str, Any] = {}
+    numbers: set[str] = set()
+
+    class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba ships no type information
+        def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
+            if isinstance(value, mi.Object):
+                objects[name] = value
+            else:
+                numbers.add(name)
+
+        def put_object(self, name: str, value: Any, flags: Any) -> None:  # Mitsuba 3.6 calls these two
+            self.put(name, value, flags)
+
+        def put_parameter(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
+            self.put(name, value, flags)
+
+    bsdf.traverse(Collector())
+    return objects, numbers
+
+
+def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
+    if plugin in ("conductor", "dielectric", "plastic"):
+        return LobeKind.DELTA
+    if plugin == "principled":
+        return LobeKind.GGX
+    if plugin in ("roughconductor", "roughdielectric", "roughplastic"):
+        # No parameter tells the microfacet distribution; the object's own description does.
+        found = re.search(r"distribution = (\w+)", text)
+        return LobeKind.GGX if found and found.group(1) == "ggx" else LobeKind.BECKMANN
+    return LobeKind.NONE
+
+
+def read_material(bsdf: Any) -> Material:
+    """Return what a BSDF object is made of, nested ones included.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If it, or one inside it, is not of `SUPPORTED_BSDFS`.
+    """
+    class_name = str(bsdf.class_name())
+    plugin = PLUGIN_OF_CLASS.get(class_name)
+    if plugin is None:
+        raise UnsupportedBsdfError(
+            describe_problem(
+                f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id",
+                expected="one of " + ", ".join(SUPPORTED_BSDFS) + ", nested as you like",
+                got=class_name,
+                action="its reflection lobe is unknown; replace it in the scene",
+            )
+        )
+    objects, numbers = _list_parameters(bsdf)
+    names = _NESTED.get(plugin, ())
+    wanted = set(_NUMBERS.get(plugin, ()))
+    if plugin == "principled":
+        wanted = {"eta"} if "eta" in numbers else {"specular"}
+    parameters = mi.traverse(bsdf) if wanted else {}
+    text = "" if names else str(bsdf)
+    return Material(
+        bsdf=bsdf,
+        plugin=plugin,
+        textures={name: value for name, value in objects.items() if name not in names},
+        numbers={name: mi.Float(parameters[name]) for name in sorted(wanted)},
+        nested=tuple(read_material(objects[name]) for name in names),
+        lobe_kind=_read_lobe_kind(plugin, text),
+        nonlinear=bool(re.search(r"nonlinear = 1", text)),
+    )
+
+
+def read_scene_materials(scene: Any) -> dict[int, Material]:
+    """Return the material of every BSDF that a shape of the scene carries, by the object's address.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If one of them, or one inside it, is not of `SUPPORTED_BSDFS`.
+    """
+    materials: dict[int, Material] = {}
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        if bsdf is not None and bsdf.ptr not in materials:
+            materials[bsdf.ptr] = read_material(bsdf)
+    return materials

@@ -1,0 +1,134 @@
+"""The guides of every pixel: one surface, that of the pixel-centre ray, for all that must belong together.
+
+An average over samples blends position, normal and roughness at a silhouette into a surface that is nowhere, and its
+lobe fits neither side; so these come from one ray. Albedos are averages over the samples: radiance is divided by them,
+and the average of a product is closest to the product of averages taken over the same samples. The hit distance is the
+harmonic mean, over the samples whose first bounce was specular and the mirror ray of the pixel's centre, because
+filters use its inverse, in which a miss is 0; the hit position is the mean weighted by 1/t, which along one ray lies at
+just that distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
+from lobewise.render.bridge import dr, mi
+from lobewise.render.bsdfs import Material
+from lobewise.render.camera import compute_motion
+from lobewise.render.paths import Sums, dispatch_surface
+from lobewise.render.surface import Surface, make_no_surface
+
+MOST_LAYERS = 32
+"""How many transparent surfaces the pixel-centre ray may pass."""
+
+OPAQUE_FROM = 0.5
+"""Opacity from which a masked surface is the one that a pixel shows."""
+
+
+@dataclass
+class _Layers:
+    ray: Any
+    si: Any
+    surface: Surface
+    count: Any
+    active: Any
+
+
+def _find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
+    """Return the first hit that is more opaque than not, and its guides."""
+
+    def look(ray: Any, active: Any) -> tuple[Any, Surface]:
+        si = scene.ray_intersect(ray, active)
+        return si, dispatch_surface(materials, si.bsdf(ray), si, active & si.is_valid())
+
+    if not any(material.can_be_transparent for material in materials.values()):
+        return look(ray, mi.Bool(True))
+
+    def go_on(state: _Layers) -> Any:
+        return state.active
+
+    def pass_through(state: _Layers) -> tuple[_Layers]:
+        state.si, state.surface = look(state.ray, state.active)
+        state.ray = state.si.spawn_ray(state.ray.d)
+        state.count += 1
+        state.active = state.si.is_valid() & (state.surface.opacity < OPAQUE_FROM) & (state.count < MOST_LAYERS)
+        return (state,)
+
+    start = _Layers(ray, dr.zeros(mi.SurfaceInteraction3f), make_no_surface(), mi.UInt32(0), mi.Bool(True))
+    end = dr.while_loop((start,), go_on, pass_through, label="layers")[0]
+    return end.si, end.surface
+
+
+def trace_guides(
+    scene: Any,
+    materials: dict[int, Material],
+    camera: Camera,
+    *,
+    pixels: tuple[int, int],
+    size: tuple[int, int],
+) -> dict[str, Any]:
+    """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
+
+    Beside the fields of `GBuffer` these are ``mirror_count`` (1 where a mirror ray was sent), ``mirror_inverse`` (its
+    1/t) and ``mirror_position`` (its hit over t).
+    """
+    width, height = size
+    pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
+    x = (mi.Float(pixel % width) + 0.5) / width
+    y = (mi.Float(pixel // width) + 0.5) / height
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    si, surface = _find_first_opaque(scene, materials, ray)
+    found = si.is_valid()
+
+    shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
+    view = -ray.d
+    out = 2.0 * dr.dot(view, surface.normal) * surface.normal - view
+    shiny &= dr.dot(out, si.n) * dr.dot(view, si.n) > 0  # a strong normal map can mirror the ray into the surface
+    mirrored = scene.ray_intersect(si.spawn_ray(out), shiny)
+    inverse = dr.select(shiny & mirrored.is_valid(), dr.rcp(dr.maximum(mirrored.t, 1e-12)), 0.0)
+
+    eye = mi.Point3f(*(float(value) for value in camera.position))
+    guides = {
+        # From the eye, not from the near plane where Mitsuba's rays begin.
+        "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
+        "position": dr.select(found, si.p, 0.0),
+        "normal": dr.select(found, surface.normal, 0.0),
+        "tangent": dr.select(found, surface.tangent, 0.0),
+        "alpha_u": dr.select(found, surface.alpha_u, 0.0),
+        "alpha_v": dr.select(found, surface.alpha_v, 0.0),
+        "lobe_kind": dr.select(found, surface.lobe_kind, 0.0),
+        "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
+        "mirror_inverse": inverse,
+        "mirror_position": mi.Vector3f(mirrored.p) * inverse,
+    }
+    dr.eval(guides)
+    return guides
+
+
+def to_image(value: Any) -> FloatArray:
+    """Return a Dr.Jit array as NumPy, pixels first: shape (pixels,) or (pixels, channels)."""
+    array = np.array(value, dtype=np.float32)
+    return np.ascontiguousarray(array.T) if array.ndim == 2 else array
+
+
+def finish_hits(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return hit distances (0 unknown, inf nothing seen) and hit positions of a run of pixels."""
+    count = to_image(sums.totals[4]) + to_image(guides["mirror_count"])
+    inverse = to_image(sums.totals[5]) + to_image(guides["mirror_inverse"])
+    position = to_image(sums.totals[6]) + to_image(guides["mirror_position"])
+    distance = np.where(count > 0, np.float32(np.inf), np.float32(0))
+    np.divide(count, inverse, out=distance, where=inverse > 0)
+    safe = np.where(inverse > 0, inverse, 1.0)[:, None]
+    return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
+
+
+def make_gbuffer(images: dict[str, FloatArray], camera: Camera, previous_camera: Camera | None) -> GBuffer:
+    """Return the `GBuffer` of whole images by field name, with the motion since ``previous_camera``."""
+    if previous_camera is None:
+        return GBuffer(**images)
+    motion = compute_motion(camera, previous_camera, images["position"], images["depth"])
+    return GBuffer(**images, motion=motion)

@@ -1,0 +1,132 @@
+"""Pieces that the built-in scenes share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.render.bridge import mi
+
+Vector = tuple[float, float, float]
+Item = dict[str, Any]
+
+IOR_OF_METALS = {
+    # Complex index of refraction at 630, 532 and 465 nm, rounded from Johnson and Christy 1972 (Cu, Ag, Au) and
+    # Rakic 1995 (Al).
+    "gold": ((0.19, 0.54, 1.33), (3.09, 2.23, 1.88)),
+    "copper": ((0.27, 1.12, 1.16), (3.41, 2.59, 2.40)),
+    "silver": ((0.06, 0.06, 0.04), (4.13, 3.37, 2.66)),
+    "aluminium": ((1.39, 0.92, 0.65), (7.65, 6.48, 5.63)),
+}
+
+
+def make_rgb(color: Vector) -> Item:
+    """Return a colour in linear sRGB."""
+    return {"type": "rgb", "value": list(color)}
+
+
+def make_camera(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
+    """Return a perspective sensor with a box filter, ``fov_x`` degrees wide on a square image."""
+    return {
+        "type": "perspective",
+        "fov": fov_x,
+        "fov_axis": "smaller",
+        "near_clip": 0.01,
+        "far_clip": 1000.0,
+        "to_world": mi.ScalarTransform4f().look_at(origin=list(origin), target=list(target), up=[0, 1, 0]),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgb",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+def make_box(center: Vector, half_size: Vector, bsdf: Item, turn: float = 0.0) -> Item:
+    """Return a box of half size ``half_size``, turned by ``turn`` degrees about the vertical."""
+    transform = mi.ScalarTransform4f().translate(list(center)).rotate([0, 1, 0], turn).scale(list(half_size))
+    return {"type": "cube", "to_world": transform, "bsdf": bsdf}
+
+
+def make_sphere(center: Vector, radius: float, bsdf: Item) -> Item:
+    """Return a sphere whose poles are above and below, so that textures and brushing run round it."""
+    transform = mi.ScalarTransform4f().translate(list(center)).rotate([1, 0, 0], -90).scale(radius)
+    return {"type": "sphere", "to_world": transform, "bsdf": bsdf}
+
+
+def make_rectangle(
+    center: Vector, toward: Vector, half_size: tuple[float, float], content: Item, up: Vector = (0, 1, 0)
+) -> Item:
+    """Return a rectangle at ``center`` that faces the point ``toward``; ``content`` is merged into it."""
+    transform = (
+        mi.ScalarTransform4f()
+        .look_at(origin=list(center), target=list(toward), up=list(up))
+        .scale([half_size[0], half_size[1], 1.0])
+    )
+    return {"type": "rectangle", "to_world": transform, **content}
+
+
+def make_light(
+    center: Vector, toward: Vector, half_size: tuple[float, float], radiance: Vector, up: Vector = (0, 0, 1)
+) -> Item:
+    """Return a rectangular area light that shines toward a point."""
+    return make_rectangle(
+        center, toward, half_size, {"emitter": {"type": "area", "radiance": make_rgb(radiance)}}, up=up
+    )
+
+
+def make_diffuse(color: Vector | Item) -> Item:
+    """Return a two-sided diffuse material, of one colour or a texture."""
+    reflectance = color if isinstance(color, dict) else make_rgb(color)
+    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": reflectance}}
+
+
+def make_metal(name: str, alpha: float | Item, alpha_v: float | Item | None = None) -> Item:
+    """Return a GGX metal of `IOR_OF_METALS`, two-sided, isotropic unless ``alpha_v`` is given."""
+    eta, k = IOR_OF_METALS[name]
+    inner: Item = {"type": "roughconductor", "distribution": "ggx", "eta": make_rgb(eta), "k": make_rgb(k)}
+    inner.update({"alpha": alpha} if alpha_v is None else {"alpha_u": alpha, "alpha_v": alpha_v})
+    return {"type": "twosided", "inner": inner}
+
+
+def make_plastic(color: Vector | Item, alpha: float, *, ior: float = 1.5) -> Item:
+    """Return a GGX rough plastic, two-sided."""
+    reflectance = color if isinstance(color, dict) else make_rgb(color)
+    inner = {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": alpha,
+        "int_ior": ior,
+        "diffuse_reflectance": reflectance,
+        "nonlinear": True,
+    }
+    return {"type": "twosided", "inner": inner}
+
+
+def make_checkerboard(first: Vector, second: Vector, repeats: tuple[float, float]) -> Item:
+    """Return a checkerboard of two colours."""
+    return {
+        "type": "checkerboard",
+        "color0": make_rgb(first),
+        "color1": make_rgb(second),
+        "to_uv": mi.ScalarTransform4f().scale([repeats[0], repeats[1], 1.0]),
+    }
+
+
+def make_texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilinear", raw: bool = True) -> Item:
+    """Return a texture of an array (rows, columns) or (rows, columns, channels), row 0 at v = 1."""
+    data = np.ascontiguousarray(values, dtype=np.float32)
+    if data.ndim == 2:
+        data = data[..., None]
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(data),
+        "raw": raw,
+        "filter_type": filter_type,
+        "wrap_mode": "clamp",
+    }

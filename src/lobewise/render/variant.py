@@ -1,0 +1,206 @@
+"""Find an LLVM that works, import Mitsuba with it, and set its variant. Nothing else in the package sets either."""
+
+from __future__ import annotations
+
+import ctypes
+import glob
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from lobewise.errors import DeviceError, MissingDependencyError, describe_problem, require_choice
+
+LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+"""Environment variable that tells Dr.Jit which LLVM to load."""
+
+OLDEST_LLVM = 16
+"""LLVM 15 cannot select the ``fminimum`` that Mitsuba 3.9 emits, and takes the process down."""
+
+PREFERRED_LLVM = 19
+"""The version that the tests run with."""
+
+VARIANTS = {"cpu": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+
+_SEARCH_PATTERNS = {
+    "linux": (
+        "/usr/lib/*-linux-gnu/libLLVM*.so*",
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib/llvm*/lib*/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+        "/usr/lib/libLLVM*.so*",
+        "/usr/local/lib/libLLVM*.so*",
+        "/usr/local/llvm*/lib/libLLVM*.so*",
+    ),
+    "darwin": (
+        "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+        "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+        "/opt/local/libexec/llvm-*/lib/libLLVM*.dylib",
+    ),
+}
+
+
+def parse_llvm_version(path: str) -> int | None:
+    """Return the major version that a library's path tells, or None.
+
+    Examples
+    --------
+    >>> parse_llvm_version("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"), parse_llvm_version("/opt/libLLVM.so")
+    (19, None)
+    """
+    name = os.path.basename(path)
+    folder = os.path.dirname(path)
+    for text, pattern in (
+        (name, r"libLLVM[-.]?(\d+)"),
+        (name, r"libLLVM\.(?:so|dylib)\.(\d+)"),
+        (folder, r"llvm[-@]?(\d+)"),
+    ):
+        match = re.search(pattern, text)
+        if match:
+            return int(match.group(1))
+    return None
+
+
+def query_llvm_version(path: str) -> int | None:
+    """Return the major version that the library itself reports, None where it cannot be loaded or is too old to say.
+
+    ``LLVMGetVersion`` entered LLVM's C interface with version 16, just where Mitsuba begins to work.
+    """
+    try:
+        library = ctypes.CDLL(path)
+        get_version = library.LLVMGetVersion
+    except (OSError, AttributeError):
+        return None
+    major, minor, patch = ctypes.c_uint(), ctypes.c_uint(), ctypes.c_uint()
+    get_version(ctypes.byref(major), ctypes.byref(minor), ctypes.byref(patch))
+    return int(major.value)
+
+
+def list_llvm_libraries() -> list[str]:
+    """Return the paths of every libLLVM in the usual places and in the linker's cache."""
+    patterns = list(_SEARCH_PATTERNS.get(sys.platform, ()))
+    if os.environ.get("CONDA_PREFIX"):
+        patterns.append(os.path.join(os.environ["CONDA_PREFIX"], "lib", "libLLVM*"))
+    found = [path for pattern in patterns for path in sorted(glob.glob(pattern))]
+    if sys.platform == "linux":
+        found += _list_linker_cache()
+    return list(dict.fromkeys(found))
+
+
+def _list_linker_cache() -> list[str]:
+    for program in ("ldconfig", "/sbin/ldconfig", "/usr/sbin/ldconfig"):
+        try:
+            listing = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=10, check=True).stdout
+        except (OSError, subprocess.SubprocessError):
+            continue
+        return re.findall(r"=> (\S*libLLVM\S*)", listing)
+    return []
+
+
+def rank_llvm_libraries(paths: Iterable[str]) -> list[str]:
+    """Return the libraries worth trying: the tested version first, then from the newest, those of unknown age last."""
+    known = [(parse_llvm_version(path), path) for path in paths]
+    usable = [(version, path) for version, path in known if version is None or version >= OLDEST_LLVM]
+    usable.sort(key=lambda item: (item[0] is None, item[0] != PREFERRED_LLVM, -(item[0] or 0), len(item[1])))
+    return [path for _, path in usable]
+
+
+def find_llvm() -> str:
+    """Return the path of a libLLVM that Mitsuba can use; an already set `LIBRARY_VARIABLE` is honoured.
+
+    Raises
+    ------
+    MissingDependencyError
+        If there is none of version 16 or newer, or the variable names a library that does not load or is too old.
+    """
+    chosen = os.environ.get(LIBRARY_VARIABLE)
+    if chosen:
+        version = query_llvm_version(chosen)
+        if version is None or version < OLDEST_LLVM:
+            raise MissingDependencyError(
+                describe_problem(
+                    LIBRARY_VARIABLE,
+                    expected=f"the path of a libLLVM of version {OLDEST_LLVM} or newer",
+                    got=chosen,
+                    action="unset it to search the usual places, or name another library",
+                )
+            )
+        return chosen
+    candidates = list_llvm_libraries()
+    for path in rank_llvm_libraries(candidates):
+        if (query_llvm_version(path) or 0) >= OLDEST_LLVM:
+            return path
+    raise MissingDependencyError(
+        describe_problem(
+            "libLLVM",
+            expected=f"version {OLDEST_LLVM} or newer, which Mitsuba needs to render on the CPU",
+            got=", ".join(candidates) if candidates else "none on this machine",
+            action="install it (Debian and Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
+            f"macOS: brew install llvm), or set {LIBRARY_VARIABLE} to its path",
+        )
+    )
+
+
+def load_mitsuba(device: str = "auto") -> Any:
+    """Import Mitsuba with a variant that the renderer supports, and return the module.
+
+    Parameters
+    ----------
+    device : {"auto", "cpu", "cuda"}
+        ``auto`` keeps a supported variant that is already set; else it takes CUDA where Dr.Jit finds a device, and
+        the CPU where not.
+
+    Raises
+    ------
+    InputError
+        If ``device`` is none of the three.
+    MissingDependencyError
+        If the ``mitsuba`` package, or on the CPU a libLLVM that works, is not installed.
+    DeviceError
+        If CUDA was asked for and is not there, or another supported variant is in use already.
+    """
+    require_choice("device", device, ("auto", *VARIANTS))
+    try:
+        import drjit
+        import mitsuba
+    except ImportError as error:
+        raise MissingDependencyError(
+            describe_problem(
+                "rendering",
+                expected="the packages mitsuba and drjit",
+                got=f"no module {error.name!r}",
+                action="pip install 'lobewise[mitsuba]'",
+            )
+        ) from error
+
+    current = mitsuba.variant()
+    if current in VARIANTS.values():
+        if device != "auto" and VARIANTS[device] != current:
+            raise DeviceError(
+                describe_problem(
+                    "device",
+                    expected=f"the one in use, {current}",
+                    got=repr(device),
+                    action="start another process: scenes cannot move between Mitsuba's variants",
+                )
+            )
+        return mitsuba
+
+    has_cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA)) if device != "cpu" else False
+    if device == "cuda" and not has_cuda:
+        raise DeviceError(
+            describe_problem(
+                "device 'cuda'",
+                expected="an NVIDIA GPU and its driver",
+                got="none that Dr.Jit can use",
+                action="pass device='cpu'",
+            )
+        )
+    chosen = "cuda" if has_cuda else "cpu"
+    if chosen == "cpu" and sys.platform != "win32":  # on Windows Dr.Jit searches PATH for LLVM-C.dll itself
+        os.environ[LIBRARY_VARIABLE] = find_llvm()
+    mitsuba.set_variant(VARIANTS[chosen])
+    return mitsuba
