@@ -1,0 +1,333 @@
+"""Covariance lobes: a reflection lobe as an axis and a 2x2 covariance in the plane across it.
+
+The covariance is stored as a symmetric 3x3 matrix of rank 2 in world space, six numbers ``xx, xy, xz, yy, yz, zz``,
+with the determinant of its 2x2 part beside it. No frame is stored, so that no two pixels have to agree on one.
+
+The reflected shape follows from the shape of the microfacet normals in the plane across the dominant visible normal m:
+moving a normal by d there turns the reflection by ``2 (v.d) m + 2 (v.m) d``, which is the whole Jacobian.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lobewise.lobes.vectors import Array, as_reals, dot
+
+GGX_LIMIT = 0.35
+"""Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
+BECKMANN_LIMIT = 0.5
+"""The same for Beckmann."""
+MIN_COSINE = 0.03
+"""Floor of v.m in the Jacobian: below it the lobe would have no width across the plane of incidence."""
+
+# The planar L2 autocorrelation of (1 + r^2/alpha^2)^-2 at offset d is (1 + K d^2/alpha^2)^-P to 7e-4; the slope at 0,
+# K P = 0.6, and the power of the prefactor for two widths follow from it exactly.
+GGX_KERNEL_POWER = 2.2953
+GGX_KERNEL_SCALE = 0.2614
+GGX_WIDTH_POWER = 0.6
+
+Components = tuple[Array, Array, Array]
+
+
+class TangentLobe(NamedTuple):
+    """A reflection lobe as a covariance in the plane across its axis."""
+
+    axis: Array
+    """Unit vector, shape (..., 3)."""
+    covariance: Array
+    """Shape (..., 6): xx, xy, xz, yy, yz, zz; square radians; ``covariance @ axis = 0``."""
+    determinant: Array
+    """Product of the two principal variances, shape (...)."""
+
+
+def _dot3(a: Components, b: Components) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _sum_outer(covariance: list[Array], weight: Array, a: Components) -> None:
+    """Add ``weight a a^T`` to six components in place."""
+    x, y, z = weight * a[0], weight * a[1], weight * a[2]
+    covariance[0] += x * a[0]
+    covariance[1] += x * a[1]
+    covariance[2] += x * a[2]
+    covariance[3] += y * a[1]
+    covariance[4] += y * a[2]
+    covariance[5] += z * a[2]
+
+
+def _across(variance: Array, axis: Components) -> list[Array]:
+    """Return the six components of ``variance (I - axis axis^T)``."""
+    x, y, z = axis
+    vx, vy, vz = variance * x, variance * y, variance * z
+    return [variance - vx * x, -vx * y, -vx * z, variance - vy * y, -vy * z, variance - vz * z]
+
+
+def make_isotropic_lobe(
+    normal: Components,
+    view: Components,
+    alpha: Array,
+    deficit: Array | float,
+    limit: Array | float,
+    noise: Array | float,
+) -> tuple[Components, list[Array], Array]:
+    """Return (axis, six covariances, determinant) of an isotropic lobe, all by component so that images stay in cache.
+
+    ``deficit`` is ``1 - alpha^2`` for GGX and 1 for Beckmann, ``limit`` the inverse variance added to rough lobes,
+    ``noise`` the variance added to both axes. ``normal.view`` must be > 0.
+
+    The dominant normal lies in the plane of n and v, so the principal axes are known: with
+    ``A_x = 4 (v.m)^2 a^2 / (m.n)`` across and ``A_y = 4 (m.n) a^2`` along the plane of incidence, each over
+    ``deficit``, the variances are ``A / (1 + limit A) / 2``. Written over common denominators nothing is divided by 0
+    from alpha 0 to 1.
+    """
+    cosine = _dot3(normal, view)
+    square = alpha * alpha
+    # m = normalize(a v + b n)
+    a = np.minimum(0.7 + 0.6 * alpha, 1.0) * square
+    stretched = np.sqrt(a + (1.0 - a) * cosine * cosine)
+    b = stretched + (1.0 - a) * cosine
+    inverse_square = 1.0 / (a * a + b * b + 2.0 * a * b * cosine)
+    inverse = np.sqrt(inverse_square)
+    view_cosine = (a + b * cosine) * inverse
+    normal_cosine = (a * cosine + b) * inverse
+    twice = 2.0 * view_cosine * inverse
+    along_view, along_normal = twice * a - 1.0, twice * b
+    axis = (
+        along_view * view[0] + along_normal * normal[0],
+        along_view * view[1] + along_normal * normal[1],
+        along_view * view[2] + along_normal * normal[2],
+    )
+
+    floored = np.maximum(view_cosine, MIN_COSINE)
+    floored_square = floored * floored
+    across_part = 4.0 * square * floored_square
+    along_part = 4.0 * square * normal_cosine
+    across_scale = normal_cosine * deficit + limit * across_part
+    along_scale = deficit + limit * along_part
+    # alpha 0 has variance 0 even where both terms of its scale are 0, which they never are: the deficit is 1 there
+    across = 0.5 * across_part / across_scale + noise
+    along = 0.5 * along_part / along_scale + noise
+
+    # across - along, over the squared length of v x n, whose direction carries it: free of cancellation and of 0/0 at
+    # n = v
+    cross = (
+        view[1] * normal[2] - view[2] * normal[1],
+        view[2] * normal[0] - view[0] * normal[2],
+        view[0] * normal[1] - view[1] * normal[0],
+    )
+    lifted = (floored_square - view_cosine * view_cosine) / np.maximum(1.0 - cosine * cosine, 0.5)
+    excess = 2.0 * square * deficit * ((a * a - b * b) * inverse_square + lifted) / (across_scale * along_scale)
+    covariance = _across(along, axis)
+    _sum_outer(covariance, excess, cross)
+    return axis, covariance, across * along
+
+
+def make_anisotropic_lobe(
+    tangent: Components,
+    bitangent: Components,
+    normal: Components,
+    view: Components,
+    alpha_u: Array,
+    alpha_v: Array,
+    deficit_u: Array | float,
+    deficit_v: Array | float,
+    limit: Array | float,
+    noise: Array | float,
+) -> tuple[Components, list[Array], Array]:
+    """Return (axis, six covariances, determinant) of an anisotropic lobe, by component; see `make_isotropic_lobe`.
+
+    With ``g = deficit_u deficit_v`` and ``D = det(A) g = 16 (v.m)^2 au^2 av^2``, ``(A^-1 + c I)^-1`` is
+    ``(A g + c D I) / (g + c tr(A g) + c^2 D)`` and its determinant ``D`` over the same denominator: sums of positive
+    terms.
+    """
+    square_u, square_v = alpha_u * alpha_u, alpha_v * alpha_v
+    cosine_u, cosine_v, cosine = _dot3(tangent, view), _dot3(bitangent, view), _dot3(normal, view)
+    scale = np.minimum(0.7 + 0.6 * np.sqrt(alpha_u * alpha_v), 1.0)
+    mu, mv = scale * square_u * cosine_u, scale * square_v * cosine_v
+    mn = np.sqrt(mu * cosine_u + mv * cosine_v + cosine * cosine) + cosine
+    inverse = 1.0 / np.sqrt(mu * mu + mv * mv + mn * mn)
+    mu, mv, mn = mu * inverse, mv * inverse, mn * inverse
+    m = (
+        mu * tangent[0] + mv * bitangent[0] + mn * normal[0],
+        mu * tangent[1] + mv * bitangent[1] + mn * normal[1],
+        mu * tangent[2] + mv * bitangent[2] + mn * normal[2],
+    )
+    view_cosine = mu * cosine_u + mv * cosine_v + mn * cosine
+    twice = 2.0 * view_cosine
+    axis = (twice * m[0] - view[0], twice * m[1] - view[1], twice * m[2] - view[2])
+
+    floored = np.maximum(view_cosine, MIN_COSINE)
+    lift = floored - view_cosine
+    product = 16.0 * floored * floored * square_u * square_v
+    constant = deficit_u * deficit_v
+    covariance = _across(limit * product, axis)
+    trace = 0.0 * product
+    for vector, component, along, weight in (
+        (tangent, mu, cosine_u, square_u * deficit_v),
+        (bitangent, mv, cosine_v, square_v * deficit_u),
+    ):
+        # where a step along this tangent takes the reflection; its image under the Jacobian
+        on_m = 2.0 * (along - 2.0 * component * view_cosine)
+        # the floor of v.m widens only the part across the plane of incidence
+        on_view = (along - component * view_cosine) / np.maximum(1.0 - view_cosine * view_cosine, 0.5)
+        on_m -= 2.0 * lift * (component - on_view * view_cosine)
+        on_vector = 2.0 * floored
+        on_view = 2.0 * lift * on_view
+        image = (
+            on_m * m[0] + on_vector * vector[0] - on_view * view[0],
+            on_m * m[1] + on_vector * vector[1] - on_view * view[1],
+            on_m * m[2] + on_vector * vector[2] - on_view * view[2],
+        )
+        weight = weight / mn
+        trace += weight * _dot3(image, image)
+        _sum_outer(covariance, weight, image)
+    inverse = 1.0 / (constant + limit * trace + limit * limit * product)
+    half = 0.5 * inverse
+    blur = _across(noise + 0.0 * product, axis)
+    covariance = [half * value + more for value, more in zip(covariance, blur, strict=True)]
+    # det and trace of the 2x2 part before the noise
+    plain = 0.25 * product * inverse
+    spread = half * (trace + 2.0 * limit * product)
+    return axis, covariance, plain + noise * (spread + noise)
+
+
+def _split(vector: Array) -> Components:
+    return vector[..., 0], vector[..., 1], vector[..., 2]
+
+
+def make_tangent_lobe(
+    view: ArrayLike,
+    normal: ArrayLike,
+    alpha_u: ArrayLike,
+    alpha_v: ArrayLike | None = None,
+    tangent: ArrayLike | None = None,
+    *,
+    tau: float = 0.0,
+    beckmann: bool = False,
+) -> TangentLobe:
+    """Return the covariance lobe of a GGX or Beckmann reflection.
+
+    Parameters
+    ----------
+    view, normal : array_like, shape (..., 3)
+        Unit vectors away from the surface, ``normal.view > 0``.
+    alpha_u, alpha_v : array_like
+        Roughness along and across ``tangent``, in [0, 1]; ``alpha_v`` defaults to ``alpha_u``.
+    tangent : array_like, shape (..., 3), optional
+        Unit vector perpendicular to ``normal``; without it the lobe is isotropic with roughness ``alpha_u``.
+    tau : float
+        Radians; ``tau^2`` is added to both variances (band-limit).
+    beckmann : bool
+        Beckmann normals instead of GGX.
+
+    Returns
+    -------
+    TangentLobe
+
+    Notes
+    -----
+    Source: dominant visible normal and projected roughness ``alpha^2 / (1 - alpha^2)`` as in Tokuyoshi's public shaders
+    (Tokuyoshi and Kaplanyan 2021); the covariance, the term ``c0 I`` for rough lobes (c0 = 0.35, Beckmann 0.5) and the
+    scale ``min(1, 0.7 + 0.6 alpha)`` of the dominant normal are this library's, fitted to quadrature.
+    Approximate: see `tangent_ggx_similarity`.
+    """
+    deficit = (lambda alpha: 1.0) if beckmann else (lambda alpha: 1.0 - alpha * alpha)
+    limit = BECKMANN_LIMIT if beckmann else GGX_LIMIT
+    view, normal, alpha_u, alpha_v, tangent_ = as_reals(
+        view,
+        normal,
+        alpha_u,
+        alpha_u if alpha_v is None else alpha_v,
+        normal if tangent is None else tangent,
+    )
+    noise = tau * tau
+    if tangent is None:
+        axis, covariance, determinant = make_isotropic_lobe(
+            _split(normal), _split(view), alpha_u, deficit(alpha_u), limit, noise
+        )
+    else:
+        axis, covariance, determinant = make_anisotropic_lobe(
+            _split(tangent_),
+            _split(np.cross(normal, tangent_)),
+            _split(normal),
+            _split(view),
+            alpha_u,
+            alpha_v,
+            deficit(alpha_u),
+            deficit(alpha_v),
+            limit,
+            noise,
+        )
+    return TangentLobe(
+        np.stack(axis, axis=-1), np.stack(np.broadcast_arrays(*covariance), axis=-1), np.asarray(determinant)
+    )
+
+
+def _quadratic(m: Array, a: Array) -> Array:
+    """Return ``a^T M a`` of six components."""
+    x, y, z = _split(a)
+    return np.asarray(
+        m[..., 0] * x * x
+        + m[..., 3] * y * y
+        + m[..., 5] * z * z
+        + 2.0 * (m[..., 1] * x * y + m[..., 2] * x * z + m[..., 4] * y * z)
+    )
+
+
+def _cofactors(m: Array) -> Array:
+    """Return the six cofactors of a symmetric matrix of six components."""
+    xx, xy, xz, yy, yz, zz = (m[..., k] for k in range(6))
+    return np.stack(
+        [
+            yy * zz - yz * yz,
+            xz * yz - xy * zz,
+            xy * yz - xz * yy,
+            xx * zz - xz * xz,
+            xy * xz - xx * yz,
+            xx * yy - xy * xy,
+        ],
+        axis=-1,
+    )
+
+
+def _compare(lobe_i: TangentLobe, lobe_j: TangentLobe) -> tuple[Array, Array]:
+    """Return (pre, q): ``2 (det_i det_j)^(1/4) / sqrt(det M)`` and ``d^T M^-1 d``, across the middle axis."""
+    total = lobe_i.axis + lobe_j.axis
+    length_square = dot(total, total)
+    safe = np.where(length_square > 0.0, length_square, 1.0)
+    middle = total / np.sqrt(safe)[..., None]
+    matrix = lobe_i.covariance + lobe_j.covariance
+    determinant = _quadratic(_cofactors(matrix), middle)
+    turned = np.cross(middle, lobe_j.axis - lobe_i.axis)
+    positive = np.where(determinant > 0.0, determinant, 1.0)
+    q = np.where(determinant > 0.0, _quadratic(matrix, turned) / positive, np.inf)
+    pre = 2.0 * np.sqrt(np.sqrt(lobe_i.determinant) * np.sqrt(lobe_j.determinant)) / np.sqrt(positive)
+    return np.minimum(pre, 1.0), np.where(length_square > 0.0, q, np.inf)
+
+
+def _apply_ggx_kernel(pre: Array, q: Array, beta: Array) -> Array:
+    exponent = GGX_WIDTH_POWER * np.log(pre) - GGX_KERNEL_POWER * np.log1p(GGX_KERNEL_SCALE * q)
+    return np.asarray(np.exp(beta * exponent))
+
+
+def tangent_ggx_similarity(lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0) -> Array:
+    """Return ``(pre^0.6 (1 + 0.2614 q)^-2.2953)^beta``, the similarity of two GGX lobes, in [0, 1].
+
+    Approximate. Validity: see the table in the documentation.
+    """
+    (beta,) = as_reals(beta)
+    pre, q = _compare(lobe_i, lobe_j)
+    return _apply_ggx_kernel(pre, q, beta.astype(q.dtype))
+
+
+def tangent_gaussian_similarity(lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0) -> Array:
+    """Return ``(pre exp(-q / 2))^beta``, the similarity of two planar Gaussians, in [0, 1].
+
+    Exact for Gaussians in one plane; used for Beckmann, Blinn-Phong and Ward lobes.
+    """
+    (beta,) = as_reals(beta)
+    pre, q = _compare(lobe_i, lobe_j)
+    return np.asarray(np.exp(beta.astype(q.dtype) * (np.log(pre) - 0.5 * q)))

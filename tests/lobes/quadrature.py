@@ -1,0 +1,154 @@
+"""Integrals over the sphere for the tests: polar grids that adapt to the lobe, and random pairs of reflection lobes.
+
+The grid's shape only places nodes; what is integrated is always the full BRDF times cosine, and grids of other sizes
+and shapes must give the same (see test_quadrature.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from lobewise.lobes import brdf, tangent
+
+
+def normalize(a):
+    return a / np.linalg.norm(a, axis=-1, keepdims=True)
+
+
+def make_frame(axis):
+    """Return two unit vectors perpendicular to ``axis`` (3,) and to each other."""
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    x = normalize(np.cross(helper, axis))
+    return x, np.cross(axis, x)
+
+
+def rotate(axis, angle):
+    """Return the rotation matrix about a unit ``axis`` (Rodrigues)."""
+    k = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+@cache
+def _gauss(count):
+    x, w = np.polynomial.legendre.leggauss(count)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+def sphere_grid(axis, width=1.0, radial=200, angular=128, stretch=None):
+    """Return (directions (N, 3), weights (N,)) over the whole sphere, dense within ``width`` radians of ``axis``.
+
+    Stereographic polar coordinates around the axis, ``r = width t / (1 - t)``: Gauss-Legendre nodes in t, equal steps
+    in the angle. ``stretch`` (3, 3), a linear map of the plane across the axis, makes the rings ellipses.
+    """
+    t, wt = _gauss(radial)
+    phi = 2.0 * np.pi * (np.arange(angular) + 0.5) / angular
+    r = width * t / (1.0 - t)
+    dr = width / (1.0 - t) ** 2
+    x, y = make_frame(axis)
+    u = r[:, None, None] * (np.cos(phi)[None, :, None] * x + np.sin(phi)[None, :, None] * y)
+    jacobian = (wt * dr * r)[:, None] * np.full(angular, 2.0 * np.pi / angular)
+    if stretch is not None:
+        u = u @ stretch.T
+        columns = np.stack([stretch @ x, stretch @ y])
+        jacobian = jacobian * np.sqrt(np.linalg.det(columns @ columns.T))
+    quarter = 0.25 * np.sum(u * u, axis=-1)
+    directions = ((1.0 - quarter)[..., None] * axis + u) / (1.0 + quarter)[..., None]
+    weights = jacobian / (1.0 + quarter) ** 2
+    return directions.reshape(-1, 3), weights.reshape(-1)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One shading point: world frame (rows: tangent, bitangent, normal), view direction, roughness, kind of normals."""
+
+    frame: np.ndarray
+    view: np.ndarray
+    alpha_u: float
+    alpha_v: float
+    kind: str = "ggx"
+
+    @property
+    def local_view(self):
+        return self.frame @ self.view
+
+    def evaluate(self, direction):
+        """BRDF times cosine in world directions (N, 3)."""
+        light = direction @ self.frame.T
+        view = np.broadcast_to(self.local_view, light.shape)
+        function = brdf.ggx_brdf if self.kind == "ggx" else brdf.beckmann_brdf
+        return function(view, light, self.alpha_u, self.alpha_v) * np.maximum(light[:, 2], 0.0)
+
+    def lobe(self, tau=0.0):
+        """The covariance lobe that is on trial."""
+        return tangent.make_tangent_lobe(
+            self.view,
+            self.frame[2],
+            self.alpha_u,
+            self.alpha_v,
+            self.frame[0],
+            tau=tau,
+            beckmann=self.kind == "beckmann",
+        )
+
+
+def lobe_stretch(lobes):
+    """Return (axis, stretch) of a grid that covers the given lobes: a square root of their mean covariance."""
+    axis = normalize(sum(lobe.axis for lobe in lobes))
+    matrix = sum(lobe.covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3) for lobe in lobes) / len(lobes)
+    across = np.eye(3) - np.outer(axis, axis)
+    values, vectors = np.linalg.eigh(across @ matrix @ across)
+    root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return axis, root
+
+
+def measure_similarity(i, j, radial=80, angular=96):
+    """Return the true similarity of two surfaces' lobes: three integrals of the product, one grid each."""
+
+    def integrate(a, b):
+        axis, stretch = lobe_stretch([a.lobe(), b.lobe()])
+        directions, weights = sphere_grid(axis, 2.0, radial, angular, stretch)
+        return np.sum(a.evaluate(directions) * b.evaluate(directions) * weights)
+
+    return integrate(i, j) / np.sqrt(integrate(i, i) * integrate(j, j))
+
+
+def draw_pairs(count, *, anisotropic=False, kind="ggx", seed=0):
+    """Return ``count`` random pairs of neighbouring surfaces.
+
+    Geometric-mean alpha 0.03 to 0.75 (log-uniform); in 60 % of the pairs another roughness (log-normal ratio, sigma
+    0.35); n.v 0.12 to 1; normals tilted by up to 0.9 alpha, views shifted by up to 0.4 alpha; anisotropic: each with a
+    ratio of up to 4 between the alphas, and frames twisted against each other.
+    """
+    rng = np.random.default_rng(seed)
+    pairs = []
+    while len(pairs) < count:
+        alpha = np.exp(rng.uniform(np.log(0.03), np.log(0.75)))
+        other = alpha * np.exp(0.35 * rng.normal()) if rng.random() < 0.6 else alpha
+        ratio = np.exp(rng.uniform(-np.log(4.0), np.log(4.0))) if anisotropic else 1.0
+        ratio_j = ratio if rng.random() < 0.5 or not anisotropic else np.exp(rng.uniform(-np.log(4.0), np.log(4.0)))
+        twist = rng.normal() * 0.3 if anisotropic else 0.0
+        alphas = np.array([[alpha, alpha], [other, other]])
+        alphas *= np.array([[ratio**0.5, ratio**-0.5], [ratio_j**0.5, ratio_j**-0.5]])
+        if alphas.max() > 0.95 or alphas.min() < 0.008:
+            continue
+        cosine = rng.uniform(0.12, 1.0)
+        phi = rng.uniform(0.0, 2.0 * np.pi)
+        sine = np.sqrt(1.0 - cosine * cosine)
+        view = np.array([sine * np.cos(phi), sine * np.sin(phi), cosine])
+        tilt_axis = np.append(normalize(rng.normal(size=2)), 0.0)
+        turn = rotate(tilt_axis, 0.9 * alpha * rng.random()) @ rotate(np.array([0.0, 0.0, 1.0]), twist)
+        frame_j = turn.T
+        shift = rng.normal(size=3)
+        view_j = normalize(view + 0.4 * alpha * rng.random() * normalize(shift - view * (shift @ view)))
+        if frame_j[2] @ view_j < 0.1:
+            continue
+        pairs.append(
+            (
+                Surface(np.eye(3), view, *map(float, alphas[0]), kind),
+                Surface(frame_j, view_j, *map(float, alphas[1]), kind),
+            )
+        )
+    return pairs
