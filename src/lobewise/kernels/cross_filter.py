@@ -207,7 +207,9 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         if key.demodulate:
             tints = [albedo[k, x, y] for k in range(3)]
             mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
-        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, total * total / squares]), hl.f32(0.0))
+        # The squares underflow before the sum does: then one far tap decides, which is one sample.
+        effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
+        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, effective]), hl.f32(0.0))
     else:
         out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(SUM_CHANNELS)])
     arguments = [source, *([albedo] if key.demodulate else []), mask, *arrays, step, *parameters]

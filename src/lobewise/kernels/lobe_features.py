@@ -190,12 +190,12 @@ class GgxFeature(Feature):
         return i[9] + j[9] - parameters[0] * expressions.log2(stage(tail * determinant))
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        lobes = [
-            (
+        lobe_i, lobe_j = (
+            tangent.TangentLobe(
                 self.axis[k].astype(np.float64),
                 self.covariance[k].astype(np.float64),
                 self.determinant[k].astype(np.float64),
             )
             for k in (i, j)
-        ]
-        return tangent.tangent_ggx_similarity(*lobes[0], *lobes[1]) ** self.beta
+        )
+        return tangent.tangent_ggx_similarity(lobe_i, lobe_j, self.beta)

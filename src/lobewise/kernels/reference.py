@@ -95,7 +95,7 @@ def filter_reference(
     total, squares = sums[..., 3], sums[..., 4]
     with np.errstate(invalid="ignore", divide="ignore"):
         image = np.where(total[..., None] > 0.0, sums[..., :3] / total[..., None], 0.0)
-        effective = np.where(squares > 0.0, total**2 / squares, 0.0)
+        effective = np.where(squares > 0.0, total**2 / squares, np.where(total > 0.0, 1.0, 0.0))
     if albedo is not None:
         tint = albedo.astype(np.float64)
         image = image * np.where(np.isfinite(tint) & (tint >= 0.0), tint, 0.0)
