@@ -18,7 +18,7 @@ import numpy as np
 
 import lobewise
 from common import describe_machine, write_json
-from lobewise.denoise import denoise
+from lobewise.denoising import denoise
 from lobewise.frame import Camera, FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.kernels.engine import ATROUS_LEVELS, FORMS, run_filter
 from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature

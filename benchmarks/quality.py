@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import lobewise
 from common import describe_machine, write_json
-from lobewise.denoise import DenoiseSettings, denoise
+from lobewise.denoising import DenoiseSettings, denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.metrics import rel_mse, smape

@@ -1,0 +1,88 @@
+"""Data flows one way: a module imports only from the rooms above its own."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
+ROOMS = [
+    "errors",
+    "frame",
+    "metrics",
+    "lobes",
+    "kernels",
+    "denoising",
+    "io",
+    "render",
+    "peers",
+    "report",
+    "cli",
+]
+OWNERS = {
+    "halide": "kernels",
+    "mitsuba": "render",
+    "drjit": "render",
+    "OpenEXR": "io",
+    "pyoidn": "peers",
+    "typer": "cli",
+    "rich": "cli",
+    "flip_evaluator": "metrics",
+}
+
+
+def list_modules() -> list[Path]:
+    """Return every module of the package but its root."""
+    return sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
+
+
+def get_room(path: Path) -> str:
+    """Return the room of a source file."""
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def list_imports(path: Path) -> list[str]:
+    """Return the absolute names of everything that a file imports, at its top or inside functions."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names.extend(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            module = node.module or ""
+            names.extend([module, *(f"{module}.{alias.name}" for alias in node.names)])
+    return names
+
+
+@pytest.mark.parametrize("path", list_modules(), ids=lambda path: str(path.relative_to(SOURCE)))
+def test_imports_point_one_way(path: Path) -> None:
+    room = get_room(path)
+    assert room in ROOMS, f"{room} is not in the list of rooms"
+    for name in list_imports(path):
+        parts = name.split(".")
+        if parts[0] == "lobewise" and len(parts) > 1 and (SOURCE / parts[1]).with_suffix(".py").exists():
+            assert ROOMS.index(parts[1]) <= ROOMS.index(room), f"{path.name} imports {name} from a room below"
+        elif parts[0] == "lobewise" and len(parts) > 1 and (SOURCE / parts[1]).is_dir():
+            assert ROOMS.index(parts[1]) <= ROOMS.index(room), f"{path.name} imports {name} from a room below"
+        owner = OWNERS.get(parts[0])
+        assert owner is None or owner == room, f"{path.name} imports {parts[0]}, which belongs to {owner}"
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = "import lobewise, sys; print(sorted(set(sys.modules) & {'halide', 'mitsuba', 'drjit', 'OpenEXR', 'typer'}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_exists() -> None:
+    import lobewise
+
+    for name in lobewise.__all__:
+        assert getattr(lobewise, name) is not None
+    assert callable(lobewise.denoise)
+    with pytest.raises(AttributeError):
+        _ = lobewise.nothing  # type: ignore[attr-defined]
