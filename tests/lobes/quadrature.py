@@ -115,40 +115,37 @@ def measure_similarity(i, j, radial=80, angular=96):
     return integrate(i, j) / np.sqrt(integrate(i, i) * integrate(j, j))
 
 
-def draw_pairs(count, *, anisotropic=False, kind="ggx", seed=0):
+def draw_pairs(count, *, anisotropy="none", kind="ggx", seed=0):
     """Return ``count`` random pairs of neighbouring surfaces.
 
     Geometric-mean alpha 0.03 to 0.75 (log-uniform); in 60 % of the pairs another roughness (log-normal ratio, sigma
-    0.35); n.v 0.12 to 1; normals tilted by up to 0.9 alpha, views shifted by up to 0.4 alpha; anisotropic: each with a
-    ratio of up to 4 between the alphas, and frames twisted against each other.
+    0.35); n.v 0.12 to 1; normals tilted by up to 0.9 alpha, views shifted by up to 0.4 alpha.
+    ``anisotropy``: "none"; "one", the alphas of both in one ratio of up to 4, the frames twisted against each other by
+    0.2 rad (sigma); "two", the same with two unrelated ratios and 0.3 rad.
     """
     rng = np.random.default_rng(seed)
+    twist_sigma = {"none": 0.0, "one": 0.2, "two": 0.3}[anisotropy]
     pairs = []
     while len(pairs) < count:
         alpha = np.exp(rng.uniform(np.log(0.03), np.log(0.75)))
         other = alpha * np.exp(0.35 * rng.normal()) if rng.random() < 0.6 else alpha
-        ratio = np.exp(rng.uniform(-np.log(4.0), np.log(4.0))) if anisotropic else 1.0
-        ratio_j = ratio if rng.random() < 0.5 or not anisotropic else np.exp(rng.uniform(-np.log(4.0), np.log(4.0)))
-        twist = rng.normal() * 0.3 if anisotropic else 0.0
-        alphas = np.array([[alpha, alpha], [other, other]])
-        alphas *= np.array([[ratio**0.5, ratio**-0.5], [ratio_j**0.5, ratio_j**-0.5]])
-        if alphas.max() > 0.95 or alphas.min() < 0.008:
-            continue
+        ratios = np.exp(rng.uniform(-np.log(4.0), np.log(4.0), 2)) ** (anisotropy != "none")
+        ratios[1] = ratios[1] if anisotropy == "two" else ratios[0]
+        alphas = np.array([alpha, other])[:, None] * ratios[:, None] ** np.array([0.5, -0.5])
         cosine = rng.uniform(0.12, 1.0)
         phi = rng.uniform(0.0, 2.0 * np.pi)
-        sine = np.sqrt(1.0 - cosine * cosine)
-        view = np.array([sine * np.cos(phi), sine * np.sin(phi), cosine])
+        view = np.append(np.sqrt(1.0 - cosine**2) * np.array([np.cos(phi), np.sin(phi)]), cosine)
         tilt_axis = np.append(normalize(rng.normal(size=2)), 0.0)
-        turn = rotate(tilt_axis, 0.9 * alpha * rng.random()) @ rotate(np.array([0.0, 0.0, 1.0]), twist)
-        frame_j = turn.T
+        twist = rotate(np.array([0.0, 0.0, 1.0]), twist_sigma * rng.normal())
+        frame_j = (rotate(tilt_axis, 0.9 * alpha * rng.random()) @ twist).T
         shift = rng.normal(size=3)
         view_j = normalize(view + 0.4 * alpha * rng.random() * normalize(shift - view * (shift @ view)))
-        if frame_j[2] @ view_j < 0.1:
-            continue
-        pairs.append(
-            (
-                Surface(np.eye(3), view, *map(float, alphas[0]), kind),
-                Surface(frame_j, view_j, *map(float, alphas[1]), kind),
-            )
-        )
+        if alphas.max() < 0.95 and frame_j[2] @ view_j > 0.1:
+            pairs.append((Surface(np.eye(3), view, *alphas[0], kind), Surface(frame_j, view_j, *alphas[1], kind)))
     return pairs
+
+
+def stack_lobes(surfaces):
+    """Return one TangentLobe that holds the lobes of all ``surfaces``."""
+    lobes = [surface.lobe() for surface in surfaces]
+    return tangent.TangentLobe(*(np.stack([lobe[k] for lobe in lobes]) for k in range(3)))
