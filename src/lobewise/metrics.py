@@ -6,19 +6,21 @@ specular ones. All sums are taken in float64.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, MissingDependencyError, describe_problem, require_choice
+from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, describe_problem, require_choice
+from lobewise.frame import GBuffer, LobeKind
 
 EPSILON = 0.01
 """Added to the denominators of `rel_mse` and `smape`: below a radiance of about 0.1 errors count as absolute ones."""
 
-FLIP_PIXELS_PER_DEGREE = 67.0
-"""A display of 0.7 m width and 3840 pixels seen from 0.7 m, FLIP's own default."""
+FLIP_PIXELS_PER_DEGREE = 3840.0 * math.pi / 180.0
+"""About 67: a display of 3840 pixels across seen from its own width away, as FLIP's authors choose."""
 
 METRICS = ("mse", "rel_mse", "smape", "psnr", "flip")
 """Every metric. Less is better, but for `psnr`."""
@@ -188,6 +190,29 @@ def evaluate(
     }  # fmt: skip
     names = [require_choice("metric", name, METRICS) for name in metrics]
     return {name: functions[name](image, reference, mask) for name in names}
+
+
+def find_specular_pixels(gbuffer: GBuffer) -> NDArray[np.bool_]:
+    """Return where the surface has a specular lobe, whatever else it has: shape (height, width).
+
+    Raises
+    ------
+    MissingChannelError
+        If the G-buffer does not tell: neither ``lobe_kind`` nor ``specular_albedo``.
+    """
+    if gbuffer.lobe_kind is not None:
+        # The averaged kind of a pixel half covered by a lobe rounds to the nearest.
+        return np.asarray(np.rint(gbuffer.lobe_kind) != float(LobeKind.NONE), dtype=np.bool_)
+    if gbuffer.specular_albedo is not None:
+        return np.asarray((gbuffer.specular_albedo > 0.0).any(axis=-1), dtype=np.bool_)
+    raise MissingChannelError(
+        describe_problem(
+            "specular pixels",
+            expected="lobe_kind or specular_albedo in the G-buffer",
+            got="neither",
+            action="render them with the frame",
+        )
+    )
 
 
 def _square(a: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -135,9 +135,9 @@ def describe_file(path: PathLike) -> FileDescription:
 
 
 def _list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
-    if "normal" not in gbuffer or not gbuffer & {"depth", "position"}:
+    if "normal" not in gbuffer:
         return ()
-    lobes = "alpha_u" in gbuffer and camera is not None
+    lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
     return ("normal", "sg", "ggx") if lobes else ("normal",)
 
 
@@ -152,21 +152,26 @@ def _note_what_lacks(
             "are read."
         )
     if not similarities:
-        notes.append("Without normal.X/Y/Z and depth.Z or position.X/Y/Z nothing tells similar pixels apart.")
+        notes.append("Without normal.X/Y/Z nothing tells similar pixels apart.")
     elif similarities == ("normal",):
         lacks = [
             what
-            for what, there in (("alpha.U", "alpha_u" in gbuffer), (f"the camera ({CAMERA}...)", camera is not None))
+            for what, there in (
+                ("alpha.U", "alpha_u" in gbuffer),
+                ("depth.Z or position.X/Y/Z", bool(gbuffer & {"depth", "position"})),
+                (f"the camera ({CAMERA}...)", camera is not None),
+            )
             if not there
         ]
         notes.append(f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes.")
     if read_spp(beauty) is None:
-        notes.append(f"Without the attribute {SPP} the amount of noise is not known; pass --beta to set the strength.")
+        notes.append(
+            f"Without the attribute {SPP} the amount of noise is judged by the variance, or taken as that of 4 samples."
+        )
     for part in container.parts:
         if part.data_window != beauty.data_window:
-            notes.append(
-                f"Part {show_name(part.name) or part.index!r} has another data window than the image and is only copied."
-            )
+            name = show_name(part.name) or str(part.index)
+            notes.append(f"Part {name!r} has another data window than the image and is only copied.")
     return notes
 
 

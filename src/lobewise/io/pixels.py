@@ -87,9 +87,7 @@ def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) 
             describe_problem(
                 f"input {str(container.path)!r}",
                 expected="an image whose beauty can be written again",
-                got=f"a part with subsampled channels ({', '.join(map(show_name, odd))})"
-                if odd
-                else "a part with resolution levels",
+                got=f"a part with subsampled channels ({', '.join(odd)})" if odd else "a part with resolution levels",
                 action="convert it to a plain scanline file first",
             )
         )

@@ -1,0 +1,254 @@
+"""The verbs. Each imports what it needs when it runs, so that the help appears at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import lobewise
+from lobewise.errors import InputError, LobewiseError, MissingDependencyError, describe_problem
+
+app = typer.Typer(
+    name="lobewise",
+    help="Denoise renders of glossy things by comparing what each pixel reflects.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+
+
+@app.callback()
+def root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.", is_eager=True)] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
+) -> None:
+    """Denoise renders of glossy things by comparing what each pixel reflects."""
+    if version:
+        typer.echo(f"lobewise {lobewise.__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put the page.")] = Path(
+        "lobewise-demo"
+    ),
+    live: Annotated[bool, typer.Option("--live", help="Render the frame first, instead of the one inside.")] = False,
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="With --live: the scene to render.")] = "showroom",
+    spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples per pixel.")] = 4,
+    reference_spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples of the reference.")] = 1024,
+    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels a side.")] = 512,
+    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+) -> None:
+    """Write a page that compares the filters on one noisy frame, beside its reference."""
+    from lobewise.cli.output import print_line
+    from lobewise.demo import make_demo
+
+    with show_progress() as progress:
+        page = make_demo(
+            output,
+            live=live,
+            scene=scene,
+            spp=spp,
+            reference_spp=reference_spp,
+            size=size,
+            device=device,
+            progress=progress,
+        )
+    print_line(f"Wrote {page}: open it in a browser.")
+
+
+@app.command()
+def render(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE", help="showroom, brushed, parlour, sparks, or a Mitsuba XML file.", show_default=False
+        ),
+    ],
+    output: Output,
+    spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4,
+    width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None,
+    height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0,
+    max_depth: Annotated[int, typer.Option(metavar="N", help="Longest path, in vertices after the camera.")] = 8,
+    aov_only: Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False,
+    reference: Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")] = False,
+    exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
+) -> None:
+    """Render a scene with Mitsuba, with all that denoising needs, in one EXR file."""
+    if aov_only and reference:
+        raise InputError(
+            describe_problem(
+                "--aov-only", expected="no --reference beside it", got="both", action="leave one of them out"
+            )
+        )
+    from lobewise.cli.output import print_line
+    from lobewise.io import write_frame
+    from lobewise.io.files import require_writable
+    from lobewise.render import load_scene, render_frame, render_reference
+
+    require_writable(output)
+    loaded = load_scene(scene, width=width, height=height)
+    with show_progress() as advance:
+
+        def progress(done: int, total: int) -> None:
+            advance(f"Rendering {scene}", done, total)
+
+        common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "progress": progress}
+        frame = render_reference(loaded, **common) if reference else render_frame(loaded, aov_only=aov_only, **common)
+    write_frame(output, frame, half=not exact, attributes={"lobewise/scene": scene})
+    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {spp} spp.")
+
+
+@app.command()
+def denoise(
+    source: Input,
+    output: Output,
+    similarity: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|normal|sg|ggx",
+            help="What makes two pixels similar; auto takes the best that the file allows.",
+        ),
+    ] = "auto",
+    form: Annotated[
+        str, typer.Option(metavar="full|separable|atrous", help="full is best, separable and atrous are faster.")
+    ] = "full",
+    radius: Annotated[int, typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.")] = 8,
+    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+) -> None:
+    """Denoise an EXR file; its other parts, channels and attributes are kept."""
+    from lobewise.cli.output import describe_result, print_line
+    from lobewise.denoising import denoise as run_denoise
+    from lobewise.io import read_frame, write_result
+    from lobewise.io.files import require_writable
+
+    require_writable(output)
+    frame = read_frame(source)
+    try:
+        result = run_denoise(
+            frame, similarity=similarity, form=form, radius=radius, beta=_parse_beta(beta), device=device
+        )
+    except LobewiseError as problem:
+        raise type(problem)(f"{source}: {problem}") from problem
+    write_result(output, result, source=source)
+    print_line(f"Wrote {output}: {describe_result(result)}.")
+
+
+@app.command()
+def compare(
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGE.exr...", help="The images to judge.", show_default=False)
+    ],
+    reference: Annotated[
+        Path, typer.Option("--reference", "-r", metavar="FILE", help="The image that is right.", show_default=False)
+    ],
+    json_output: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON; - is standard output.")
+    ] = None,
+) -> None:
+    """Measure how far images are from a reference: mse, rel_mse, smape, psnr and flip."""
+    from lobewise.cli.output import print_comparison, print_note, to_json
+    from lobewise.io import read_image
+    from lobewise.io.files import require_writable, write_text
+    from lobewise.metrics import EPSILON, METRICS, evaluate, flip
+
+    to_terminal = str(json_output) == "-"
+    if json_output is not None and not to_terminal:
+        require_writable(json_output)
+    target = read_image(reference)
+    metrics = list(METRICS)
+    try:
+        flip(target[:1, :1] * 0, target[:1, :1] * 0)
+    except MissingDependencyError as problem:
+        metrics.remove("flip")
+        print_note(f"{problem}")
+    except LobewiseError:
+        pass
+    rows = []
+    for path in images:
+        try:
+            rows.append((str(path), evaluate(read_image(path), target, metrics=metrics)))
+        except InputError as problem:
+            whose = reference if str(problem).startswith("reference") else path
+            raise type(problem)(f"{whose}: {problem}") from None
+    text = to_json(
+        {
+            "reference": str(reference),
+            "epsilon": EPSILON,
+            "images": [{"path": path, **figures} for path, figures in rows],
+        }
+    )
+    if to_terminal:
+        typer.echo(text, nl=False)
+        return
+    if json_output is not None:
+        write_text(json_output, text)
+    print_comparison(str(reference), metrics, rows)
+
+
+@app.command()
+def inspect(
+    source: Input,
+    attributes: Annotated[bool, typer.Option("--attributes", "-a", help="Show the attributes as well.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Say what an EXR file holds, what is missing, and what denoising will use."""
+    from dataclasses import asdict
+
+    from lobewise.cli.output import print_description, to_json
+    from lobewise.io import describe_file
+
+    found = describe_file(source)
+    if as_json:
+        typer.echo(to_json(asdict(found)), nl=False)
+        return
+    print_description(found, with_attributes=attributes)
+
+
+@app.command()
+def devices() -> None:
+    """List where filters can run, and why one cannot."""
+    from lobewise.cli.output import print_devices
+    from lobewise.kernels.engine import list_devices
+
+    print_devices([(device.name, device.available, device.reason) for device in list_devices()])
+
+
+@contextmanager
+def show_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on standard error for work that reports (what, done, total)."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total)
+
+        yield advance
+
+
+def _parse_beta(text: str) -> str | float:
+    if text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            describe_problem("beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto")
+        ) from None

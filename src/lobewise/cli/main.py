@@ -1,0 +1,71 @@
+"""Entry point: which verb runs, and what its failures look like."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+import typer
+
+import lobewise
+from lobewise.errors import LobewiseError
+
+EXIT_OK, EXIT_OURS, EXIT_USER, EXIT_INTERRUPTED = 0, 1, 2, 130
+REPORT_AT = "https://github.com/lobewise/lobewise/issues"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the program and leave with its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Command line without the program's name; by default that of the process.
+
+    Raises
+    ------
+    SystemExit
+        Always: 0 when all went well, 2 for a mistake that the user can mend, 1 for one of ours, 130 for Ctrl-C.
+    """
+    sys.exit(run(list(sys.argv[1:] if arguments is None else arguments)))
+
+
+def run(arguments: list[str]) -> int:
+    """Run the program and return its exit code."""
+    from lobewise.cli.commands import app
+
+    # Accepted anywhere, because it is added to a line that has just failed.
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    debug = "--debug" in arguments[:end]
+    arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
+    try:
+        code = typer.main.get_command(app).main(arguments, prog_name="lobewise", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else EXIT_OK
+    except LobewiseError as problem:
+        return _fail(str(problem), EXIT_USER, debug)
+    except BrokenPipeError:
+        # The reader of a pipe has seen enough. Python flushes again at exit, and must find an open end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_OK
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted; no output was changed.", EXIT_INTERRUPTED, debug)
+    except Exception as problem:
+        if hasattr(problem, "format_message"):
+            # A mistake in the command line, told by the parser, whose class depends on typer's version.
+            verb = next((word for word in arguments if not word.startswith("-")), "")
+            known = verb in {command.name for command in app.registered_commands}
+            text = problem.format_message().rstrip(".")
+            return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER, debug)
+        what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
+        text = f"something went wrong inside lobewise {lobewise.__version__} ({what}); run it again with --debug"
+        return _fail(f"{text} and report what it says at {REPORT_AT}.", EXIT_OURS, debug)
+
+
+def _fail(text: str, code: int, debug: bool) -> int:
+    if debug:
+        traceback.print_exc()
+    sys.stderr.write(f"lobewise: {text}\n")
+    return code

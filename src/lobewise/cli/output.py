@@ -1,0 +1,130 @@
+"""What the verbs print: results on standard output, remarks on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from lobewise.frame import Result
+from lobewise.io import FileDescription
+
+
+def print_line(text: str) -> None:
+    """Print a line of result, exactly as it is."""
+    Console().print(Text(text), soft_wrap=True)
+
+
+def print_note(text: str) -> None:
+    """Print a remark that is no result."""
+    Console(stderr=True).print(Text(text, style="dim"), soft_wrap=True)
+
+
+def describe_result(result: Result) -> str:
+    """Return in one line what was done, with what settings, and how long it took."""
+    height, width = result.image.shape[:2]
+    named = [
+        f"{name} {_format(result.settings[name])}"
+        for name in ("similarity", "form", "radius", "beta", "device")
+        if name in result.settings
+    ]
+    text = f"{width}x{height} pixels, {', '.join(named)}, {result.seconds:.2f} s"
+    count = result.bad_pixel_count
+    return f"{text}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else text
+
+
+def to_json(value: Any) -> str:
+    """Return strict JSON: arrays as lists, infinite and undefined numbers as null."""
+
+    def clean(item: Any) -> Any:
+        if isinstance(item, Mapping):
+            return {str(key): clean(part) for key, part in item.items()}
+        if isinstance(item, (list, tuple)):
+            return [clean(part) for part in item]
+        if hasattr(item, "tolist"):
+            return clean(item.tolist())
+        if isinstance(item, float) and not math.isfinite(item):
+            return None
+        return item
+
+    return json.dumps(clean(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def print_comparison(reference: str, metrics: Iterable[str], rows: list[tuple[str, dict[str, float]]]) -> None:
+    """Print one line of figures per image; the best of each column stands out."""
+    table = Table(title=Text(f"against {reference}"), title_justify="left")
+    table.add_column("image", overflow="fold")
+    for metric in metrics:
+        table.add_column(metric, justify="right", no_wrap=True)
+    best = {metric: (max if metric == "psnr" else min)(figures[metric] for _, figures in rows) for metric in metrics}
+    for path, figures in rows:
+        cells = [
+            Text(_format(figures[metric]), style="bold" if len(rows) > 1 and figures[metric] == best[metric] else "")
+            for metric in metrics
+        ]
+        table.add_row(Text(path), *cells)
+    Console().print(table)
+
+
+def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
+    """Print the devices, those that cannot run with the reason."""
+    table = Table()
+    for title in ("device", "runs here", "what it is, or why not"):
+        table.add_column(title)
+    for name, available, reason in devices:
+        table.add_row(Text(name), "yes" if available else "no", Text(reason))
+    Console().print(table)
+
+
+def print_description(found: FileDescription, *, with_attributes: bool) -> None:
+    """Print the parts and channels, what each image of a frame is read from, and what that means."""
+    console = Console()
+    size = found.bytes / 1e6
+    console.print(Text(f"{found.path}: {size:.1f} MB, {len(found.parts)} part{'s' if len(found.parts) != 1 else ''}"))
+    for index, part in enumerate(found.parts):
+        data, display = part.data_window, part.display_window
+        title = (
+            f"part {index}" + (f" '{part.name}'" if part.name else "") + (f", view {part.view}" if part.view else "")
+        )
+        window = f"{data.width}x{data.height}"
+        if data != display:
+            window += f" at ({data.x_min}, {data.y_min}) of {display.width}x{display.height}"
+        table = Table(title=Text(f"{title}: {window}, {part.kind}, {part.compression}"), title_justify="left")
+        for column in ("channel", "type", "read as"):
+            table.add_column(column, overflow="fold")
+        for channel in part.channels:
+            table.add_row(Text(channel.name), channel.pixel_type, channel.used_as or Text("only copied", style="dim"))
+        console.print(table)
+        if with_attributes:
+            listing = Table(title="attributes", title_justify="left")
+            for column in ("name", "type", "value"):
+                listing.add_column(column, overflow="fold")
+            for row in part.attributes:
+                listing.add_row(*map(Text, row))
+            console.print(listing)
+    table = Table(title="what a frame can have", title_justify="left")
+    for column in ("image", "found", "meaning, or what follows without it"):
+        table.add_column(column)
+    for image in found.images:
+        # A half or variance that is missing as a whole is one line, not five.
+        if not image.found and image.label.count(".") > 1:
+            continue
+        text = image.meaning if image.found else f"missing: {image.missing}"
+        table.add_row(image.label, "yes" if image.found else "no", Text(text, style="" if image.found else "dim"))
+    console.print(table)
+    camera = "in the header" if found.camera else "none in the header"
+    console.print(Text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
+    console.print(Text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
+    for note in found.notes:
+        console.print(Text(note), soft_wrap=True)
+
+
+def _format(value: Any) -> str:
+    if isinstance(value, float):
+        return "inf" if math.isinf(value) else f"{value:.5g}"
+    return str(value)
