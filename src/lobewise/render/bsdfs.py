@@ -9,11 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
+
+import numpy as np
 
 from lobewise.errors import UnsupportedBsdfError, describe_problem
 from lobewise.frame import LobeKind
-from lobewise.render.bridge import mi
+from lobewise.render.bridge import dr, mi
 
 PLUGIN_OF_CLASS = {
     "SmoothDiffuse": "diffuse",
@@ -70,8 +73,8 @@ class Material:
         What a wrapper wraps.
     lobe_kind : LobeKind
         Kind of its own specular lobe, NONE for a wrapper.
-    nonlinear : bool
-        Whether a plastic accounts for the colour shift of internal scattering.
+    diffuse_spread : float
+        Of a plastic: its diffuse albedo over its diffuse value for light along the normal, the same for every viewer.
     """
 
     bsdf: Any
@@ -80,7 +83,7 @@ class Material:
     numbers: dict[str, Any] = field(default_factory=dict)
     nested: tuple[Material, ...] = ()
     lobe_kind: LobeKind = LobeKind.NONE
-    nonlinear: bool = False
+    diffuse_spread: float = 0.0
 
     def __iter__(self) -> Iterator[Material]:
         """Yield this material, then every one below it."""
@@ -128,6 +131,39 @@ def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
     return LobeKind.NONE
 
 
+@lru_cache(maxsize=256)
+def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: float) -> float:
+    """Return ``integral of f cos / f(normal)`` of a plastic's diffuse lobe, for any viewer.
+
+    Light crosses the boundary in and out: ``f(wi, wo) = c T(wi) T(wo)``, so the shape over ``wo`` is the same for all
+    ``wi``. It is measured on the plugin itself, whose rough transmittance has no closed form, by the midpoint rule.
+    """
+    count = 512
+    probe: dict[str, Any] = {"type": plugin, "int_ior": eta, "ext_ior": 1.0, "diffuse_reflectance": 0.5}
+    if plugin == "roughplastic":
+        probe.update(distribution=distribution, alpha=alpha)
+    si = dr.zeros(mi.SurfaceInteraction3f, count + 1)
+    si.wi = mi.Vector3f(0, 0, 1)
+    # Steps of equal projected area, and one last direction along the normal.
+    square = (dr.arange(mi.Float, count + 1) + 0.5) / count
+    cosine = dr.select(square < 1, dr.sqrt(square), 1.0)
+    wo = mi.Vector3f(dr.sqrt(1.0 - dr.square(cosine)), 0, cosine)
+    value = np.array(mi.load_dict(probe).eval(make_diffuse_context(), si, wo)[0], dtype=np.float64)
+    return float(np.pi * (value[:-1] / np.array(cosine)[:-1]).mean() / value[-1])
+
+
+def _find_spread(plugin: str, lobe_kind: LobeKind, numbers: dict[str, Any]) -> float:
+    alpha = np.array(numbers["alpha"]).item() if "alpha" in numbers else 0.0
+    return measure_diffuse_spread(plugin, lobe_kind.name.lower(), alpha, np.array(numbers["eta"]).item())
+
+
+def make_diffuse_context() -> Any:
+    """Return the context that asks a BSDF for its diffuse lobes alone."""
+    context = mi.BSDFContext()
+    context.type_mask = mi.BSDFFlags.Diffuse
+    return context
+
+
 def read_material(bsdf: Any) -> Material:
     """Return what a BSDF object is made of, nested ones included.
 
@@ -153,15 +189,16 @@ def read_material(bsdf: Any) -> Material:
     if plugin == "principled":
         wanted = {"eta"} if "eta" in numbers else {"specular"}
     parameters = mi.traverse(bsdf) if wanted else {}
-    text = "" if names else str(bsdf)
+    values = {name: mi.Float(parameters[name]) for name in sorted(wanted)}
+    lobe_kind = _read_lobe_kind(plugin, "" if names else str(bsdf))
     return Material(
         bsdf=bsdf,
         plugin=plugin,
         textures={name: value for name, value in objects.items() if name not in names},
-        numbers={name: mi.Float(parameters[name]) for name in sorted(wanted)},
+        numbers=values,
         nested=tuple(read_material(objects[name]) for name in names),
-        lobe_kind=_read_lobe_kind(plugin, text),
-        nonlinear=bool(re.search(r"nonlinear = 1", text)),
+        lobe_kind=lobe_kind,
+        diffuse_spread=_find_spread(plugin, lobe_kind, values) if "plastic" in plugin else 0.0,
     )
 
 

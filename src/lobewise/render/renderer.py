@@ -9,11 +9,12 @@ import numpy as np
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, FloatArray, Frame, Radiance
-from lobewise.render.bridge import dr
+from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.gbuffer import finish_hits, make_gbuffer, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
+from lobewise.render.variant import VARIANTS
 
 Progress = Callable[[int, int], None]
 
@@ -32,6 +33,19 @@ def _check_count(name: str, value: int, lowest: int, highest: int) -> int:
             )
         )
     return int(value)
+
+
+def _check_scene(scene: Any) -> None:
+    variant = mi.variant()
+    if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
+        raise InputError(
+            describe_problem(
+                "scene",
+                expected="a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values()),
+                got=f"a {type(scene).__name__} under the variant {variant}",
+                action="call load_mitsuba() first, then load the scene",
+            )
+        )
 
 
 def _plan_tiles(width: int, height: int) -> Iterator[tuple[int, int]]:
@@ -163,6 +177,7 @@ def render_frame(
     spp = _check_count("spp", spp, 1, 1 << 24)
     seed = _check_count("seed", seed, 0, (1 << 32) - 1)
     max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    _check_scene(scene)
     camera = get_camera(scene)
     materials = read_scene_materials(scene)
     size = get_image_size(scene)
@@ -197,6 +212,7 @@ def render_reference(
     spp = _check_count("spp", spp, 1, 1 << 24)
     seed = _check_count("seed", seed, 0, (1 << 32) - 1)
     max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    _check_scene(scene)
     camera = get_camera(scene)
     size = get_image_size(scene)
     settings = PathSettings(max_depth=max_depth, guides=False)

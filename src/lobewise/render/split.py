@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material
+from lobewise.render.bsdfs import Material, make_diffuse_context
 from lobewise.render.surface import (
     enter_perturbed,
     enter_twosided,
@@ -13,12 +13,6 @@ from lobewise.render.surface import (
     read_color,
     read_number,
 )
-
-
-def _make_diffuse_context() -> Any:
-    context = mi.BSDFContext()
-    context.type_mask = mi.BSDFFlags.Diffuse
-    return context
 
 
 def _divide(part: Any, total: Any) -> Any:
@@ -75,7 +69,7 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
         total = material.bsdf.eval(everything, si, wo, active)
         return _divide(evaluate_principled_diffuse(material, si, wo, active), total)
     if all(node.plugin != "principled" for node in material):
-        part = material.bsdf.eval(_make_diffuse_context(), si, wo, active)
+        part = material.bsdf.eval(make_diffuse_context(), si, wo, active)
         return _divide(part, material.bsdf.eval(everything, si, wo, active))
     frame = make_world_frame(si)
     if material.plugin == "twosided":

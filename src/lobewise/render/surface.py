@@ -9,7 +9,7 @@ from typing import Any
 from lobewise.frame import LobeKind
 from lobewise.lobes.brdf import ggx_directional_albedo
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material
+from lobewise.render.bsdfs import Material, make_diffuse_context
 
 
 @dataclass
@@ -93,8 +93,15 @@ def _read_alphas(material: Material, si: Any, active: Any) -> tuple[Any, Any]:
     return read_number(material, "alpha_u", si, active), read_number(material, "alpha_v", si, active)
 
 
-def _find_glossy_albedo(cos_view: Any, alpha_u: Any, alpha_v: Any, f0: Any) -> Any:
-    alpha = dr.sqrt(alpha_u * alpha_v)
+def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v: Any, f0: Any) -> Any:
+    """Return the albedo of a rough boundary by the fit for isotropic GGX.
+
+    Departs: two alphas count as their root mean square, which against sampling is off by at most 0.03 (their geometric
+    mean by 0.12), and Beckmann's shorter tails lose what GGX of half the alpha loses, within 0.05 up to alpha 0.35.
+    """
+    alpha = dr.sqrt(0.5 * (dr.square(alpha_u) + dr.square(alpha_v)))
+    if material.lobe_kind == LobeKind.BECKMANN:
+        alpha *= 0.5
     return mi.Color3f(dr.clip(ggx_directional_albedo(cos_view, alpha, f0), 0.0, 1.0))
 
 
@@ -131,25 +138,27 @@ def _describe_conductor(material: Material, si: Any, frame: WorldFrame, active: 
         fresnel = [mi.fresnel_conductor(cos_view, mi.Complex2f(eta[i], k[i])) for i in range(3)]
         return _make_surface(material, si, frame, specular_albedo=mi.Color3f(*fresnel) * tint)
     alpha_u, alpha_v = _read_alphas(material, si, active)
-    albedo = _find_glossy_albedo(cos_view, alpha_u, alpha_v, find_f0_conductor(eta, k))
+    albedo = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, find_f0_conductor(eta, k))
     return _make_surface(material, si, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo * tint)
 
 
 def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     # The specular part of the radiance holds what is refracted too, so its albedo must: else glass would be
-    # demodulated by the few per cent that it reflects.
+    # demodulated by the few per cent that it reflects. What neither reflects nor passes for masking is neglected:
+    # 0.03 at alpha 0.2 and n.v = 0.5, 0.16 at alpha 0.6.
     cos_view = dr.abs(si.wi.z)
     eta = material.numbers["eta"]
     tint = read_color(material, "specular_reflectance", si, active)
     tint_through = read_color(material, "specular_transmittance", si, active)
     alpha_u = alpha_v = mi.Float(0)
-    if material.plugin == "dielectric":
-        reflected, total = mi.Color3f(mi.fresnel(si.wi.z, eta)[0]), mi.Color3f(1)
-    else:
+    reflected = mi.Color3f(mi.fresnel(si.wi.z, eta)[0])
+    if material.plugin == "roughdielectric":
         alpha_u, alpha_v = _read_alphas(material, si, active)
-        reflected = _find_glossy_albedo(cos_view, alpha_u, alpha_v, mi.Color3f(find_f0_dielectric(eta)))
-        total = _find_glossy_albedo(cos_view, alpha_u, alpha_v, mi.Color3f(1))
-    albedo = reflected * tint + (total - reflected) * tint_through
+        f0 = mi.Color3f(find_f0_dielectric(eta))
+        # The fit knows no total reflection; seen from inside, a rough boundary counts as a smooth one.
+        outside = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
+        reflected = dr.select(si.wi.z > 0, outside, reflected)
+    albedo = reflected * tint + (1.0 - reflected) * tint_through
     return _make_surface(material, si, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo)
 
 
@@ -161,19 +170,15 @@ def _describe_plastic(material: Material, si: Any, frame: WorldFrame, active: An
     if material.plugin == "plastic":
         reflected = mi.Color3f(mi.fresnel(cos_view, eta)[0])
     else:
-        reflected = _find_glossy_albedo(cos_view, alpha, alpha, mi.Color3f(find_f0_dielectric(eta)))
-    base = read_color(material, "diffuse_reflectance", si, active)
-    internal = mi.fresnel_diffuse_reflectance(1.0 / eta)
-    # Light enters (1 - reflected), is scattered, and leaves; what is reflected inside comes back to the base.
-    lost = base * internal if material.nonlinear else mi.Color3f(internal)
-    diffuse = (1.0 - reflected) * base * (1.0 - internal) / (1.0 - lost)
+        reflected = _find_glossy_albedo(material, cos_view, alpha, alpha, mi.Color3f(find_f0_dielectric(eta)))
+    upward = material.bsdf.eval(make_diffuse_context(), si, mi.Vector3f(0, 0, 1), active)
     return _make_surface(
         material,
         si,
         frame,
         alpha_u=alpha,
         alpha_v=alpha,
-        diffuse_albedo=diffuse & front,
+        diffuse_albedo=(mi.Color3f(upward) * material.diffuse_spread) & front,
         specular_albedo=(reflected * read_color(material, "specular_reflectance", si, active)) & front,
     )
 
@@ -193,9 +198,8 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
     hue = dr.select(luminance > 0, base / luminance, 1.0)
     f0 = metallic * base + (1.0 - metallic) * dielectric * dr.lerp(mi.Color3f(1), hue, tint)
     through = (1.0 - metallic) * transmission
-    reflected = _find_glossy_albedo(cos_view, alpha_u, alpha_v, f0)
-    total = _find_glossy_albedo(cos_view, alpha_u, alpha_v, mi.Color3f(1))
-    specular = reflected + through * dr.sqrt(base) * (total - reflected)
+    reflected = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
+    specular = reflected + through * dr.sqrt(base) * (1.0 - reflected)
     return _make_surface(
         material,
         si,

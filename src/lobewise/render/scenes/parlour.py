@@ -36,7 +36,8 @@ def make_parquet(planks: int = 30, length: int = 8, texels: int = 20) -> NDArray
     shade = generator.uniform(0.65, 1.15, (length + 2, planks))[board, plank]
     grain = 1.0 + 0.08 * np.sin(0.9 * x + 3.0 * np.sin(0.05 * along + plank))
     joint = np.where((x % texels == 0) | ((along * length) % size < length), 0.35, 1.0)
-    return (shade * grain * joint)[..., None] * np.array([0.52, 0.29, 0.14])
+    brown = np.array([0.52, 0.29, 0.14])
+    return np.asarray((shade * grain * joint)[..., None] * brown, dtype=np.float64)
 
 
 def make_table(center: Vector, half_size: tuple[float, float], height: float, bsdf: Item) -> dict[str, Item]:

@@ -1,0 +1,95 @@
+"""Rendering tests: skipped with the reason where Mitsuba cannot run, failed for it on a machine that sets CI."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from lobewise.errors import MissingDependencyError
+from lobewise.frame import Frame
+from lobewise.render import load_mitsuba
+
+
+@pytest.fixture(scope="session")
+def mi() -> Any:
+    """Return Mitsuba with its LLVM variant set."""
+    try:
+        return load_mitsuba("cpu")
+    except MissingDependencyError as error:
+        if os.environ.get("CI"):
+            pytest.fail(f"CI must render: {error}")
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def furnace(mi: Any) -> Callable[..., Frame]:
+    """Return a function that renders a square of a material, seen at an angle under a white sky.
+
+    The radiance of a lobe is then its directional albedo.
+    """
+
+    def render(bsdf: dict[str, Any], *, cos_view: float = 0.8, spp: int = 512, behind: bool = False) -> Frame:
+        from lobewise.render import render_frame
+
+        sine = (1.0 - cos_view**2) ** 0.5
+        side = -1.0 if behind else 1.0
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 0.5,
+                    "to_world": mi.ScalarTransform4f().look_at(
+                        origin=[10.0 * sine, 0.0, 10.0 * cos_view * side], target=[0, 0, 0], up=[0, 1, 0]
+                    ),
+                    "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+                },
+                "square": {"type": "rectangle", "bsdf": bsdf},
+                "sky": {"type": "constant"},
+            }
+        )
+        return render_frame(scene, spp=spp, seed=5)
+
+    return render
+
+
+@pytest.fixture(scope="session")
+def make_box_scene(mi: Any) -> Callable[..., Any]:
+    """Return a function that makes a small lit room around given items: two walls, a floor, a lamp."""
+
+    def make(items: dict[str, Any], *, size: int = 24) -> Any:
+        transform = mi.ScalarTransform4f
+        gray = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.4]}}
+        lamp = {"type": "area", "radiance": {"type": "rgb", "value": [5.0, 6.0, 7.0]}}
+        return mi.load_dict(
+            {
+                "type": "scene",
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 45.0,
+                    "to_world": transform().look_at(origin=[0, 1.5, 4], target=[0, 0.6, 0], up=[0, 1, 0]),
+                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+                },
+                "floor": {
+                    "type": "rectangle",
+                    "to_world": transform().rotate([1, 0, 0], -90).scale(3),
+                    "bsdf": {"type": "twosided", "inner": gray},
+                },
+                "wall": {
+                    "type": "rectangle",
+                    "to_world": transform().translate([0, 2, -2]).scale(3),
+                    "bsdf": {"type": "twosided", "inner": gray},
+                },
+                "lamp": {
+                    "type": "rectangle",
+                    "to_world": transform().translate([0.5, 3, 1]).rotate([1, 0, 0], 90).scale(0.9),
+                    "emitter": lamp,
+                },
+                **items,
+            }
+        )
+
+    return make
