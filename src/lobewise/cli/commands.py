@@ -15,7 +15,6 @@ from lobewise.errors import InputError, LobewiseError, MissingDependencyError, d
 app = typer.Typer(
     name="lobewise",
     help="Denoise renders of glossy things by comparing what each pixel reflects.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -25,15 +24,21 @@ Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file t
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"lobewise {lobewise.__version__}")
+        raise typer.Exit
+
+
 @app.callback()
 def root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.", is_eager=True)] = False,
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_print_version),
+    ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
 ) -> None:
     """Denoise renders of glossy things by comparing what each pixel reflects."""
-    if version:
-        typer.echo(f"lobewise {lobewise.__version__}")
-        raise typer.Exit
 
 
 @app.command()
@@ -232,7 +237,10 @@ def show_progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    # Without a terminal the bar would leave an empty line.
+    hidden = not console.is_terminal
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bar:
         tasks: dict[str, TaskID] = {}
 
         def advance(what: str, done: int, total: int) -> None:

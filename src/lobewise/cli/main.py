@@ -40,10 +40,15 @@ def run(arguments: list[str]) -> int:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
+    command = typer.main.get_command(app)
     try:
-        code = typer.main.get_command(app).main(arguments, prog_name="lobewise", standalone_mode=False)
+        # Not by its own `main`, which has its own ideas of exit codes, interrupts and closed pipes.
+        with command.make_context("lobewise", arguments or ["--help"]) as context:
+            command.invoke(context)
         sys.stdout.flush()
-        return code if isinstance(code, int) else EXIT_OK
+        return EXIT_OK
+    except typer.Exit as leave:
+        return int(leave.exit_code)
     except LobewiseError as problem:
         return _fail(str(problem), EXIT_USER, debug)
     except BrokenPipeError:

@@ -15,9 +15,17 @@ from lobewise.frame import Result
 from lobewise.io import FileDescription
 
 
+class _Console(Console):
+    """A console that leaves closed pipes to the entry point."""
+
+    def on_broken_pipe(self) -> None:
+        """Pass the failure on: the default is to leave at once, with exit code 1."""
+        raise BrokenPipeError
+
+
 def print_line(text: str) -> None:
     """Print a line of result, exactly as it is."""
-    Console().print(Text(text), soft_wrap=True)
+    _Console().print(Text(text), soft_wrap=True)
 
 
 def print_note(text: str) -> None:
@@ -68,7 +76,7 @@ def print_comparison(reference: str, metrics: Iterable[str], rows: list[tuple[st
             for metric in metrics
         ]
         table.add_row(Text(path), *cells)
-    Console().print(table)
+    _Console().print(table)
 
 
 def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
@@ -78,12 +86,12 @@ def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
         table.add_column(title)
     for name, available, reason in devices:
         table.add_row(Text(name), "yes" if available else "no", Text(reason))
-    Console().print(table)
+    _Console().print(table)
 
 
 def print_description(found: FileDescription, *, with_attributes: bool) -> None:
     """Print the parts and channels, what each image of a frame is read from, and what that means."""
-    console = Console()
+    console = _Console()
     size = found.bytes / 1e6
     console.print(Text(f"{found.path}: {size:.1f} MB, {len(found.parts)} part{'s' if len(found.parts) != 1 else ''}"))
     for index, part in enumerate(found.parts):

@@ -200,7 +200,7 @@ def _show_value(item: Attribute) -> str:
     if item.type == "string":
         text = " ".join(item.value.decode("utf-8", "replace").split())
         text = "".join(letter if letter.isprintable() else "?" for letter in text)
-        return text if len(text) <= 120 else f"{text[:100]}... ({len(item.value)} bytes)"
+        return text if len(text) <= 400 else f"{text[:380]}... ({len(item.value)} bytes)"
     layout = _LAYOUTS.get(item.type)
     if layout and struct.calcsize("<" + layout) == len(item.value):
         numbers = struct.unpack("<" + layout, item.value)

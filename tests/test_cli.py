@@ -1,0 +1,385 @@
+"""The program as users call it: what it prints, what it leaves on disk, how it ends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
+from lobewise.metrics import evaluate
+
+
+@pytest.fixture
+def frame_file(rng, tmp_path):
+    """Return a small noisy frame of a glossy floor, on disk."""
+    height, width = 12, 16
+    camera = Camera(position=(0.0, 1.0, 4.0), forward=(0.0, -0.4, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.4)
+    rays = camera.make_ray_directions(width, height).astype(np.float64)
+    depth = -1.0 / rays[..., 1]
+    frame = Frame(
+        Radiance(
+            color=rng.gamma(1.0, 1.0, (height, width, 3)),
+            diffuse=np.zeros((height, width, 3)),
+            specular=rng.gamma(1.0, 1.0, (height, width, 3)),
+        ),
+        GBuffer(
+            depth=depth,
+            position=camera.position + depth[..., None] * rays,
+            normal=np.broadcast_to([0.0, 1.0, 0.0], (height, width, 3)),
+            alpha_u=np.full((height, width), 0.2),
+            lobe_kind=np.ones((height, width)),
+            diffuse_albedo=np.zeros((height, width, 3)),
+            specular_albedo=np.full((height, width, 3), 0.8),
+        ),
+        camera=camera,
+        spp=4,
+    )
+    path = tmp_path / "frame.exr"
+    write_frame(path, frame, half=False)
+    return path
+
+
+def fail(capsys, *arguments):
+    """Run a line that must fail with the user's exit code; return its one sentence."""
+    assert run([str(word) for word in arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.startswith("lobewise: ")
+    assert err.count("\n") == 1
+    assert err.rstrip().endswith((".", "?"))
+    return err
+
+
+class TestProgram:
+    def test_help_names_every_verb(self, capsys):
+        assert run(["--help"]) == 0
+        out = capsys.readouterr().out
+        for verb in ("demo", "render", "denoise", "compare", "inspect", "devices"):
+            assert verb in out
+            assert run([verb, "--help"]) == 0
+
+    def test_help_imports_nothing_heavy(self):
+        heavy = "{'halide', 'mitsuba', 'drjit', 'OpenEXR', 'pyoidn', 'flip_evaluator', 'scipy', 'lobewise.io'}"
+        code = (
+            "import sys; from lobewise.cli.main import run; code = run(['denoise', '--help']);"
+            f"print(sorted(set(sys.modules) & {heavy}), file=sys.stderr); sys.exit(code)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stderr.strip() == "[]"
+
+    def test_version(self, capsys):
+        import lobewise
+
+        assert run(["--version"]) == 0
+        assert capsys.readouterr().out == f"lobewise {lobewise.__version__}\n"
+
+    def test_the_installed_program(self):
+        program = Path(sys.executable).with_name("lobewise")
+        done = subprocess.run([program, "inspect", "/nowhere.exr"], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert done.stderr.startswith("lobewise: input '/nowhere.exr': expected an existing file")
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["denois"], "denoise"),
+            (["denoise"], "INPUT.exr"),
+            (["denoise", "a.exr"], "--output"),
+            (["denoise", "a.exr", "-o", "b.exr", "--similarty", "sg"], "--similarity"),
+            (["denoise", "a.exr", "-o", "b.exr", "--radius", "wide"], "--radius"),
+            (["compare", "a.exr"], "--reference"),
+        ],
+    )
+    def test_bad_usage_is_one_sentence(self, arguments, words, capsys):
+        err = fail(capsys, *arguments)
+        assert words in err
+        assert "--help." in err
+
+    def test_our_own_failures_are_told_apart(self, frame_file, monkeypatch, capsys):
+        def explode(_path):
+            raise ZeroDivisionError("a\nb")
+
+        monkeypatch.setattr("lobewise.io.describe_file", explode)
+        assert run(["inspect", str(frame_file)]) == 1
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert "ZeroDivisionError: a b" in err
+        assert "--debug" in err
+        assert run(["inspect", str(frame_file), "--debug"]) == 1
+        assert "Traceback" in capsys.readouterr().err
+
+    def test_debug_shows_where_a_users_mistake_was_found(self, capsys):
+        assert run(["--debug", "inspect", "/nowhere.exr"]) == 2
+        assert "Traceback" in capsys.readouterr().err
+
+    def test_interrupts(self, frame_file, monkeypatch, capsys):
+        def interrupt(_path):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr("lobewise.io.describe_file", interrupt)
+        assert run(["inspect", str(frame_file)]) == 130
+        assert capsys.readouterr().err == "lobewise: interrupted; no output was changed.\n"
+
+    def test_a_closed_pipe_is_no_failure(self, frame_file):
+        code = f"from lobewise.cli import main; main(['inspect', '-a', {str(frame_file)!r}])"
+        line = f'"{sys.executable}" -c "{code}" | head -c 1 > /dev/null; exit ${{PIPESTATUS[0]}}'
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+class TestDenoise:
+    def test_it_does_what_the_function_does(self, frame_file, tmp_path, capsys):
+        from lobewise import denoise
+
+        out = tmp_path / "out.exr"
+        line = ["--similarity", "normal", "--radius", "3", "--beta", "2.5"]
+        assert run(["denoise", str(frame_file), "-o", str(out), *line]) == 0
+        expected = denoise(read_frame(frame_file), similarity="normal", radius=3, beta=2.5)
+        np.testing.assert_array_equal(read_image(out), expected.image)
+        np.testing.assert_array_equal(read_frame(out).radiance.specular, expected.specular)
+        np.testing.assert_array_equal(read_frame(out).gbuffer.normal, read_frame(frame_file).gbuffer.normal)
+        text = capsys.readouterr().out
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, similarity normal, form full")
+        assert "radius 3, beta 2.5" in text
+        assert "bad pixel" not in text
+
+    @pytest.mark.parametrize(("similarity", "form"), [("normal", "full"), ("sg", "separable"), ("ggx", "atrous")])
+    def test_choices_arrive(self, similarity, form, frame_file, tmp_path):
+        out = tmp_path / "out.exr"
+        line = ["denoise", str(frame_file), "-o", str(out), "--similarity", similarity, "--form", form]
+        assert run(line) == 0
+        attributes = {name: value for name, _, value in describe_file(out).parts[0].attributes}
+        assert f'"form": "{form}"' in attributes["lobewise/denoised"]
+        assert np.isfinite(read_image(out)).all()
+
+    def test_bad_pixels_are_counted(self, frame_file, tmp_path, capsys):
+        frame = read_frame(frame_file)
+        color = frame.radiance.color.copy()
+        color[2, 3], color[5, 6] = np.nan, np.inf
+        write_frame(frame_file, frame.with_changes(radiance=Radiance(color)), half=False)
+        line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr"), "--similarity", "normal"]
+        assert run(line) == 0
+        assert "; 2 bad pixels refilled." in capsys.readouterr().out
+        assert np.isfinite(read_image(tmp_path / "out.exr")).all()
+
+
+class TestMistakes:
+    """Each one sentence, exit code 2, and nothing written."""
+
+    @pytest.fixture(autouse=True)
+    def _nothing_is_written(self, tmp_path):
+        yield
+        assert not (tmp_path / "out.exr").exists()
+        assert not list(tmp_path.glob(".*.part"))
+
+    def test_missing_channel(self, rng, tmp_path, capsys):
+        write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
+        err = fail(capsys, "denoise", tmp_path / "a.exr", "-o", tmp_path / "out.exr")
+        assert "normal" in err
+        assert "a.exr" in err
+
+    def test_missing_camera(self, frame_file, tmp_path, capsys):
+        write_frame(frame_file, read_frame(frame_file).with_changes(camera=None))
+        err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--similarity", "sg")
+        assert "camera" in err
+
+    def test_truncated_file(self, frame_file, tmp_path, capsys):
+        frame_file.write_bytes(frame_file.read_bytes()[:-100])
+        for line in (["denoise", frame_file, "-o", tmp_path / "out.exr"], ["inspect", frame_file]):
+            assert "truncated" in fail(capsys, *line)
+
+    def test_mismatched_sizes(self, rng, tmp_path, capsys):
+        write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
+        write_image(tmp_path / "b.exr", rng.random((4, 5, 3)))
+        err = fail(capsys, "compare", tmp_path / "a.exr", "--reference", tmp_path / "b.exr")
+        assert "a.exr: image: expected the size of the reference, 5x4 pixels, got 4x4" in err
+
+    def test_image_of_zero_size(self, frame_file, tmp_path, capsys):
+        data = frame_file.read_bytes()
+        at = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+        frame_file.write_bytes(data[:at] + np.array([0, 0, -1, -1], "<i4").tobytes() + data[at + 16 :])
+        err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr")
+        assert "an image of zero size" in err
+
+    def test_empty_file(self, tmp_path, capsys):
+        (tmp_path / "a.exr").write_bytes(b"")
+        err = fail(capsys, "denoise", tmp_path / "a.exr", "-o", tmp_path / "out.exr")
+        assert "an empty file of 0 bytes" in err
+
+    def test_directory_as_output(self, frame_file, tmp_path, capsys):
+        assert "expected a file name, got a directory" in fail(capsys, "denoise", frame_file, "-o", tmp_path)
+        assert "expected a file name, got a directory" in fail(capsys, "render", "showroom", "-o", tmp_path)
+
+    def test_unwritable_paths(self, frame_file, tmp_path, capsys):
+        for path, words in (
+            (frame_file / "out.exr", "which is not a folder"),
+            (tmp_path / "missing" / "out.exr", "no folder"),
+            ("/proc/out.exr", ""),
+            ("/dev/null", "a device or pipe"),
+        ):
+            err = fail(capsys, "denoise", frame_file, "-o", path)
+            assert f"output '{path}'" in err
+            assert words in err
+        err = fail(capsys, "compare", frame_file, "-r", frame_file, "--json", frame_file / "a.json")
+        assert "which is not a folder" in err
+        err = fail(capsys, "demo", "-o", frame_file)
+        assert "expected a folder that can be made, got file exists" in err
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+    def test_nothing_but_bad_pixels(self, value, frame_file, tmp_path, capsys):
+        frame = read_frame(frame_file)
+        bad = Radiance(np.full_like(frame.radiance.color, value))
+        write_frame(frame_file, frame.with_changes(radiance=bad))
+        err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr")
+        assert "expected at least one pixel that is finite and not negative" in err
+
+    @pytest.mark.parametrize(
+        ("option", "value", "words"),
+        [
+            ("--similarity", "gxx", "did you mean 'ggx'?"),
+            ("--form", "ful", "did you mean 'full'?"),
+            ("--radius", "-1", "radius"),
+            ("--beta", "strong", "beta: expected auto or a number above 0, got 'strong'"),
+            ("--beta", "-2", "beta"),
+            ("--beta", "nan", "beta"),
+            ("--device", "cpux", "did you mean 'cpu'?"),
+        ],
+    )
+    def test_bad_values(self, option, value, words, frame_file, tmp_path, capsys):
+        assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", option, value)
+
+    def test_comparing_bad_pixels(self, rng, tmp_path, capsys):
+        image = rng.random((4, 4, 3))
+        write_image(tmp_path / "good.exr", image)
+        image[1, 2] = np.nan
+        write_image(tmp_path / "bad.exr", image)
+        err = fail(capsys, "compare", tmp_path / "good.exr", tmp_path / "bad.exr", "-r", tmp_path / "good.exr")
+        assert "bad.exr: image: expected finite pixels, got 1 of 16" in err
+        err = fail(capsys, "compare", tmp_path / "good.exr", "-r", tmp_path / "bad.exr")
+        assert "bad.exr: reference: expected finite pixels" in err
+
+    def test_rendering_what_is_not_there(self, tmp_path, capsys):
+        assert "showroom" in fail(capsys, "render", "showrom", "-o", tmp_path / "out.exr")
+        err = fail(capsys, "render", "showroom", "-o", tmp_path / "out.exr", "--aov-only", "--reference")
+        assert "leave one of them out" in err
+
+    def test_demo_options_without_live(self, tmp_path, capsys):
+        assert "add --live" in fail(capsys, "demo", "-o", tmp_path / "demo", "--spp", "8")
+        assert not (tmp_path / "demo").exists()
+
+
+class TestCompare:
+    @pytest.fixture
+    def files(self, rng, tmp_path):
+        reference = rng.random((6, 5, 3)).astype(np.float32)
+        images = {"r": reference, "a": reference + 0.1, "b": reference * 0.5}
+        for name, image in images.items():
+            write_image(tmp_path / f"{name}.exr", image)
+        return images
+
+    def test_table_and_json_agree_with_the_library(self, files, tmp_path, capsys, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "300")
+        line = ["compare", "a.exr", "b.exr", "r.exr", "--reference", "r.exr", "--json", "out.json"]
+        monkeypatch.chdir(tmp_path)
+        assert run(line) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        found = json.loads((tmp_path / "out.json").read_text())
+        assert found["reference"] == "r.exr"
+        assert [row.pop("path") for row in found["images"]] == ["a.exr", "b.exr", "r.exr"]
+        for row, name in zip(found["images"], "abr", strict=True):
+            expected = evaluate(files[name], files["r"])
+            assert row.keys() == expected.keys()
+            for metric, value in expected.items():
+                assert row[metric] == (None if np.isinf(value) else pytest.approx(value, rel=1e-6))
+                assert ("inf" if np.isinf(value) else f"{value:.5g}") in out
+
+    def test_json_on_standard_output_is_alone(self, files, tmp_path, capsys, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        assert run(["compare", "a.exr", "-r", "r.exr", "--json", "-"]) == 0
+        assert json.loads(capsys.readouterr().out)["images"][0]["path"] == "a.exr"
+        assert not (tmp_path / "-").exists()
+
+    def test_without_flip_the_rest_is_told(self, files, tmp_path, capsys, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+        assert run(["compare", "a.exr", "-r", "r.exr", "--json", "-"]) == 0
+        out, err = capsys.readouterr()
+        assert "flip" not in json.loads(out)["images"][0]
+        assert "flip-evaluator" in err
+
+
+class TestInspect:
+    def test_text(self, frame_file, capsys):
+        assert run(["inspect", str(frame_file), "--attributes"]) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        for words in ("16x12", "normal.X", "gbuffer.normal", "Camera: in the header. Samples per pixel: 4.",
+                      "normal, sg, ggx", "lobewise/camera/fov_y", "missing: not needed for one frame"):  # fmt: skip
+            assert words in out
+
+    def test_json(self, frame_file, capsys):
+        assert run(["inspect", str(frame_file), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["spp"] == 4
+        assert found["camera"]["position"] == [0.0, 1.0, 4.0]
+        assert found["parts"][0]["data_window"] == {"x_min": 0, "y_min": 0, "x_max": 15, "y_max": 11}
+
+    def test_names_cannot_style_or_command_the_terminal(self, tmp_path, capsys):
+        import OpenEXR
+
+        channels = {name: np.ones((2, 2), "f") for name in ("R", "G", "B", "[red]x[/red]", "\x1b[31mred")}
+        OpenEXR.File({"[bold]": "[/nonsense]"}, channels).write(str(tmp_path / "a.exr"))
+        assert run(["inspect", str(tmp_path / "a.exr"), "-a"]) == 0
+        out = capsys.readouterr().out
+        assert "[red]x[/red]" in out
+        assert "[bold]" in out
+        assert "\x1b[31m" not in out
+
+
+def test_devices(capsys):
+    assert run(["devices"]) == 0
+    out = capsys.readouterr().out
+    assert "cpu" in out
+    assert "yes" in out
+
+
+@pytest.mark.mitsuba
+class TestRender:
+    """Rendering itself is tested elsewhere: here, what of it arrives in files."""
+
+    def test_frame_reference_and_guides(self, tmp_path, capsys):
+        for name, extra in (("frame", []), ("reference", ["--reference"]), ("guides", ["--aov-only", "--float"])):
+            line = ["render", "showroom", "--spp", "2", "--width", "24", "--height", "16", "-o"]
+            assert run([*line, str(tmp_path / f"{name}.exr"), *extra]) == 0
+            assert f"Wrote {tmp_path / name}.exr: 24x16 pixels, 2 spp." in capsys.readouterr().out
+        frame = read_frame(tmp_path / "frame.exr")
+        assert frame.shape == (16, 24)
+        assert frame.camera is not None
+        assert frame.spp == 2
+        assert frame.half_a is not None
+        reference = read_frame(tmp_path / "reference.exr")
+        assert reference.gbuffer.normal is None
+        assert reference.radiance.color.max() > 0.0
+        guides = read_frame(tmp_path / "guides.exr")
+        assert guides.radiance.color.max() == 0.0
+        np.testing.assert_array_equal(guides.gbuffer.normal, frame.gbuffer.normal)
+        assert run(["denoise", str(tmp_path / "frame.exr"), "-o", str(tmp_path / "out.exr")]) == 0
+
+    def test_output_is_checked_before_rendering(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr("lobewise.render.load_scene", lambda *_a, **_k: pytest.fail("rendered first"))
+        assert run(["render", "showroom", "-o", str(tmp_path / "missing" / "a.exr")]) == 2
+        assert "no folder" in capsys.readouterr().err
+
+
+def test_no_color_in_pipes(frame_file, capsys):
+    assert run(["inspect", str(frame_file)]) == 0
+    assert "\x1b[" not in capsys.readouterr().out
