@@ -20,7 +20,9 @@ ROOMS = [
     "io",
     "render",
     "peers",
+    "display",
     "report",
+    "demo",
     "cli",
 ]
 OWNERS = {

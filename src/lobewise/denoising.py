@@ -43,8 +43,8 @@ class DenoiseSettings:
         The same for the overlap of diffuse lobes.
     device : {"auto", "cpu"}
         Where the kernels run.
-    screen_sigma : float or None
-        Standard deviation of the screen distance, pixels, > 0; None for 0.6 of the radius.
+    screen_sigma : float or "auto"
+        Standard deviation of the screen distance, pixels, > 0; not used by "atrous". "auto" follows radius and noise.
     position_sigma : float
         Standard deviation of the distance in the scene, in pixel footprints, > 0.
     tau : float or None
@@ -61,7 +61,7 @@ class DenoiseSettings:
     beta: float | str = "auto"
     diffuse_beta: float | str = "auto"
     device: str = "auto"
-    screen_sigma: float | None = None
+    screen_sigma: float | str = "auto"
     position_sigma: float = 16.0
     tau: float | None = None
     normal_exponent: float = 64.0
@@ -79,11 +79,11 @@ class DenoiseSettings:
                     action="8 is usual; form='atrous' reaches further",
                 )
             )
-        for name in ("beta", "diffuse_beta"):
+        for name in ("beta", "diffuse_beta", "screen_sigma"):
             value = getattr(self, name)
             if value != "auto":
                 _require_positive(name, value, '"auto" or a finite number above 0')
-        for name in ("screen_sigma", "tau", "band_limit"):
+        for name in ("tau", "band_limit"):
             if getattr(self, name) is not None:
                 _require_positive(name, getattr(self, name), "a finite number above 0")
         for name in ("position_sigma", "normal_exponent"):
@@ -134,8 +134,20 @@ def estimate_spp(frame: Frame) -> float:
 
 
 def choose_beta(spp: float) -> float:
-    """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls."""
-    return float(np.clip(4.0 * math.sqrt(spp), 2.0, 64.0))
+    """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls.
+
+    The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
+    with the cube root of the sample count; the factor is fitted (benchmarks/results/quality.json, "tuned beta").
+    """
+    return min(max(2.0 * math.pow(spp, 1.0 / 3.0), 2.0), 64.0)
+
+
+def choose_screen_sigma(spp: float, radius: int) -> float:
+    """Return the standard deviation of the screen distance, pixels, for a sample count.
+
+    It bounds what lobes cannot see: how fast the reflected light itself changes.
+    """
+    return max(0.6 * radius * min(1.0, math.pow(4.0 / spp, 0.25)), 0.5)
 
 
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
@@ -161,9 +173,9 @@ def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSetti
     return value
 
 
-def _make_position_features(frame: Frame, settings: DenoiseSettings, surface: NDArray[np.bool_]) -> list[Feature]:
-    sigma = settings.screen_sigma if settings.screen_sigma is not None else max(0.6 * settings.radius, 0.5)
-    features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(sigma)]
+def _make_position_features(frame: Frame, settings: DenoiseSettings) -> list[Feature]:
+    assert not isinstance(settings.screen_sigma, str)
+    features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
     guides = frame.gbuffer
     if frame.camera is not None and (guides.position is not None or guides.depth is not None):
         depth = guides.depth
@@ -245,7 +257,7 @@ def _make_layers(frame: Frame, settings: DenoiseSettings) -> list[_Layer]:
             representation="ggx" if settings.similarity == "ggx" else "sg",
             diffuse_fallback=not apart,
         )
-    position = _make_position_features(frame, settings, surface)
+    position = _make_position_features(frame, settings)
     specular = _make_specular_feature(frame, settings, lobes, settings.beta)
     specular_mask = surface if lobes is None else surface & lobes.valid
     if not apart:
@@ -281,9 +293,12 @@ def _refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettin
 
 def resolve_settings(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
     """Return ``settings`` with every "auto" replaced by what it stands for on this frame."""
-    beta = choose_beta(estimate_spp(frame))
+    spp = estimate_spp(frame)
+    beta = choose_beta(spp)
+    sigma = settings.screen_sigma
     return replace(
         settings,
+        screen_sigma=choose_screen_sigma(spp, settings.radius) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),
         beta=beta if settings.beta == "auto" else float(settings.beta),
         diffuse_beta=beta if settings.diffuse_beta == "auto" else float(settings.diffuse_beta),
@@ -389,6 +404,7 @@ def _compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
         return parts[0]
     radiance = frame.radiance
     assert radiance.diffuse is not None and radiance.specular is not None
-    rest = radiance.color - radiance.diffuse - radiance.specular
+    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
+        rest = radiance.color - radiance.diffuse - radiance.specular
     rest = np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
     return np.asarray(parts[0] + parts[1] + rest, dtype=np.float32)

@@ -10,9 +10,9 @@ from lobewise.kernels.features import Feature, ScreenFeature
 from lobewise.kernels.reference import filter_reference
 from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, make_radiance
 
-# The kernels' log2 is good to 1e-4 and is multiplied by beta = 4: 3e-4 relative. GGX adds the coupling that its
-# expression drops and the other tail (see GgxFeature); both are bounded by their own test.
-RELATIVE = {"ggx": 0.06, "diffuse": 0.02}
+# The kernels' log2 is good to 1e-4 and is multiplied by beta = 4: 3e-4 relative. GGX expands 1/|m|^2 to third order
+# and the diffuse overlap is a fit to 1.3e-3, which matters where it is small.
+RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
 
 

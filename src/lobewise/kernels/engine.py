@@ -68,7 +68,7 @@ def _borrow(array: NDArray[Any]) -> NDArray[Any]:
     if array.flags.writeable:
         return array
     pointer = (ctypes.c_byte * max(array.nbytes, 1)).from_address(array.ctypes.data)
-    view: NDArray[Any] = np.frombuffer(pointer, dtype=array.dtype, count=array.size).reshape(array.shape)
+    view: NDArray[Any] = np.frombuffer(memoryview(pointer), dtype=array.dtype, count=array.size).reshape(array.shape)
     return view
 
 
@@ -162,7 +162,10 @@ def run_filter(
     height, width = mask.shape
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
     mask_bytes = np.ascontiguousarray(mask).view(np.uint8)
-    held = [mask_bytes, *(np.ascontiguousarray(a) for feature in features for a in feature.get_arrays())]
+    held: list[NDArray[Any]] = [
+        mask_bytes,
+        *(np.ascontiguousarray(a) for feature in features for a in feature.get_arrays()),
+    ]
     parameters = [value for feature in features for value in feature.get_parameters()]
     tint = np.ascontiguousarray(albedo) if albedo is not None else None
     fixed = [hl.Buffer(_borrow(array)) for array in held]

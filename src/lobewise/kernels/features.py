@@ -283,6 +283,8 @@ class BandLimitFeature(Feature):
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         def get_precision(pixels: Pixels) -> NDArray[np.float64]:
             sigma = self.scale / (np.sqrt(self.sharpness[pixels].astype(np.float64)) * self.pixel_angle)
-            return np.minimum(sigma, self.largest_sigma) ** -2.0
+            precision: NDArray[np.float64] = 1.0 / np.minimum(sigma, self.largest_sigma) ** 2
+            return precision
 
-        return np.exp(-0.25 * get_screen_distance_squared(i, j) * (get_precision(i) + get_precision(j)))
+        both = get_precision(i) + get_precision(j)
+        return np.asarray(np.exp(-0.25 * get_screen_distance_squared(i, j) * both), dtype=np.float64)

@@ -69,7 +69,8 @@ class DiffuseFeature(Feature):
         cosine = np.sum(self.normal[i].astype(np.float64) * self.normal[j].astype(np.float64), axis=-1)
         angle = np.arccos(np.clip(cosine, -1.0, 1.0))
         overlap = ((math.pi - angle) * np.cos(angle) + np.sin(angle)) / math.pi
-        return np.maximum(overlap, 0.0) ** self.beta
+        similarity: NDArray[np.float64] = np.maximum(overlap, 0.0) ** self.beta
+        return similarity
 
 
 class SgFeature(Feature):
@@ -116,12 +117,15 @@ class SgFeature(Feature):
         return i[4] + j[4] - parameters[0] * expressions.log2(width) - dot(d, d) * (hl.f32(1.0) / width)
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        return sg.sg_slide_similarity(
-            self.axis[i].astype(np.float64),
-            self.sharpness[i].astype(np.float64),
-            self.axis[j].astype(np.float64),
-            self.sharpness[j].astype(np.float64),
-            beta=self.beta,
+        return np.asarray(
+            sg.sg_slide_similarity(
+                self.axis[i].astype(np.float64),
+                self.sharpness[i].astype(np.float64),
+                self.axis[j].astype(np.float64),
+                self.sharpness[j].astype(np.float64),
+                beta=self.beta,
+            ),
+            dtype=np.float64,
         )
 
 
@@ -134,7 +138,8 @@ class GgxFeature(Feature):
     The plane is never built. With ``d = z_j - z_i``, which is perpendicular to m, ``D = d^T M d`` and the trace t and
     the sum C of the principal minors of the 3x3 matrix M: ``m^T M m = D`` because S_i z_i = S_j z_j = 0, so the trace
     in the plane is ``t - mu`` with ``mu = D/|m|^2``, ``det = C - mu (t - mu)`` and ``q = (|d|^2 (t - mu) - D)/det``.
-    Dropped is the square of M's coupling between m and the plane, which vanishes for equal lobes.
+    Dropped is the square of M's coupling between m and the plane, which vanishes for equal lobes; the determinant is
+    bounded below by ``4 sqrt(det_i det_j)``, which keeps ``pre <= 1``.
 
     Parameters
     ----------
@@ -166,8 +171,9 @@ class GgxFeature(Feature):
     def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
         xx, xy, xz, yy, yz, zz = inputs[3:9]
         two = hl.f32(2.0)
+        # The numerator of pre^0.6 is split into one logarithm per pixel; the last plane bounds the determinant.
         numerator = parameters[0] * (hl.f32(1.0) + hl.f32(0.5) * _log2_positive(inputs[9]))
-        return [*inputs[:3], xx, yy, zz, two * xy, two * xz, two * yz, numerator]
+        return [*inputs[:3], xx, yy, zz, two * xy, two * xz, two * yz, numerator, two * hl.sqrt(inputs[9])]
 
     def log2_similarity(
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
@@ -178,10 +184,12 @@ class GgxFeature(Feature):
         quadratic = dx * (xx * dx + xy2 * dy + xz2 * dz) + (dy * (yy * dy + yz2 * dz) + zz * dz * dz)
         yy_zz = yy + zz
         minors = xx * yy_zz + yy * zz - hl.f32(0.25) * (xy2 * xy2 + xz2 * xz2 + yz2 * yz2)
-        # 1/|m|^2 = 1/(4 - |d|^2), to first order in |d|^2/4: the lobes of a tap that counts are near.
-        mu = quadratic * (hl.f32(0.25) + hl.f32(0.0625) * distance_squared)
+        # 1/|m|^2 = 1/(4 - |d|^2) to third order in |d|^2/4: the lobes of a tap that counts are near.
+        one, quarter = hl.f32(1.0), hl.f32(0.25) * distance_squared
+        mu = hl.f32(0.25) * quadratic * (one + quarter * (one + quarter * (one + quarter)))
         trace = xx + yy_zz - mu
-        determinant = hl.max(minors - mu * trace, hl.f32(1e-30))
+        # M's true determinant is at least 4 sqrt(det_i det_j); rounding and the dropped coupling may hide that.
+        determinant = hl.max(minors - mu * trace, i[10] * j[10])
         distance = (distance_squared * trace - quadratic) / determinant
         # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
         tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(distance, hl.f32(4e4))
@@ -198,4 +206,4 @@ class GgxFeature(Feature):
             )
             for k in (i, j)
         )
-        return tangent.tangent_ggx_similarity(lobe_i, lobe_j, self.beta)
+        return np.asarray(tangent.tangent_approx_similarity(lobe_i, lobe_j, self.beta), dtype=np.float64)

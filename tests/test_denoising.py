@@ -1,0 +1,259 @@
+"""The recipe on small frames made here: what it takes, what it gives, what it refuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.denoising import DenoiseSettings, choose_beta, denoise, estimate_spp
+from lobewise.errors import InputError, LobewiseError, MissingChannelError
+from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance
+
+CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
+SHAPE = (40, 50)
+
+
+def make_frame(shape: tuple[int, int] = SHAPE, *, apart: bool = True, seed: int = 0, **guides: Any) -> Frame:
+    """Return a tilted plane, glossy on the left and rough on the right, lit differently, with noise."""
+    rng = np.random.default_rng(seed)
+    rays = CAMERA.make_ray_directions(shape[1], shape[0]).astype(np.float64)
+    normal = np.array([0.0, 0.6, 0.8])
+    depth = -5.0 / (rays @ normal)
+    left = np.arange(shape[1]) < shape[1] // 2
+    alpha = np.broadcast_to(np.where(left, 0.05, 0.5), shape)
+    clean = np.broadcast_to(np.where(left, 2.0, 0.5)[None, :, None], (*shape, 3))
+    albedo = np.full((*shape, 3), 0.5)
+    specular = clean * 0.5 * rng.exponential(1.0, (*shape, 1))
+    diffuse = 0.3 * rng.exponential(1.0, (*shape, 1)) * np.ones(3)
+    gbuffer = {
+        "depth": depth,
+        "position": rays * depth[..., None],
+        "normal": np.broadcast_to(normal, (*shape, 3)),
+        "alpha_u": alpha,
+        "alpha_v": alpha,
+        "lobe_kind": np.full(shape, int(LobeKind.GGX)),
+        "diffuse_albedo": albedo,
+        "specular_albedo": albedo,
+        **guides,
+    }
+    return Frame(
+        radiance=Radiance(
+            color=diffuse + specular, diffuse=diffuse if apart else None, specular=specular if apart else None
+        ),
+        gbuffer=GBuffer(**gbuffer),
+        camera=CAMERA,
+        spp=4,
+    )
+
+
+def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
+    """Return what the noise of `make_frame` averages to."""
+    return np.broadcast_to(np.where(np.arange(shape[1]) < shape[1] // 2, 1.3, 0.55)[None, :, None], (*shape, 3))
+
+
+@pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
+@pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+@pytest.mark.parametrize("similarity", ["sg", "ggx"])
+def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart: bool) -> None:
+    frame, clean = make_frame(apart=apart), get_clean()
+    lobes = denoise(frame, similarity=similarity, form=form).image
+    normals = denoise(frame, similarity="normal", form=form).image
+    near_edge = slice(SHAPE[1] // 2 - 3, SHAPE[1] // 2 + 3)
+
+    def error(image: np.ndarray[Any, Any], columns: slice) -> float:
+        return float(np.mean((image - clean)[:, columns] ** 2))
+
+    everywhere = slice(None)
+    assert error(lobes, everywhere) < 0.25 * error(frame.radiance.color, everywhere)
+    assert error(lobes, near_edge) < 0.6 * error(normals, near_edge)
+
+
+def test_default_is_what_auto_says() -> None:
+    frame = make_frame()
+    result = lobewise.denoise(frame)
+    assert result.settings["similarity"] in ("sg", "ggx")
+    assert result.settings["beta"] == choose_beta(4.0)
+    again = denoise(frame, DenoiseSettings(similarity=result.settings["similarity"]))
+    assert result.image.tobytes() == again.image.tobytes()
+
+
+def test_auto_without_roughness_compares_normals() -> None:
+    frame = make_frame(alpha_u=None, alpha_v=None)
+    assert denoise(frame).settings["similarity"] == "normal"
+
+
+def test_emission_and_background_pass_through() -> None:
+    depth = make_frame().gbuffer.depth
+    assert depth is not None
+    depth = depth.copy()
+    depth[:5] = 0.0
+    normal = np.zeros((*SHAPE, 3), np.float32) + np.float32([0.0, 0.6, 0.8])
+    normal[:5] = 0.0
+    frame = make_frame(depth=depth, normal=normal)
+    color = frame.radiance.color.copy()
+    color[20, 20] += 7.0
+    radiance = Radiance(color=color, diffuse=frame.radiance.diffuse, specular=frame.radiance.specular)
+    lit = denoise(frame.with_changes(radiance=radiance))
+    plain = denoise(frame)
+    np.testing.assert_allclose(lit.image[20, 20] - plain.image[20, 20], 7.0, rtol=1e-5)
+    np.testing.assert_allclose(lit.image[:5], color[:5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
+def test_bad_pixels_are_counted_and_refilled(apart: bool) -> None:
+    frame = make_frame(apart=apart)
+    color = frame.radiance.color.copy()
+    diffuse = frame.radiance.diffuse.copy() if frame.radiance.diffuse is not None else None
+    for at, value in (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -2.0)):
+        color[at] = value
+        if diffuse is not None:
+            diffuse[at] = value
+    radiance = Radiance(color=color, diffuse=diffuse, specular=frame.radiance.specular)
+    result = denoise(frame.with_changes(radiance=radiance))
+    assert result.bad_pixel_count == 3
+    assert result.bad_pixels[3, 3]
+    assert np.isfinite(result.image).all()
+    clean = get_clean()
+    for at in ((3, 3), (10, 30), (11, 31)):
+        np.testing.assert_allclose(result.image[at], clean[at], rtol=0.4)
+
+
+def test_bad_background_is_refilled_from_the_screen() -> None:
+    normal = np.zeros((*SHAPE, 3), np.float32)
+    frame = make_frame(normal=normal, depth=np.zeros(SHAPE))
+    color = np.ones((*SHAPE, 3), np.float32)
+    color[5:9, 5:9] = np.nan
+    zero = np.zeros_like(color)
+    result = denoise(frame.with_changes(radiance=Radiance(color=color, diffuse=zero, specular=zero)))
+    np.testing.assert_allclose(result.image, 1.0, rtol=1e-5)
+
+
+def test_garbage_guides_spoil_only_their_own_pixels() -> None:
+    clean = denoise(make_frame())
+    alpha = make_frame().gbuffer.alpha_u
+    assert alpha is not None
+    alpha = alpha.copy()
+    alpha[7, 7] = np.nan
+    result = denoise(make_frame(alpha_u=alpha, alpha_v=alpha))
+    assert np.isfinite(result.image).all()
+    np.testing.assert_allclose(result.image[20:], clean.image[20:], rtol=1e-6)
+
+
+def test_coloured_metal_without_one_channel_stays_finite() -> None:
+    albedo = np.full((*SHAPE, 3), [0.9, 0.5, 0.0])
+    frame = make_frame(specular_albedo=albedo)
+    assert np.isfinite(denoise(frame).image).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (17, 3)], ids=str)
+@pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+def test_odd_sizes(shape: tuple[int, int], form: str) -> None:
+    result = denoise(make_frame(shape), form=form)
+    assert result.image.shape == (*shape, 3)
+    assert np.isfinite(result.image).all()
+
+
+def test_result_describes_itself() -> None:
+    result = denoise(make_frame(), radius=5)
+    assert result.settings["radius"] == 5
+    assert result.seconds > 0.0
+    assert (result.effective_samples >= 1.0).all()
+    assert (result.effective_samples <= 121.0 * 1.001).all()
+    assert (result.weight_sum >= 0.99).all()
+    assert result.diffuse is not None
+    assert result.specular is not None
+    np.testing.assert_allclose(result.image, result.diffuse + result.specular, rtol=1e-5)
+
+
+def test_spp_is_estimated_from_variance() -> None:
+    frame = make_frame()
+    mean = frame.radiance.color.mean(axis=-1, keepdims=True)
+    variance = Radiance(color=np.broadcast_to(mean**2 / 16.0, (*SHAPE, 3)))
+    assert estimate_spp(frame) == 4.0
+    unknown = frame.with_changes(spp=None, variance=variance)
+    assert estimate_spp(unknown) == pytest.approx(16.0, rel=1e-3)
+
+
+def test_input_is_left_alone() -> None:
+    frame = make_frame()
+    before = frame.radiance.color.tobytes()
+    denoise(frame)
+    assert frame.radiance.color.tobytes() == before
+    with pytest.raises(ValueError, match="read-only"):
+        frame.radiance.color[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"similarity": "gxx"}, "did you mean 'ggx'"),
+        ({"form": "seperable"}, "did you mean 'separable'"),
+        ({"radius": -1}, "radius: expected an integer from 0 to 64, got -1"),
+        ({"radius": 2.5}, "radius: expected an integer"),
+        ({"beta": 0.0}, 'beta: expected "auto" or a finite number above 0, got 0.0'),
+        ({"beta": "high"}, "beta: expected"),
+        ({"tau": float("nan")}, "tau: expected a finite number above 0"),
+        ({"device": "gpu"}, "device: expected one of auto, cpu"),
+        ({"bandwidth": 3.0}, "setting: expected one of"),
+    ],
+)
+def test_wrong_settings_are_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        denoise(make_frame((4, 4)), **changes)
+
+
+@pytest.mark.parametrize(
+    ("similarity", "guides", "message"),
+    [
+        ("normal", {"normal": None}, "channel normal"),
+        ("sg", {"alpha_u": None, "alpha_v": None}, "alpha"),
+        ("ggx", {"alpha_u": None, "alpha_v": None}, "alpha"),
+        ("ggx", {"normal": None}, "normal"),
+        ("sg", {"position": None, "depth": None}, "position"),
+    ],
+)
+def test_missing_channels_are_named(similarity: str, guides: dict[str, Any], message: str) -> None:
+    with pytest.raises(MissingChannelError, match=message):
+        denoise(make_frame((4, 4), **guides), similarity=similarity)
+
+
+def test_missing_camera_is_named() -> None:
+    with pytest.raises(MissingChannelError, match="camera"):
+        denoise(make_frame((4, 4)).with_changes(camera=None), similarity="ggx")
+
+
+def test_a_frame_without_a_good_pixel_is_refused() -> None:
+    nothing = np.full((4, 4, 3), np.nan)
+    with pytest.raises(LobewiseError, match="at least one pixel that is finite"):
+        denoise(make_frame((4, 4)).with_changes(radiance=Radiance(color=nothing)))
+
+
+SAME_BITS = """
+import hashlib
+from tests.test_denoising import make_frame
+from lobewise.denoising import denoise
+for form in ("full", "separable", "atrous"):
+    for similarity in ("normal", "sg", "ggx"):
+        result = denoise(make_frame((133, 87)), similarity=similarity, form=form)
+        print(form, similarity, hashlib.sha256(result.image.tobytes() + result.weight_sum.tobytes()).hexdigest())
+"""
+
+
+def test_same_bits_with_one_and_two_threads_and_twice() -> None:
+    def run(threads: int) -> str:
+        environment = {**os.environ, "HL_NUM_THREADS": str(threads)}
+        done = subprocess.run(
+            [sys.executable, "-c", SAME_BITS], capture_output=True, text=True, check=True, env=environment
+        )
+        return done.stdout
+
+    two = run(2)
+    assert len(two.splitlines()) == 9
+    assert two == run(1)
+    assert two == run(2)
