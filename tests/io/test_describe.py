@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -11,7 +13,7 @@ from exr_bytes import EXOTIC, inject_attributes
 
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, write_frame
-from lobewise.io.schema import SLOTS
+from lobewise.io.schema import CAMERA, DENOISED, SCHEMA, SLOTS, SPP
 
 
 def test_a_full_frame(full_frame, tmp_path):
@@ -101,3 +103,21 @@ def test_real_files(exr_folder):
     assert sum("another data window" in note for note in ball.notes) == 7
     mitsuba = describe_file(exr_folder / "mitsuba_multi_channels.exr")
     assert [image.label for image in mitsuba.images if image.found] == ["R/G/B", "position.X/Y/Z"]
+
+
+def test_the_documented_channels_are_the_ones_in_use():
+    page = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text(encoding="utf-8")
+    table = page.split("## Channels of an EXR file")[1].split("## Header attributes")[0]
+    documented = set()
+    for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE):
+        names = re.findall(r"`([^`]+)`", row)
+        # A row gives the first name in full, then suffixes; R, G and B stand for themselves.
+        head = names[0].rpartition(".")[0]
+        documented |= {head + name if name.startswith(".") else name for name in names}
+    used = {name for slot in SLOTS for name in slot.channels}
+    copies = ("half_a.", "half_b.", "variance.")
+    assert documented >= {name for name in used if not name.startswith(copies)}
+    assert documented - used == set()
+    camera = [CAMERA + name for name in ("position", "forward", "up", "fov_y", "fov_x")]
+    for attribute in (SCHEMA, SPP, DENOISED, *camera):
+        assert f"`{attribute}`" in page

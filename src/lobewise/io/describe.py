@@ -164,6 +164,8 @@ def _note_what_lacks(
             if not there
         ]
         notes.append(f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes.")
+    if "alpha_v" in gbuffer and "tangent" not in gbuffer:
+        notes.append("Without tangent.X/Y/Z the similarity ggx is refused where alpha.V differs from alpha.U.")
     if read_spp(beauty) is None:
         notes.append(
             f"Without the attribute {SPP} the amount of noise is judged by the variance, or taken as that of 4 samples."

@@ -76,14 +76,14 @@ _COPIES = {
     "variance": ("variance", "variance of the mean of: {}", "variance", "noise is judged by the sample count"),
 }
 _GBUFFER = (
-    ("depth", "depth", "Z", "distance along the ray, world units, 0 = no surface", "taken from position and camera"),
-    ("position", "position", "XYZ", "world position of the first surface", "taken from depth and camera"),
+    ("depth", "depth", "Z", "distance along the ray, world units, 0 = no surface", "taken from position"),
+    ("position", "position", "XYZ", "world position of the first surface", "taken from depth"),
     ("normal", "normal", "XYZ", "shading normal, world space, unit, towards the camera",
      "no similarity can be computed"),
-    ("tangent", "tangent", "XYZ", "direction of alpha.U, world space, unit", "roughness is taken as isotropic"),
+    ("tangent", "tangent", "XYZ", "direction of alpha.U, world space, unit", "alpha.V must equal alpha.U"),
     ("alpha_u", "alpha", "U", "microfacet alpha along the tangent, 0..1, 0 = mirror", "only normals can be compared"),
     ("alpha_v", "alpha", "V", "microfacet alpha across the tangent, 0..1", "taken equal to alpha.U"),
-    ("lobe_kind", "lobe_kind", "I", "0 none, 1 GGX, 2 Beckmann, 3 perfect mirror", "taken from alpha.U"),
+    ("lobe_kind", "lobe_kind", "I", "0 none, 1 GGX, 2 Beckmann, 3 perfect mirror", "every lobe is taken for GGX"),
     ("diffuse_albedo", "diffuse_albedo", "RGB", "directional albedo of the diffuse lobe, 0..1",
      "texture is filtered too"),
     ("specular_albedo", "specular_albedo", "RGB", "directional albedo of the specular lobe, tinted, 0..1",
