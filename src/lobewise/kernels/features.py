@@ -233,7 +233,7 @@ class NormalFeature(Feature):
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         cosine = np.sum(self.normal[i].astype(np.float64) * self.normal[j].astype(np.float64), axis=-1)
-        return np.exp(-self.exponent * (1.0 - cosine))
+        return np.asarray(np.exp(-self.exponent * (1.0 - cosine)), dtype=np.float64)
 
 
 class BandLimitFeature(Feature):
