@@ -257,3 +257,9 @@ def test_same_bits_with_one_and_two_threads_and_twice() -> None:
     assert len(two.splitlines()) == 9
     assert two == run(1)
     assert two == run(2)
+
+
+def test_position_may_come_from_depth_and_camera() -> None:
+    known = denoise(make_frame(), similarity="ggx")
+    rebuilt = denoise(make_frame(position=None), similarity="ggx")
+    np.testing.assert_allclose(rebuilt.image, known.image, rtol=1e-3)

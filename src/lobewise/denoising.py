@@ -182,7 +182,7 @@ def _make_position_features(frame: Frame, settings: DenoiseSettings) -> list[Fea
         if depth is None:
             assert guides.position is not None
             depth = np.linalg.norm(guides.position - frame.camera.position.astype(np.float32), axis=-1)
-        place = guides.position if guides.position is not None else depth
+        place = guides.position if guides.position is not None else frame.camera.make_positions(depth)
         features.append(
             PositionFeature(
                 place,

@@ -182,6 +182,11 @@ class Camera:
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         return rays.astype(np.float32)
 
+    def make_positions(self, depth: FloatArray) -> FloatArray:
+        """Return the world positions, shape (height, width, 3), of ray distances ``depth``, shape (height, width)."""
+        rays = self.make_ray_directions(depth.shape[1], depth.shape[0])
+        return np.asarray(self.position.astype(np.float32) + depth[..., None] * rays, dtype=np.float32)
+
 
 @dataclass(frozen=True)
 class Radiance(_Images):

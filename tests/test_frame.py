@@ -1,0 +1,88 @@
+"""Cameras against projection by hand; frames and their checks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.frame import Camera, Frame, GBuffer, Radiance
+
+
+def make_camera(**changes: Any) -> Camera:
+    """Return a tilted camera away from the origin."""
+    return Camera(**{"position": (1, 2, 3), "forward": (1, -1, -2), "up": (0, 1, 0), "fov_y": 0.7, **changes})
+
+
+def test_camera_basis_is_orthonormal_and_right_handed() -> None:
+    camera = make_camera()
+    basis = np.stack([camera.right, camera.up, camera.forward])
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.cross(camera.right, camera.up), -camera.forward, atol=1e-12)
+
+
+@pytest.mark.parametrize("fov_x", [None, 1.3])
+def test_rays_project_back_to_pixel_centres(fov_x: float | None) -> None:
+    width, height = 7, 5
+    camera = make_camera(fov_x=fov_x)
+    rays = camera.make_ray_directions(width, height).astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1.0, rtol=1e-6)
+    along = rays @ camera.forward
+    half_height = np.tan(0.35)
+    half_width = half_height * width / height if fov_x is None else np.tan(0.65)
+    column = ((rays @ camera.right) / along / half_width + 1.0) * 0.5 * width
+    row = (1.0 - (rays @ camera.up) / along / half_height) * 0.5 * height
+    np.testing.assert_allclose(column, np.broadcast_to(np.arange(width) + 0.5, (height, width)), atol=1e-5)
+    np.testing.assert_allclose(row, np.broadcast_to(np.arange(height)[:, None] + 0.5, (height, width)), atol=1e-5)
+
+
+def test_pixel_angle_is_the_angle_between_central_rays() -> None:
+    camera = make_camera()
+    rays = camera.make_ray_directions(1, 1000).astype(np.float64)[:, 0]
+    angle = np.arccos(np.clip(rays[499] @ rays[500], -1.0, 1.0))
+    assert camera.get_pixel_angle(1000) == pytest.approx(angle, rel=1e-2)
+
+
+def test_positions_are_at_their_depth() -> None:
+    camera = make_camera()
+    depth = np.linspace(1.0, 9.0, 12, dtype=np.float32).reshape(3, 4)
+    position = camera.make_positions(depth)
+    np.testing.assert_allclose(np.linalg.norm(position - camera.position, axis=-1), depth, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position": (0, 0)}, "camera position: expected three finite numbers"),
+        ({"forward": (0, np.nan, 1)}, "camera forward: expected three finite numbers"),
+        ({"up": (2, -2, -4)}, "camera up: expected a vector that is not parallel"),
+        ({"fov_y": 4.0}, r"camera fov_y: expected an angle in \(0, pi\)"),
+    ],
+)
+def test_impossible_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_camera(**changes)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Radiance(color=np.zeros((4, 5))), r"color: expected a real array of shape \(height, width, 3\)"),
+        (lambda: Radiance(color=np.zeros((0, 5, 3))), "color: expected at least one pixel"),
+        (lambda: Radiance(color=np.zeros((4, 5, 3), complex)), "color: expected a real array"),
+        (
+            lambda: Radiance(color=np.zeros((4, 5, 3)), diffuse=np.zeros((5, 4, 3))),
+            "diffuse: expected the size of color, 5x4 pixels, got 4x5",
+        ),
+        (
+            lambda: Frame(radiance=Radiance(color=np.zeros((4, 5, 3))), gbuffer=GBuffer(depth=np.ones((8, 10)))),
+            "gbuffer: expected the size of the radiance, 5x4 pixels, got 10x8",
+        ),
+        (lambda: Frame(radiance=Radiance(color=np.zeros((4, 5, 3))), spp=0), "spp: expected at least 1, got 0"),
+    ],
+)
+def test_wrong_images_are_named(make: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()
