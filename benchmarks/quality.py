@@ -98,7 +98,7 @@ def run_frame(frame: Frame, reference: FloatArray) -> dict[str, Any]:
         row[name], row[f"{name} (for specular)"] = search(*common, grid, similarity="normal")
     for similarity in ("sg", "ggx"):
         row[similarity] = measure(denoise(frame, similarity=similarity).image, reference, specular)
-        betas = [{"beta": beta, "diffuse_beta": other} for beta in BETAS for other in BETAS]
+        betas: list[dict[str, Any]] = [{"beta": beta} for beta in BETAS]
         row[f"{similarity} (tuned beta)"], _ = search(*common, betas, similarity=similarity)
     default = denoise(frame)
     row["default"] = {**measure(default.image, reference, specular), "settings": default.settings}
