@@ -14,7 +14,7 @@ import pytest
 
 from lobewise.errors import UnsupportedBsdfError
 from lobewise.frame import Frame, LobeKind
-from tests.render.tolerances import ALBEDO_FIT, EXACT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
+from tests.render.tolerances import ALBEDO_FIT, EXACT, GLASS_FIT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
 
 pytestmark = pytest.mark.mitsuba
 
@@ -100,7 +100,8 @@ def ramp_texture(left: float, right: float, resolution: int = 64) -> dict[str, A
 
 
 def middle(image: np.ndarray) -> np.ndarray:
-    return np.asarray(image[3:5, 3:5].mean(axis=(0, 1)))
+    """Return the mean over the picture, which spans half a degree."""
+    return np.asarray(image.mean(axis=(0, 1)))
 
 
 @pytest.mark.parametrize(("name", "bsdf", "kind", "alpha_u", "alpha_v"), ALPHAS, ids=[case[0] for case in ALPHAS])
@@ -201,7 +202,7 @@ def test_albedos_are_the_furnace_radiance_of_each_lobe(
 
 GLASS = [
     ("dielectric", {"type": "dielectric", "int_ior": 1.5}, NOISE),
-    ("roughdielectric", {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.15, "int_ior": 1.5}, ALBEDO_FIT),
+    ("roughdielectric", {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.15, "int_ior": 1.5}, GLASS_FIT),
 ]
 
 

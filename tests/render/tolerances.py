@@ -4,13 +4,32 @@ EXACT = 1e-5
 """Single-precision arithmetic of a handful of operations."""
 
 NOISE = 0.01
-"""Directional albedo of a 64-pixel furnace picture at 512 samples: about five standard errors of the noisiest lobe."""
+"""Mean over a 64-pixel furnace picture at 256 samples or more: about four standard errors of a white diffuse square."""
 
 ALBEDO_FIT = 0.03
 """The rational fit of the GGX albedo against the furnace for alpha up to 0.35 and n.v from 0.4: its stated error."""
+
+GLASS_FIT = 0.045
+"""The same for rough glass of alpha 0.15, whose masking losses are neglected."""
 
 PRINCIPLED_DIFFUSE = 0.06
 """Base colour instead of the true albedo of Burley's diffuse lobe, which is 0.94 to 1.02 of it at these angles."""
 
 PEAK_SHAPE = 0.05
 """Shape of a lobe near its peak, where Fresnel and masking vary by some per cent."""
+
+SHARE = 2e-4
+"""A ratio of two single-precision BSDF values."""
+
+Z_USUAL = 3.0
+"""Standard errors that pixels rarely exceed."""
+
+FRACTION_BEYOND = 0.05
+"""How many may: 0.003 were they Gaussian. Within a block the brighter pixels vary more, and small lights and caustics
+leave long tails: 0.006 to 0.035 were seen."""
+
+Z_BLOCK = 5.0
+"""Largest z of 108 means over 4x4 pixels, skewed by rare bright samples."""
+
+Z_MEAN = 4.0
+"""Largest z of the mean over an image, which is Gaussian."""

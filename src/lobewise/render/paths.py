@@ -220,7 +220,7 @@ def trace_path(scene: Any, materials: dict[int, Material], ray: Any, rng: Any, s
             mirrors = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.GlossyReflection) | mi.has_flag(
                 chosen.sampled_type, mi.BSDFFlags.DeltaReflection
             )
-            path.looks_specular = scatters & mirrors & (chosen.pdf > 0)
+            path.looks_specular = scatters & mirrors & (dr.max(weight) > 0)
 
         path.ray = si.spawn_ray(si.to_world(chosen.wo))
         path.throughput *= weight
@@ -325,7 +325,8 @@ def add_samples(
     def take(index: Any, sums: Sums) -> tuple[Any, Sums]:
         state, sequence = mi.sample_tea_32(pixel, index)
         state, sequence = mi.sample_tea_32(state, sequence ^ seed_value)
-        rng = mi.PCG32(size=1, initstate=state, initseq=sequence)
+        rng = mi.PCG32()
+        rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
         x = (mi.Float(column) + rng.next_float32()) / width
         y = (mi.Float(row) + rng.next_float32()) / height
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))

@@ -1,0 +1,154 @@
+"""Built-in scenes are what their names promise; scene files load, or say in one sentence why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import FileError, InputError
+from lobewise.frame import LobeKind
+from lobewise.render import list_scenes, load_scene
+
+XML = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="1,2,5" target="0,0,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="20"/></film>
+  </sensor>
+  <shape type="sphere"><bsdf type="roughplastic"/></shape>
+  <emitter type="constant"/>
+</scene>"""
+
+
+def test_unknown_name_proposes_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean 'showroom'"):
+        load_scene("showrom")
+
+
+@pytest.mark.parametrize("size", [{"width": 0}, {"height": -3}, {"width": 100_000}])
+def test_impossible_size_is_an_error(size: dict[str, int]) -> None:
+    with pytest.raises(InputError, match=next(iter(size))):
+        load_scene("showroom", **size)
+
+
+def test_missing_file_and_folder_are_file_errors(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"absent\.xml.*nothing there"):
+        load_scene(tmp_path / "absent.xml")
+    with pytest.raises(FileError, match="a folder"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "No document element"),
+        ("<scene version='3.0.0'><shape", "Error parsing"),
+        ("<scene version='3.0.0'><shape type='teapott'/></scene>", "teapott"),
+        ("<bsdf version='3.0.0' type='diffuse'/>", "expected a <scene>"),
+    ],
+)
+def test_bad_xml_is_one_sentence(mi: Any, tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bad.xml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        load_scene(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize(
+    ("size", "shape"),
+    [({}, (20, 40)), ({"width": 60}, (30, 60)), ({"height": 10}, (10, 20)), ({"width": 8, "height": 8}, (8, 8))],
+)
+def test_scene_file_is_rendered_at_the_size_asked_for(
+    mi: Any, tmp_path: Path, size: dict[str, int], shape: tuple[int, int]
+) -> None:
+    from lobewise.render import get_camera, render_frame
+
+    path = tmp_path / "scene.xml"
+    path.write_text(XML)
+    scene = load_scene(path, **size)
+    frame = render_frame(scene, spp=1)
+    assert frame.shape == shape
+    assert np.allclose(get_camera(scene).position, (1, 2, 5))
+    assert set(np.unique(frame.gbuffer.lobe_kind)) == {LobeKind.NONE, LobeKind.BECKMANN}
+
+
+@pytest.fixture(scope="module")
+def frames(mi: Any) -> dict[str, Any]:
+    from lobewise.render import render_frame
+
+    scenes = {name: load_scene(name, width=48) for name in list_scenes()}
+    return {name: render_frame(scene, spp=16, seed=1) for name, scene in scenes.items()}
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize("name", list_scenes())
+def test_scene_is_lit_and_glossy(frames: dict[str, Any], name: str) -> None:
+    frame = frames[name]
+    assert frame.shape == (48, 48)
+    assert np.isfinite(frame.radiance.color).all()
+    assert 0.05 < np.median(frame.radiance.color) < 1.5
+    shiny = np.isin(frame.gbuffer.lobe_kind, (LobeKind.GGX, LobeKind.BECKMANN, LobeKind.DELTA))
+    assert shiny.mean() > 0.3
+    assert (~shiny).mean() > 0.1
+    assert np.all(frame.gbuffer.depth > 0)
+
+
+@pytest.mark.mitsuba
+def test_showroom_floor_differs_in_nothing_but_its_lobes(frames: dict[str, Any]) -> None:
+    gbuffer = frames["showroom"].gbuffer
+    floor = np.abs(gbuffer.position[..., 1]) < 1e-4
+    assert floor.mean() > 0.3
+    assert np.allclose(gbuffer.normal[floor], (0, 1, 0), atol=1e-5)
+    alpha = gbuffer.alpha_u[floor]
+    assert alpha.min() == pytest.approx(0.03, abs=0.005)
+    assert alpha.max() == pytest.approx(0.6, abs=0.02)
+    assert len(np.unique(np.round(alpha, 3))) > 30
+    # Albedos are averages over the samples: only the pixels at the edge of an object show any other.
+    assert (gbuffer.diffuse_albedo[floor].max(axis=-1) == 0).mean() > 0.8
+
+
+@pytest.mark.mitsuba
+def test_showroom_floor_is_made_of_patches_and_ramps() -> None:
+    from lobewise.render.scenes.showroom import TILE_COLUMNS, make_floor_alpha
+
+    alpha = make_floor_alpha(32)
+    assert alpha.min() >= 0.03
+    assert alpha.max() <= 0.6
+    corner = alpha[::32, ::32]
+    assert np.all(corner[0, 1:] != corner[0, :-1])
+    ramp = alpha[32]
+    assert np.all(np.diff(ramp) < 0)
+    assert ramp.max() / ramp.min() > 15
+    assert len(ramp) == 32 * TILE_COLUMNS
+
+
+@pytest.mark.mitsuba
+def test_brushed_has_long_lobes_and_normals_that_vary(frames: dict[str, Any]) -> None:
+    gbuffer = frames["brushed"].gbuffer
+    ratio = gbuffer.alpha_u / np.maximum(gbuffer.alpha_v, 1e-6)
+    assert ((ratio > 3) | ((ratio < 1 / 3) & (ratio > 0))).mean() > 0.3
+    floor = np.abs(gbuffer.position[..., 1]) < 1e-4
+    assert floor.mean() > 0.15
+    assert gbuffer.normal[floor].std(axis=0).max() > 0.02
+
+
+@pytest.mark.mitsuba
+def test_parlour_is_lit_indirectly(frames: dict[str, Any]) -> None:
+    radiance = frames["parlour"].radiance
+    assert (radiance.indirect > radiance.direct).mean() > 0.75
+    assert np.median(radiance.indirect) > 20.0 * np.median(radiance.direct)
+
+
+@pytest.mark.mitsuba
+def test_sparks_has_fireflies(frames: dict[str, Any]) -> None:
+    frame = frames["sparks"]
+    scattered = frame.radiance.diffuse + frame.radiance.specular
+    assert scattered.max() > 30.0 * np.median(scattered)
+    assert (frame.gbuffer.lobe_kind == LobeKind.DELTA).mean() > 0.05
