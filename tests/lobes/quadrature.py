@@ -77,9 +77,8 @@ class Surface:
     def evaluate(self, direction):
         """BRDF times cosine in world directions (N, 3)."""
         light = direction @ self.frame.T
-        view = np.broadcast_to(self.local_view, light.shape)
         function = brdf.ggx_brdf if self.kind == "ggx" else brdf.beckmann_brdf
-        return function(view, light, self.alpha_u, self.alpha_v) * np.maximum(light[:, 2], 0.0)
+        return function(self.local_view, light, self.alpha_u, self.alpha_v) * np.maximum(light[:, 2], 0.0)
 
     def lobe(self, tau=0.0):
         """The covariance lobe that is on trial."""
@@ -115,24 +114,26 @@ def measure_similarity(i, j, radial=80, angular=96):
     return integrate(i, j) / np.sqrt(integrate(i, i) * integrate(j, j))
 
 
-def draw_pairs(count, *, anisotropy="none", kind="ggx", seed=0):
+def draw_pairs(count, *, anisotropy="none", kind="ggx", wide=False, seed=0):
     """Return ``count`` random pairs of neighbouring surfaces.
 
     Geometric-mean alpha 0.03 to 0.75 (log-uniform); in 60 % of the pairs another roughness (log-normal ratio, sigma
     0.35); n.v 0.12 to 1; normals tilted by up to 0.9 alpha, views shifted by up to 0.4 alpha.
     ``anisotropy``: "none"; "one", the alphas of both in one ratio of up to 4, the frames twisted against each other by
     0.2 rad (sigma); "two", the same with two unrelated ratios and 0.3 rad.
+    ``wide``: alpha 0.01 to 1 and n.v 0.02 to 1, three in ten log-uniform, instead.
     """
     rng = np.random.default_rng(seed)
     twist_sigma = {"none": 0.0, "one": 0.2, "two": 0.3}[anisotropy]
     pairs = []
     while len(pairs) < count:
-        alpha = np.exp(rng.uniform(np.log(0.03), np.log(0.75)))
+        alpha = np.exp(rng.uniform(*np.log((0.01, 1.0) if wide else (0.03, 0.75))))
         other = alpha * np.exp(0.35 * rng.normal()) if rng.random() < 0.6 else alpha
         ratios = np.exp(rng.uniform(-np.log(4.0), np.log(4.0), 2)) ** (anisotropy != "none")
         ratios[1] = ratios[1] if anisotropy == "two" else ratios[0]
         alphas = np.array([alpha, other])[:, None] * ratios[:, None] ** np.array([0.5, -0.5])
-        cosine = rng.uniform(0.12, 1.0)
+        grazing = 0.02 if wide else 0.12
+        cosine = np.exp(rng.uniform(np.log(grazing), 0.0)) if wide and rng.random() < 0.3 else rng.uniform(grazing, 1.0)
         phi = rng.uniform(0.0, 2.0 * np.pi)
         view = np.append(np.sqrt(1.0 - cosine**2) * np.array([np.cos(phi), np.sin(phi)]), cosine)
         tilt_axis = np.append(normalize(rng.normal(size=2)), 0.0)
@@ -140,7 +141,7 @@ def draw_pairs(count, *, anisotropy="none", kind="ggx", seed=0):
         frame_j = (rotate(tilt_axis, 0.9 * alpha * rng.random()) @ twist).T
         shift = rng.normal(size=3)
         view_j = normalize(view + 0.4 * alpha * rng.random() * normalize(shift - view * (shift @ view)))
-        if alphas.max() < 0.95 and frame_j[2] @ view_j > 0.1:
+        if alphas.max() < (1.0 if wide else 0.95) and frame_j[2] @ view_j > 0.8 * grazing:
             pairs.append((Surface(np.eye(3), view, *alphas[0], kind), Surface(frame_j, view_j, *alphas[1], kind)))
     return pairs
 

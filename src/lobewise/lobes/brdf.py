@@ -41,7 +41,8 @@ def ggx_normal_density(half: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike |
     """
     half, alpha_u, alpha_v = as_reals(half, alpha_u, alpha_u if alpha_v is None else alpha_v)
     stretched = (half[..., 0] / alpha_u) ** 2 + (half[..., 1] / alpha_v) ** 2 + half[..., 2] ** 2
-    return np.asarray(np.where(half[..., 2] > 0.0, 1.0 / (math.pi * alpha_u * alpha_v * stretched**2), 0.0))
+    upper = half[..., 2] > 0.0
+    return np.asarray(np.where(upper, 1.0 / (math.pi * alpha_u * alpha_v * np.where(upper, stretched, 1.0) ** 2), 0.0))
 
 
 def ggx_smith_lambda(direction: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None) -> Array:
@@ -167,7 +168,7 @@ def oren_nayar_brdf(view: ArrayLike, light: ArrayLike, sigma: ArrayLike) -> Arra
 def ggx_dominant_visible_normal(
     view: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None, *, corrected: bool = True
 ) -> Array:
-    """Return the mean direction of the visible GGX normals, the axis about which the lobe is reflected.
+    """Return the direction that stands for the visible GGX normals: the lobe is reflected about it. Approximate.
 
     Source: Tokuyoshi's public shaders: ``m = normalize(au^2 vx, av^2 vy, sqrt(au^2 vx^2 + av^2 vy^2 + vz^2) + vz)``.
     Departs: with ``corrected`` both squares are scaled by ``min(1, 0.7 + 0.6 sqrt(au av))``, because the plain form
@@ -255,10 +256,10 @@ def ggx_directional_albedo_terms(cos_view: Any, alpha: Any) -> tuple[Any, Any]:
 
     Notes
     -----
-    Source: two rational functions fitted here to quadrature of `ggx_brdf` over alpha 0 to 1 and n.v 0.01 to 1: the albedo of a
-    white lobe, ``1 - alpha^2 P / Q``, and the part of Schlick's fifth power in it. Measured there: white albedo to 0.011
-    (RMSE 0.005), albedo at ``f0 = 0.04`` to 4 % of itself (RMSE 1.4 %). The usual rational fit ("Ray Tracing Gems",
-    chapter 32) is off by up to 0.33 and 52 % there (RMSE 0.08 and 15 %), mostly for n.v below 0.2.
+    Source: two rational functions fitted here to quadrature of `ggx_brdf` over alpha 0 to 1 and n.v 0.01 to 1: the
+    albedo of a white lobe, ``1 - alpha^2 P / Q``, and the part of Schlick's fifth power in it. Measured there: white
+    albedo to 0.011 (RMSE 0.005), albedo at ``f0 = 0.04`` to 4 % of itself (RMSE 1.4 %). The usual rational fit ("Ray
+    Tracing Gems", chapter 32) is off by up to 0.33 and 52 % there (RMSE 0.08 and 15 %), mostly for n.v below 0.2.
     """
     c, m = cos_view, alpha
     m2 = m * m

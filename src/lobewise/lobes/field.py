@@ -247,25 +247,14 @@ class _Builder:
 
     def _fill(self, chunk: tuple[slice, slice]) -> None:
         gbuffer, field = self.gbuffer, self.field
-        assert gbuffer.normal is not None
-        assert gbuffer.alpha_u is not None
         normal, surface = self._get_normal(chunk)
         view = self._get_view(chunk)
         normal, cosine = _face_viewer(normal, view)
 
         kind = None if gbuffer.lobe_kind is None else gbuffer.lobe_kind[chunk]
-        alpha_u = np.clip(gbuffer.alpha_u[chunk], np.float32(0.0), np.float32(1.0))
-        alpha_v = alpha_u
-        if self.anisotropic:
-            assert gbuffer.alpha_v is not None
-            alpha_v = np.clip(gbuffer.alpha_v[chunk], np.float32(0.0), np.float32(1.0))
-        if self.has_delta:
-            delta = kind == LobeKind.DELTA
-            alpha_u = np.where(delta, np.float32(0.0), alpha_u)
-            alpha_v = np.where(delta, np.float32(0.0), alpha_v) if self.anisotropic else alpha_u
-
+        alpha_u, alpha_v, known = self._get_alphas(chunk, kind)
         surface &= np.isfinite(cosine)
-        finite = surface & np.isfinite(gbuffer.alpha_u[chunk])
+        finite = surface & known
         # any other non-finite guide shows in the axis or the width
         if field.axis is not None and field.sharpness is not None:
             finite = finite & self._fill_sg(chunk, normal, view, cosine, alpha_u, alpha_v)
@@ -287,6 +276,22 @@ class _Builder:
             surface &= (depth > 0.0) & (depth < np.inf)
         inverse = np.float32(1.0) / np.sqrt(square)
         return (x * inverse, y * inverse, z * inverse), surface
+
+    def _get_alphas(self, chunk: tuple[slice, slice], kind: FloatArray | None) -> tuple[Array, Array, Any]:
+        """Return both alphas, in [0, 1] and 0 for mirrors, and where they are numbers."""
+        zero, one = np.float32(0.0), np.float32(1.0)
+        delta = kind == LobeKind.DELTA if self.has_delta else None
+
+        def get(image: FloatArray | None) -> tuple[Array, Any]:
+            assert image is not None
+            values = image[chunk] if delta is None else np.where(delta, zero, image[chunk])
+            return np.clip(values, zero, one), np.isfinite(values)
+
+        alpha_u, finite = get(self.gbuffer.alpha_u)
+        if not self.anisotropic:
+            return alpha_u, alpha_u, finite
+        alpha_v, finite_v = get(self.gbuffer.alpha_v)
+        return alpha_u, alpha_v, finite & finite_v
 
     def _get_view(self, chunk: tuple[slice, slice]) -> Components:
         """Return the unit direction from the surface to the eye."""
