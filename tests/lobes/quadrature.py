@@ -32,7 +32,8 @@ def rotate(axis, angle):
 
 
 @cache
-def _gauss(count):
+def gauss(count):
+    """Return Gauss-Legendre (nodes, weights) on [0, 1]; kept, because finding them costs more than using them."""
     x, w = np.polynomial.legendre.leggauss(count)
     return 0.5 * (x + 1.0), 0.5 * w
 
@@ -43,7 +44,7 @@ def sphere_grid(axis, width=1.0, radial=200, angular=128, stretch=None):
     Stereographic polar coordinates around the axis, ``r = width t / (1 - t)``: Gauss-Legendre nodes in t, equal steps
     in the angle. ``stretch`` (3, 3), a linear map of the plane across the axis, makes the rings ellipses.
     """
-    t, wt = _gauss(radial)
+    t, wt = gauss(radial)
     phi = 2.0 * np.pi * (np.arange(angular) + 0.5) / angular
     r = width * t / (1.0 - t)
     dr = width / (1.0 - t) ** 2

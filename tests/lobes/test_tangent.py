@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lobewise.lobes import brdf, tangent
 from lobewise.lobes.tangent import TangentLobe, make_tangent_lobe
 
-from .quadrature import Surface, draw_pairs, measure_similarity, normalize, rotate, stack_lobes
+from .quadrature import Surface, draw_pairs, gauss, measure_similarity, normalize, rotate, stack_lobes
 from .tolerances import PRINTED, ROUNDING, SIMILARITY
 
 X, Y, Z = np.eye(3)
@@ -291,8 +291,7 @@ def test_equal_areas_and_one_shape_make_shape_power_idle(function):
 def test_planar_kernels_are_the_autocorrelation_of_the_shape():
     # int (1+|x|^2)^-2 (1+|x-d|^2)^-2 over the plane, over its value pi/3 at 0: by parts of exp(-s ...) it is
     # int int s t e^(-s-t) pi/(s+t) e^(-d^2 s t/(s+t)); with s = r u, t = r (1-u) the integral over r is closed
-    u, w = np.polynomial.legendre.leggauss(200)
-    u, w = 0.5 * (u + 1.0), 0.5 * w
+    u, w = gauss(200)
     x = np.linspace(0.0, 25.0, 200)[:, None]
     p = u * (1.0 - u)
     exact = np.sum(w * p * np.pi * 2.0 / (1.0 + x * p) ** 3, axis=-1) / (np.pi / 3.0)
