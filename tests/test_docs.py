@@ -1,0 +1,81 @@
+"""The documentation is true: its code runs, its commands exist, its figures are those of the JSON files."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import lobewise
+
+ROOT = Path(__file__).parents[1]
+BUNDLED = ROOT / "src" / "lobewise" / "data" / "showroom-4spp.exr"
+
+
+def load_publisher() -> ModuleType:
+    """Return benchmarks/publish.py as a module."""
+    spec = importlib.util.spec_from_file_location("publish", ROOT / "benchmarks" / "publish.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(BUNDLED, tmp_path / "frame.exr")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), {})
+    before, after = lobewise.read_frame("frame.exr"), lobewise.read_frame("clean.exr")
+    assert after.shape == before.shape
+    assert not np.array_equal(after.radiance.color, before.radiance.color)
+
+
+def test_readme_commands_exist() -> None:
+    from typer.main import get_command
+
+    from lobewise.cli.main import app
+
+    verbs = set(get_command(app).commands)  # type: ignore[attr-defined]
+    text = (ROOT / "README.md").read_text()
+    used = set(re.findall(r"^(?:.*/)?lobewise (\w+)", text, flags=re.M)) | set(re.findall(r"`lobewise (\w+)", text))
+    assert used
+    assert used <= verbs
+
+
+def test_readme_pictures_and_links_exist() -> None:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "CONTRIBUTING.md"]:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text()):
+            assert (path.parent / target).exists(), f"{path.name} points to {target}"
+
+
+def test_published_figures_come_from_the_results() -> None:
+    publisher = load_publisher()
+    results = ROOT / "benchmarks" / "results"
+    quality = json.loads((results / "quality.json").read_text())
+    filters = json.loads((results / "filters.json").read_text())
+    readme = (ROOT / "README.md").read_text()
+    block = readme.split(publisher.START)[1].split(publisher.END)[0].strip()
+    assert block == publisher.make_readme_figures(quality, filters).strip()
+    assert (ROOT / "docs" / "results.md").read_text() == publisher.make_results_page(quality, filters)
+
+
+def test_default_similarity_is_the_winner_of_the_comparison() -> None:
+    from lobewise.denoising import DEFAULT_SIMILARITY
+
+    quality = json.loads((ROOT / "benchmarks" / "results" / "quality.json").read_text())
+    logs = {name: 0.0 for name in ("sg", "ggx")}
+    for by_spp in quality["scenes"].values():
+        for row in by_spp.values():
+            for name in logs:
+                logs[name] += float(np.log(row[name]["rel_mse"]))
+    assert min(logs, key=lambda name: logs[name]) == DEFAULT_SIMILARITY
