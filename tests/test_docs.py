@@ -43,7 +43,7 @@ def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_readme_commands_exist() -> None:
     from typer.main import get_command
 
-    from lobewise.cli.main import app
+    from lobewise.cli.commands import app
 
     verbs = set(get_command(app).commands)  # type: ignore[attr-defined]
     text = (ROOT / "README.md").read_text()
