@@ -157,6 +157,16 @@ def test_dominant_normal_is_between_view_and_normal(view, alpha_u, alpha_v, corr
     assert m[2] >= normalize(view + NORMAL)[2] - 1e-12 or alpha_u > 1.0
 
 
+def test_dominant_normal_by_numbers():
+    view = np.array([0.6, 0.48, 0.64])
+    # sqrt(0.09 * 0.36 + 0.01 * 0.2304 + 0.4096)
+    expected = normalize(np.array([0.09 * 0.6, 0.01 * 0.48, np.sqrt(0.444304) + 0.64]))
+    np.testing.assert_allclose(brdf.ggx_dominant_visible_normal(view, 0.3, 0.1, corrected=False), expected, rtol=1e-12)
+    scale = 0.7 + 0.6 * np.sqrt(0.03)
+    expected = normalize(np.array([0.054 * scale, 0.0048 * scale, np.sqrt(0.4096 + scale * 0.034704) + 0.64]))
+    np.testing.assert_allclose(brdf.ggx_dominant_visible_normal(view, 0.3, 0.1), expected, rtol=1e-12)
+
+
 def test_dominant_normal_limits():
     view = look(0.3)
     np.testing.assert_allclose(brdf.ggx_dominant_visible_normal(view, 0.0), NORMAL)
@@ -207,6 +217,8 @@ def test_single_lobes_against_the_best_one(row):
     assert abs(degrees(turned) - best) < 4.0
     corrected = degrees(brdf.reflect_ggx_sg(view, alpha, dominant=True)[0])
     assert degrees(turned) <= corrected <= mirror
+    if alpha <= 0.2:  # what the correction is for
+        assert abs(corrected - best) < 0.75 * abs(degrees(turned) - best)
 
 
 def test_reflected_sharpness_is_the_determinant_of_the_warp():

@@ -269,6 +269,20 @@ def test_laws(function, seed, beta):
     assert function(*lobes, beta) == pytest.approx(float(value) ** beta, rel=1e-9, abs=1e-70)
 
 
+@pytest.mark.parametrize("angle", [0.01, 0.3, 1.0, 2.0])
+def test_kernel_form_is_exact_where_nothing_is_dropped(angle):
+    # two round lobes of one size lie mirrored about the middle axis, so that nothing couples it to the plane across
+    variance = 0.05
+    axes = [np.array([np.sin(0.5 * a), 0.0, np.cos(0.5 * a)]) for a in (angle, -angle)]
+    lobes = [TangentLobe(z, variance * (np.eye(3) - np.outer(z, z))[UPPER], np.asarray(variance**2)) for z in axes]
+    square = (2.0 * np.sin(0.5 * angle)) ** 2
+    # the determinant is held at 4 v^2, above its true value in the plane across the middle axis, where d is foreshortened
+    q = square * 2.0 * variance / (4.0 * variance**2)
+    assert tangent.tangent_approx_similarity(*lobes) == pytest.approx((1.0 + 0.25 * q) ** -2.4, rel=1e-10)
+    q /= np.cos(0.5 * angle) ** 2
+    assert tangent.tangent_gaussian_similarity(*lobes) == pytest.approx(np.exp(-0.5 * q), rel=1e-9)
+
+
 @pytest.mark.parametrize("function", SIMILARITIES)
 def test_opposite_and_sharp_lobes_are_not_alike(function):
     lobe = make_tangent_lobe(Z, Z, 0.3)

@@ -269,8 +269,8 @@ class _Builder:
         assert self.gbuffer.normal is not None
         x, y, z = _split(self.gbuffer.normal[chunk])
         square = x * x + y * y + z * z
-        # an averaged normal may be short; what is far from unit length is none
-        surface = (square > 1e-6) & (square < 1e6)
+        # a normal averaged over an edge is short, but not a thousandth
+        surface = (square > 1e-6) & (square < np.inf)
         if self.gbuffer.depth is not None:
             depth = self.gbuffer.depth[chunk]
             surface &= (depth > 0.0) & (depth < np.inf)

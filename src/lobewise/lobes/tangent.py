@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.vectors import Array, as_reals, dot
+from lobewise.lobes.vectors import Array, as_reals, dot, normalize
 
 GGX_LIMIT = 0.35
 """Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
@@ -301,17 +301,14 @@ def _minors(m: Array) -> Array:
 
 def _compare(lobe_i: TangentLobe, lobe_j: TangentLobe) -> tuple[Array, Array]:
     """Return (pre, q): ``2 (det_i det_j)^(1/4) / sqrt(det M)`` and ``d^T M^-1 d``, across the middle axis."""
-    total = lobe_i.axis + lobe_j.axis
-    length_square = dot(total, total)
-    safe = np.where(length_square > 0.0, length_square, 1.0)
-    middle = total / np.sqrt(safe)[..., None]
+    middle = normalize(lobe_i.axis + lobe_j.axis)  # 0 for opposite axes, and with it the determinant
     matrix = lobe_i.covariance + lobe_j.covariance
     determinant = _quadratic(_cofactors(matrix), middle)
     turned = np.cross(middle, lobe_j.axis - lobe_i.axis)
     positive = np.where(determinant > 0.0, determinant, 1.0)
     q = np.where(determinant > 0.0, _quadratic(matrix, turned) / positive, np.inf)
     pre = 2.0 * np.sqrt(np.sqrt(lobe_i.determinant) * np.sqrt(lobe_j.determinant)) / np.sqrt(positive)
-    return np.minimum(pre, 1.0), np.where(length_square > 0.0, q, np.inf)
+    return np.minimum(pre, 1.0), q
 
 
 def _power(pre: Array, lobe_i: TangentLobe, lobe_j: TangentLobe, shape_power: float) -> Array:
