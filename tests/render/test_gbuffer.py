@@ -158,6 +158,38 @@ def test_hit_distance_is_a_harmonic_mean_and_its_position_agrees(mi: Any) -> Non
     assert np.allclose(position[:, 0], [3.0, 2.0, 0.0, 0.0])
 
 
+def test_hit_distance_averages_the_inverse_over_the_lobe_misses_included(mi: Any) -> None:
+    """Half a ceiling over a rough square: the same mean of 1/t, by sampling the BSDF and cutting the plane by hand."""
+    import drjit as dr
+
+    count, height, edge = 200_000, 2.0, 0.8
+    metal = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.4}
+    view = np.array([-0.6, 0.0, 0.8])
+    sensor = make_sensor(mi, 4, 4, fov=0.05, near_clip=0.1)
+    sensor["to_world"] = mi.ScalarTransform4f().look_at(origin=(1.5 * view).tolist(), target=[0, 0, 0], up=[0, 1, 0])
+    ceiling = mi.ScalarTransform4f().translate([edge + 50, 0, height]).scale(50)
+    frame = render(
+        mi,
+        sensor=sensor,
+        square={"type": "rectangle", "bsdf": metal},
+        ceiling={"type": "rectangle", "to_world": ceiling},
+        lamp={"type": "point", "position": [0, 0, 1], "intensity": 1.0},
+        spp=2048,
+    )
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.wi = mi.Vector3f(view.tolist())
+    rng = mi.PCG32(count)
+    point = mi.Point2f(rng.next_float32(), rng.next_float32())
+    chosen, weight = mi.load_dict(metal).sample(mi.BSDFContext(), si, rng.next_float32(), point)
+    out = np.array(chosen.wo).T[np.array(weight[0]) > 0]
+    distance = height / out[:, 2]
+    inverse = np.where((distance * out[:, 0] > edge) & (distance * out[:, 0] < edge + 100), 1.0 / distance, 0.0)
+    assert 0.3 < np.mean(inverse > 0) < 0.9
+    assert np.allclose(1.0 / frame.gbuffer.hit_distance.mean(), inverse.mean(), rtol=0.02)
+    where = (distance[:, None] * out * inverse[:, None]).sum(axis=0) / inverse.sum()
+    assert np.allclose(frame.gbuffer.hit_position.mean(axis=(0, 1)), where, atol=0.05)
+
+
 def test_guides_of_a_silhouette_belong_to_one_surface(mi: Any) -> None:
     """No pixel may show a normal, position or alpha between the ball's and the floor's."""
     ball = {"type": "sphere", "center": [0, 1, 0], "radius": 1.0, "bsdf": {"type": "roughconductor", "alpha": 0.5}}

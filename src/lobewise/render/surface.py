@@ -112,10 +112,9 @@ def make_no_surface() -> Surface:
 
 
 def _make_surface(material: Material, si: Any, frame: WorldFrame, **found: Any) -> Surface:
-    side = dr.select(si.wi.z < 0, -1.0, 1.0)
     return replace(
         make_no_surface(),
-        normal=mi.Vector3f(frame.n * side),
+        normal=mi.Vector3f(frame.n),
         tangent=mi.Vector3f(frame.s),
         lobe_kind=mi.Float(int(material.lobe_kind)),
         **{"opacity": mi.Float(1), **found},
@@ -326,7 +325,7 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
     reflects more specularly; a clear coat is counted to the main lobe and its own is not described.
     """
     surface = _describe(material, si, make_world_frame(si), active)
-    # An interpolated normal may face away from the viewer at a silhouette although the surface does not.
+    # The surface may be seen from behind; and an interpolated normal may face away although the surface does not.
     away = dr.dot(surface.normal, si.to_world(si.wi)) < 0
     surface.normal = dr.select(away, -surface.normal, surface.normal)
     # Where no lobe reflects there is none, whatever the plugin could do elsewhere.
