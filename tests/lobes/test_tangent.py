@@ -276,7 +276,7 @@ def test_kernel_form_is_exact_where_nothing_is_dropped(angle):
     axes = [np.array([np.sin(0.5 * a), 0.0, np.cos(0.5 * a)]) for a in (angle, -angle)]
     lobes = [TangentLobe(z, variance * (np.eye(3) - np.outer(z, z))[UPPER], np.asarray(variance**2)) for z in axes]
     square = (2.0 * np.sin(0.5 * angle)) ** 2
-    # the determinant is held at 4 v^2, above its true value in the plane across the middle axis, where d is foreshortened
+    # the determinant is held at 4 v^2, above its true value across the middle axis, where d is foreshortened
     q = square * 2.0 * variance / (4.0 * variance**2)
     assert tangent.tangent_approx_similarity(*lobes) == pytest.approx((1.0 + 0.25 * q) ** -2.4, rel=1e-10)
     q /= np.cos(0.5 * angle) ** 2

@@ -39,7 +39,7 @@ def blinn_exponent_from_alpha(alpha: ArrayLike) -> Array:
 def alphas_from_anisotropy(roughness: ArrayLike, anisotropy: ArrayLike, floor: float = 1e-3) -> tuple[Array, Array]:
     """Return (alpha_u, alpha_v) of a perceptual ``roughness`` and an ``anisotropy`` in [0, 1].
 
-    Source: Burley 2012, section 5.4: ``aspect = sqrt(1 - 0.9 anisotropy)``, ``alpha_u = r^2 / aspect``,
+    Source: Burley 2012: ``aspect = sqrt(1 - 0.9 anisotropy)``, ``alpha_u = r^2 / aspect``,
     ``alpha_v = r^2 aspect``; neither below ``floor`` (0.001 in the usual "principled" implementations).
     ``alpha_u`` may exceed 1.
     """
