@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lobewise.lobes.roughness import sg_sharpness_from_ggx
 from lobewise.lobes.vectors import Array, as_reals, divide_or, dot, normalize, reflect
 
 MIN_WARP_COSINE = 0.1
@@ -232,8 +233,6 @@ def reflect_ggx_sg(
     corrected, fit
         See `ggx_dominant_visible_normal` and `sg_sharpness_from_ggx`.
     """
-    from lobewise.lobes.roughness import sg_sharpness_from_ggx
-
     view, alpha_u, alpha_v = as_reals(view, alpha_u, alpha_u if alpha_v is None else alpha_v)
     sharpness = sg_sharpness_from_ggx(np.sqrt(alpha_u * alpha_v), fit)
     if dominant:
