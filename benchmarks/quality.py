@@ -1,7 +1,8 @@
 """Error of every similarity on the four built-in scenes at 1, 4, 16 and 64 samples per pixel.
 
 Both of the paper's baselines are tuned by grid search on each frame against its reference (so they are at least as
-good as a user could make them); ours runs with its defaults. Writes a JSON with everything and prints a table.
+good as a user could make them); ours runs with its defaults. Writes a JSON with everything and prints a table; scenes
+and sample counts that a run leaves out keep their rows, each of which names its commit.
 
     python benchmarks/quality.py --cache ~/.cache/lobewise-quality -o benchmarks/results/quality.json
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -123,10 +125,14 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     rows: dict[str, dict[str, Any]] = {}
+    if arguments.output.exists():
+        rows = json.loads(arguments.output.read_text())["scenes"]
     for scene in arguments.scene or SCENES:
         reference = fetch_reference(arguments.cache, scene)
         for spp in arguments.spp or SAMPLES:
-            row = rows.setdefault(scene, {})[str(spp)] = run_frame(fetch(arguments.cache, scene, spp), reference)
+            row = run_frame(fetch(arguments.cache, scene, spp), reference)
+            row["commit"] = describe_machine()["commit"]
+            rows.setdefault(scene, {})[str(spp)] = row
             shown = ("noisy", "normal", "band-limited", "sg", "ggx", "default", "oidn")
             cells = "  ".join(f"{name} {row[name]['rel_mse']:.4f}" for name in shown if name in row)
             ratio = f"{row['default_over_normal']:.2f}, specular {row['default_over_normal_specular']:.2f}"
@@ -146,7 +152,11 @@ def main() -> None:
                 "beta": BETAS,
                 "fixed": {"radius": DenoiseSettings().radius, "form": "full"},
             },
-            "scenes": rows,
+            "scenes": {
+                scene: {str(spp): rows[scene][str(spp)] for spp in SAMPLES if str(spp) in rows[scene]}
+                for scene in SCENES
+                if scene in rows
+            },
         },
     )
 
