@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -219,11 +220,12 @@ class TestMistakes:
         assert "expected a file name, got a directory" in fail(capsys, "render", "showroom", "-o", tmp_path)
 
     def test_unwritable_paths(self, frame_file, tmp_path, capsys):
+        os.mkfifo(tmp_path / "pipe")
         for path, words in (
             (frame_file / "out.exr", "which is not a folder"),
             (tmp_path / "missing" / "out.exr", "no folder"),
             ("/proc/out.exr", ""),
-            ("/dev/null", "a device or pipe"),
+            (tmp_path / "pipe", "a device or pipe"),
         ):
             err = fail(capsys, "denoise", frame_file, "-o", path)
             assert f"output '{path}'" in err

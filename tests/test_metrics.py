@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from lobewise import metrics
-from lobewise.errors import InputError, MissingDependencyError
+from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
+from lobewise.frame import GBuffer
 
 NUMBERS = ("mse", "rel_mse", "smape", "psnr")
 
@@ -94,6 +95,14 @@ class TestFlip:
         with pytest.raises(InputError, match=r"values in \[0, 1\]"):
             metrics.flip(black, 2.0 * white, hdr=False)
 
+    def test_the_reference_is_the_reference(self, pair):
+        import flip_evaluator
+
+        a, r = (np.maximum(10.0 * x, 0.0).astype(np.float32) * scale for x, scale in zip(pair, (1.0, 0.1), strict=True))
+        expected = flip_evaluator.evaluate(r, a, "HDR", applyMagma=False)[1]
+        assert metrics.flip(a, r) == pytest.approx(expected, rel=1e-4)
+        assert flip_evaluator.evaluate(a, r, "HDR", applyMagma=False)[1] != pytest.approx(expected, rel=1e-3)
+
     def test_mask_and_map(self, pair, rng):
         mask = rng.random((6, 5)) < 0.4
         image = metrics.make_error_map(*pair, "flip")
@@ -154,3 +163,12 @@ def test_unknown_names_and_peaks(pair):
     for peak in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(InputError, match="peak"):
             metrics.psnr(*pair, peak=peak)
+
+
+def test_specular_pixels():
+    kinds = GBuffer(lobe_kind=[[0.0, 1.0, 2.0, 3.0, 0.2, 0.8]], specular_albedo=np.zeros((1, 6, 3)))
+    assert metrics.find_specular_pixels(kinds).tolist() == [[False, True, True, True, False, True]]
+    albedos = GBuffer(specular_albedo=[[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]])
+    assert metrics.find_specular_pixels(albedos).tolist() == [[False, True]]
+    with pytest.raises(MissingChannelError, match="lobe_kind or specular_albedo"):
+        metrics.find_specular_pixels(GBuffer())

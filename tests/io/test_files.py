@@ -66,16 +66,19 @@ class TestOutputs:
             ("", "a directory"),
             ("missing/a.exr", "no folder '.*missing'"),
             ("file/a.exr", "'.*file', which is not a folder"),
-            ("/dev/null", "a device or pipe"),
+            ("pipe", "a device or pipe"),
             ("/proc/a.exr", "no such file or directory|permission denied"),
             ("a\0b.exr", "embedded null"),
         ],
     )
     def test_unwritable(self, path, words, tmp_path):
         (tmp_path / "file").write_text("")
+        # A pipe and not a device: a mistake of ours must not cost the machine its /dev/null.
+        os.mkfifo(tmp_path / "pipe")
         with pytest.raises(FileError, match=rf"^output '.*': expected .*, got {words}.*; .*\.$"):
             write_frame(tmp_path / path, FRAME)
-        assert list_names(tmp_path) == ["file"]
+        assert list_names(tmp_path) == ["file", "pipe"]
+        assert (tmp_path / "pipe").is_fifo()
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
     def test_forbidden(self, tmp_path):
