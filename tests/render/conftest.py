@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import pytest
 
 from lobewise.errors import MissingDependencyError
-from lobewise.frame import Frame
+from lobewise.frame import Frame, GBuffer
 from lobewise.render import load_mitsuba
 
 
@@ -25,18 +26,13 @@ def mi() -> Any:
 
 
 @pytest.fixture(scope="session")
-def furnace(mi: Any) -> Callable[..., Frame]:
-    """Return a function that renders a square of a material, seen at an angle under a white sky.
+def make_furnace(mi: Any) -> Callable[..., Any]:
+    """Return a function that makes the scene of a square of a material, seen at an angle under a white sky."""
 
-    The radiance of a lobe is then its directional albedo.
-    """
-
-    def render(bsdf: dict[str, Any], *, cos_view: float = 0.8, spp: int = 512, behind: bool = False) -> Frame:
-        from lobewise.render import render_frame
-
+    def make(bsdf: dict[str, Any], *, cos_view: float = 0.8, behind: bool = False) -> Any:
         sine = (1.0 - cos_view**2) ** 0.5
         side = -1.0 if behind else 1.0
-        scene = mi.load_dict(
+        return mi.load_dict(
             {
                 "type": "scene",
                 "sensor": {
@@ -51,9 +47,35 @@ def furnace(mi: Any) -> Callable[..., Frame]:
                 "sky": {"type": "constant"},
             }
         )
-        return render_frame(scene, spp=spp, seed=5)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def furnace(make_furnace: Callable[..., Any]) -> Callable[..., Frame]:
+    """Return a function that renders such a scene; the radiance of a lobe is its directional albedo."""
+    from lobewise.render import render_frame
+
+    def render(bsdf: dict[str, Any], *, spp: int = 512, **view: Any) -> Frame:
+        return render_frame(make_furnace(bsdf, **view), spp=spp, seed=5)
 
     return render
+
+
+@pytest.fixture(scope="session")
+def guide(make_furnace: Callable[..., Any]) -> Callable[..., GBuffer]:
+    """Return a function that finds the guides of such a scene that come from pixel centres, without tracing paths."""
+    from lobewise.render import get_camera
+    from lobewise.render.bsdfs import read_scene_materials
+    from lobewise.render.gbuffer import to_image, trace_guides
+
+    def find(bsdf: dict[str, Any], **view: Any) -> GBuffer:
+        scene = make_furnace(bsdf, **view)
+        guides = trace_guides(scene, read_scene_materials(scene), get_camera(scene), pixels=(0, 64), size=(8, 8))
+        images = {name: to_image(value) for name, value in guides.items() if not name.startswith("mirror")}
+        return GBuffer(**{name: image.reshape(8, 8, *image.shape[1:]) for name, image in images.items()})
+
+    return find
 
 
 @pytest.fixture(scope="session")
@@ -93,3 +115,14 @@ def make_box_scene(mi: Any) -> Callable[..., Any]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def built_in_frames(mi: Any) -> Callable[[str], Frame]:
+    """Return a function that renders a built-in scene, 24x24 at 256 samples, once.
+
+    Frames are kept and scenes are not: Dr.Jit compiles every BSDF that lives into every kernel.
+    """
+    from lobewise.render import load_scene, render_frame
+
+    return lru_cache(lambda name: render_frame(load_scene(name, width=24), spp=256, seed=3))

@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from lobewise.errors import UnsupportedBsdfError
-from lobewise.frame import Frame, LobeKind
+from lobewise.frame import Frame, GBuffer, LobeKind
 from tests.render.tolerances import ALBEDO_FIT, EXACT, GLASS_FIT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
 
 pytestmark = pytest.mark.mitsuba
 
 Furnace = Callable[..., Frame]
+Guide = Callable[..., GBuffer]
 
 
 def rgb(*value: float) -> dict[str, Any]:
@@ -106,9 +107,9 @@ def middle(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "bsdf", "kind", "alpha_u", "alpha_v"), ALPHAS, ids=[case[0] for case in ALPHAS])
 def test_alpha_and_kind(
-    furnace: Furnace, name: str, bsdf: dict[str, Any], kind: LobeKind, alpha_u: float, alpha_v: float
+    guide: Guide, name: str, bsdf: dict[str, Any], kind: LobeKind, alpha_u: float, alpha_v: float
 ) -> None:
-    gbuffer = furnace(bsdf, spp=1).gbuffer
+    gbuffer = guide(bsdf)
     assert np.all(gbuffer.lobe_kind == kind)
     assert np.allclose(gbuffer.alpha_u, alpha_u, atol=EXACT)
     assert np.allclose(gbuffer.alpha_v, alpha_v, atol=EXACT)
@@ -117,25 +118,25 @@ def test_alpha_and_kind(
 @pytest.mark.parametrize(("name", "wrap"), WRAPPERS, ids=[case[0] for case in WRAPPERS])
 @pytest.mark.parametrize("bsdf", [METAL, PLASTIC, {"type": "principled", "roughness": 0.4}], ids=lambda b: b["type"])
 def test_wrappers_are_opened(
-    furnace: Furnace, name: str, wrap: Callable[[dict[str, Any]], dict[str, Any]], bsdf: dict[str, Any]
+    guide: Guide, name: str, wrap: Callable[[dict[str, Any]], dict[str, Any]], bsdf: dict[str, Any]
 ) -> None:
-    bare, wrapped = furnace(bsdf, spp=1).gbuffer, furnace(wrap(bsdf), spp=1).gbuffer
+    bare, wrapped = guide(bsdf), guide(wrap(bsdf))
     for field in ("alpha_u", "alpha_v", "lobe_kind", "normal"):
         assert np.allclose(getattr(bare, field), getattr(wrapped, field), atol=1e-3), field
 
 
 @pytest.mark.parametrize("name", ["roughconductor", "roughdielectric"])
-def test_alpha_texture_is_read_at_the_hit(furnace: Furnace, name: str) -> None:
+def test_alpha_texture_is_read_at_the_hit(guide: Guide, name: str) -> None:
     bsdf = {"type": name, "distribution": "ggx", "alpha": ramp_texture(0.05, 0.55)}
-    gbuffer = furnace(bsdf, spp=1, cos_view=1.0).gbuffer
+    gbuffer = guide(bsdf, cos_view=1.0)
     u = 0.5 * (gbuffer.position[..., 0] + 1.0)
     assert np.ptp(u) > 0.01
     assert np.allclose(gbuffer.alpha_u, 0.05 + 0.5 * u, atol=1e-4)
 
 
-def test_roughness_texture_of_principled_is_squared_at_the_hit(furnace: Furnace) -> None:
+def test_roughness_texture_of_principled_is_squared_at_the_hit(guide: Guide) -> None:
     bsdf = {"type": "principled", "roughness": ramp_texture(0.2, 0.8), "anisotropic": ramp_texture(0.0, 1.0)}
-    gbuffer = furnace(bsdf, spp=1, cos_view=1.0).gbuffer
+    gbuffer = guide(bsdf, cos_view=1.0)
     u = 0.5 * (gbuffer.position[..., 0] + 1.0)
     aspect = np.sqrt(1 - 0.9 * u)
     assert np.allclose(gbuffer.alpha_u, (0.2 + 0.6 * u) ** 2 / aspect, atol=1e-4)
@@ -251,23 +252,23 @@ def test_two_sided_material_of_two_kinds_shows_the_side_that_is_seen(furnace: Fu
     assert rear.diffuse_albedo.min() > 0
 
 
-def test_blend_takes_the_lobe_that_reflects_more(furnace: Furnace) -> None:
+def test_blend_takes_the_lobe_that_reflects_more(guide: Guide) -> None:
     strong, weak = {**METAL, "alpha": 0.1}, {**PLASTIC, "alpha": 0.4}
     for weight, alpha in ((0.2, 0.1), (0.8, 0.1), (0.99, 0.4)):
-        gbuffer = furnace({"type": "blendbsdf", "weight": weight, "a": strong, "b": weak}, spp=1).gbuffer
+        gbuffer = guide({"type": "blendbsdf", "weight": weight, "a": strong, "b": weak})
         assert np.allclose(gbuffer.alpha_u, alpha, atol=EXACT), weight
-    mirrored = furnace({"type": "blendbsdf", "weight": 0.8, "a": weak, "b": strong}, spp=1).gbuffer
+    mirrored = guide({"type": "blendbsdf", "weight": 0.8, "a": weak, "b": strong})
     assert np.allclose(mirrored.alpha_u, 0.1, atol=EXACT)
 
 
-def test_blend_weight_texture_is_read_at_the_hit(furnace: Furnace) -> None:
+def test_blend_weight_texture_is_read_at_the_hit(guide: Guide) -> None:
     bsdf = {
         "type": "blendbsdf",
         "weight": ramp_texture(-20.0, 21.0),
         "a": {**METAL, "alpha": 0.1},
         "b": {**METAL, "alpha": 0.4},
     }
-    gbuffer = furnace(bsdf, spp=1, cos_view=1.0).gbuffer
+    gbuffer = guide(bsdf, cos_view=1.0)
     expected = np.where(gbuffer.position[..., 0] > 0, 0.4, 0.1)
     assert set(np.unique(expected)) == {0.1, 0.4}
     assert np.allclose(gbuffer.alpha_u, expected, atol=EXACT)
@@ -310,16 +311,15 @@ def make_maps() -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-@pytest.mark.parametrize("behind", [False, True], ids=["front", "behind"])
-@pytest.mark.parametrize("case", range(8))
+@pytest.mark.parametrize(
+    ("case", "behind"), [(case, False) for case in range(8)] + [(1, True), (4, True), (5, True), (7, True)]
+)
 def test_lobe_widens_by_alpha_along_the_tangent(mi: Any, case: int, behind: bool) -> None:
     """Tilt the half vector from the told normal along the told axes: the BSDF must fall as GGX of the told alphas."""
     from lobewise.render.bsdfs import read_material
     from lobewise.render.surface import describe_material
 
     name, bsdf_dict = make_maps()[case]
-    if behind and "twosided" not in str(bsdf_dict["type"]):
-        pytest.skip("one-sided: nothing is seen from behind")
     turn = mi.ScalarTransform4f().rotate([0.3, 1.0, -0.5], 40)
     scene = mi.load_dict({"type": "scene", "square": {"type": "rectangle", "to_world": turn, "bsdf": bsdf_dict}})
     bsdf = scene.shapes()[0].bsdf()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.frame import Frame
+from lobewise.render import list_scenes, load_scene
 from tests.render.tolerances import FRACTION_BEYOND, NOISE, Z_BLOCK, Z_MEAN, Z_USUAL
 
 pytestmark = pytest.mark.mitsuba
@@ -50,14 +51,16 @@ def pool(image: np.ndarray, size: int) -> np.ndarray:
     return image.reshape(height // size, size, width // size, size, channels).mean(axis=(1, 3))
 
 
-def compare_with_mitsuba(mi: Any, scene: Any, spp: int, max_depth: int = 8, *, has_sparks: bool = False) -> None:
+def compare_with_mitsuba(
+    mi: Any, scene: Any, spp: int, max_depth: int = 8, *, frame: Frame | None = None, has_sparks: bool = False
+) -> None:
     """Test pixels, blocks of 4x4 and the mean over the image, in standard errors of two independent renders.
 
     The variance of a pixel is pooled over its block: alone, it is low just where a rare bright sample was missed.
     """
     from lobewise.render import render_frame
 
-    frame = render_frame(scene, spp=spp, seed=3, max_depth=max_depth)
+    frame = frame or render_frame(scene, spp=spp, seed=3, max_depth=max_depth)
     assert frame.variance is not None
     error = frame.radiance.color.astype(np.float64) - render_theirs(mi, scene, spp, 11, max_depth)
     variance = 2.0 * frame.variance.color.astype(np.float64) + 1e-8
@@ -86,12 +89,13 @@ def test_agrees_with_mitsuba_on_smooth_surfaces_and_sky(mi: Any, make_box_scene:
     compare_with_mitsuba(mi, make_box_scene(items), 512)
 
 
-@pytest.mark.parametrize("name", ["showroom", "brushed", "parlour", "sparks"])
-def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str) -> None:
-    from lobewise.render import load_scene
+@pytest.mark.parametrize("name", list_scenes())
+def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str, built_in_frames: Callable[[str], Frame]) -> None:
+    frame = built_in_frames(name)
+    scene = load_scene(name, width=frame.width)
 
     # Of small lights and their caustics some pixels catch one sample and some none; their variance means nothing.
-    compare_with_mitsuba(mi, load_scene(name, width=24, height=24), 256, has_sparks=name == "sparks")
+    compare_with_mitsuba(mi, scene, frame.spp or 0, frame=frame, has_sparks=name == "sparks")
 
 
 @pytest.fixture(scope="module")

@@ -97,26 +97,34 @@ class Material:
         return any(node.plugin in ("mask", "null") for node in self)
 
 
-def _list_parameters(bsdf: Any) -> tuple[dict[str, Any], set[str]]:
-    """Return the objects that a BSDF holds, by name, and the names of its plain numbers."""
-    objects: dict[str, Any] = {}
-    numbers: set[str] = set()
+@lru_cache(maxsize=1)
+def _make_collector_type() -> Any:
+    """Return the class that a BSDF tells its parameters to; its base exists only once a variant is set.
 
-    class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba ships no type information
+    It is made once: a class made for every walk would hold what it saw until the garbage collector finds the cycle,
+    and Dr.Jit compiles every BSDF that lives into every kernel.
+    """
+
+    class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba is untyped here
+        def __init__(self) -> None:
+            super().__init__()
+            self.objects: dict[str, Any] = {}
+            self.numbers: set[str] = set()
+
         def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
             if isinstance(value, mi.Object):
-                objects[name] = value
+                self.objects[name] = value
             else:
-                numbers.add(name)
+                self.numbers.add(name)
 
-        def put_object(self, name: str, value: Any, flags: Any) -> None:  # Mitsuba 3.6 calls these two
-            self.put(name, value, flags)
+    return Collector
 
-        def put_parameter(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
-            self.put(name, value, flags)
 
-    bsdf.traverse(Collector())
-    return objects, numbers
+def _list_parameters(bsdf: Any) -> tuple[dict[str, Any], set[str]]:
+    """Return the objects that a BSDF holds, by name, and the names of its plain numbers."""
+    collector = _make_collector_type()()
+    bsdf.traverse(collector)
+    return collector.objects, collector.numbers
 
 
 def _read_lobe_kind(plugin: str, text: str) -> LobeKind:

@@ -76,10 +76,10 @@ def trace_guides(
     Beside the fields of `GBuffer` these are ``mirror_count`` (1 where a mirror ray was sent), ``mirror_inverse`` (its
     1/t) and ``mirror_position`` (its hit over t).
     """
-    width, height = size
+    width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
-    x = (mi.Float(pixel % width) + 0.5) / width
-    y = (mi.Float(pixel // width) + 0.5) / height
+    x = (mi.Float(pixel % width) + 0.5) / mi.Float(width)
+    y = (mi.Float(pixel // width) + 0.5) / mi.Float(height)
     ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     si, surface = _find_first_opaque(scene, materials, ray)
     found = si.is_valid()

@@ -153,7 +153,9 @@ def _add(sample: Sample, bounces: Any, share: Any, value: Any, split: bool) -> N
     sample.indirect += dr.select(bounces > 1, value, 0.0)
 
 
-def trace_path(scene: Any, materials: dict[int, Material], ray: Any, rng: Any, settings: PathSettings) -> Sample:
+def trace_path(
+    scene: Any, materials: dict[int, Material], ray: Any, rng: Any, settings: PathSettings, max_depth: Any
+) -> Sample:
     """Trace one path per lane, with next-event estimation and multiple importance sampling at every vertex.
 
     Departs from Mitsuba's ``path`` integrator in what it keeps, not in what it estimates: the same sampling, weights
@@ -186,7 +188,7 @@ def trace_path(scene: Any, materials: dict[int, Material], ray: Any, rng: Any, s
             weight = _weigh(path.last_pdf, light_pdf)
             _add(sample, path.bounces, path.share, path.throughput * emitted * weight, split)
 
-        going = found & (path.depth + 1 < settings.max_depth)
+        going = found & (path.depth + 1 < max_depth)
         bsdf = si.bsdf(path.ray)
         first = going & (path.bounces == 0)
 
@@ -311,11 +313,12 @@ def add_samples(
     size : (int, int)
         Width and height of the image.
     """
-    width, height = size
     sensor = scene.sensors()[0]
+    # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
+    width, height = (dr.opaque(mi.UInt32, length) for length in size)
+    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     column, row = pixel % width, pixel // width
-    # Opaque numbers keep the compiled kernel valid for the next chunk.
     end = dr.opaque(mi.UInt32, samples[1])
     seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
 
@@ -327,10 +330,11 @@ def add_samples(
         state, sequence = mi.sample_tea_32(state, sequence ^ seed_value)
         rng = mi.PCG32()
         rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
-        x = (mi.Float(column) + rng.next_float32()) / width
-        y = (mi.Float(row) + rng.next_float32()) / height
+        x = (mi.Float(column) + rng.next_float32()) / mi.Float(width)
+        y = (mi.Float(row) + rng.next_float32()) / mi.Float(height)
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-        _accumulate(sums, trace_path(scene, materials, ray, rng, settings), index, settings.guides)
+        sample = trace_path(scene, materials, ray, rng, settings, max_depth)
+        _accumulate(sums, sample, index, settings.guides)
         return index + 1, sums
 
     index = dr.opaque(mi.UInt32, samples[0])
