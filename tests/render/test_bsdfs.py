@@ -61,6 +61,13 @@ ALPHAS = [
         0.25 / np.sqrt(1 - 0.9 * 0.8),
         0.25 * np.sqrt(1 - 0.9 * 0.8),
     ),
+    (
+        "rough brushed principled",
+        {"type": "principled", "roughness": 1.0, "anisotropic": 1.0},
+        LobeKind.GGX,
+        1.0,
+        np.sqrt(0.1),
+    ),
     ("smooth principled", {"type": "principled", "roughness": 0.0}, LobeKind.GGX, 0.001, 0.001),
 ]
 

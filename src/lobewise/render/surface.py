@@ -99,7 +99,7 @@ def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v
     Departs: two alphas count as their root mean square, which against sampling is off by at most 0.03 (their geometric
     mean by 0.12), and Beckmann's shorter tails lose what GGX of half the alpha loses, within 0.05 up to alpha 0.35.
     """
-    alpha = dr.sqrt(0.5 * (dr.square(alpha_u) + dr.square(alpha_v)))
+    alpha = dr.minimum(dr.sqrt(0.5 * (dr.square(alpha_u) + dr.square(alpha_v))), 1.0)
     if material.lobe_kind == LobeKind.BECKMANN:
         alpha *= 0.5
     return mi.Color3f(dr.clip(ggx_directional_albedo(cos_view, alpha, f0), 0.0, 1.0))
@@ -328,6 +328,8 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
     # The surface may be seen from behind; and an interpolated normal may face away although the surface does not.
     away = dr.dot(surface.normal, si.to_world(si.wi)) < 0
     surface.normal = dr.select(away, -surface.normal, surface.normal)
+    # Textures, and a principled BSDF that is rough and brushed, can ask for more than the widest lobe that guides tell.
+    surface.alpha_u, surface.alpha_v = dr.clip(surface.alpha_u, 0.0, 1.0), dr.clip(surface.alpha_v, 0.0, 1.0)
     # Where no lobe reflects there is none, whatever the plugin could do elsewhere.
     dark = dr.max(surface.specular_albedo) <= 0
     surface.lobe_kind = dr.select(dark, float(LobeKind.NONE), surface.lobe_kind)
