@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import OpenEXR
 import pytest
-from exr_bytes import read_attributes
+from exr_bytes import inject_attributes, read_attributes
 
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io import describe_file, read_frame, read_image, write_frame
@@ -86,6 +86,28 @@ def test_impossible_sizes_are_told(whole, window, words):
     path.write_bytes(data[:at] + struct.pack("<4i", *window) + data[at + 16 :])
     with pytest.raises(FileError, match=words):
         read_frame(path)
+
+
+def test_an_attribute_twice_is_damage(whole):
+    data, path = whole
+    path.write_bytes(data)
+    inject_attributes(path, [(b"compression", b"compression", b"\0")])
+    with pytest.raises(FileError, match="a damaged header"):
+        read_frame(path)
+
+
+def test_tiles_far_larger_than_the_image_are_damage(rng, tmp_path):
+    path = tmp_path / "a.exr"
+    header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+    header["tiles"].xSize = header["tiles"].ySize = 16
+    OpenEXR.File(header, {name: rng.random((16, 16)).astype("f") for name in "RGB"}).write(str(path))
+    data = path.read_bytes()
+    at = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
+    path.write_bytes(data[:at] + struct.pack("<II", 2**15, 2**15) + data[at + 8 :])
+    with pytest.raises(FileError, match="a damaged attribute 'tiles'"):
+        read_frame(path)
+    path.write_bytes(data[:at] + struct.pack("<II", 2**11, 2**11) + data[at + 8 :])
+    assert read_image(path).shape == (16, 16, 3)
 
 
 def test_damaged_pixels_are_told_without_noise(whole, capfd):
