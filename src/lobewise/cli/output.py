@@ -83,7 +83,7 @@ def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
     """Print the devices, those that cannot run with the reason."""
     table = Table()
     for title in ("device", "runs here", "what it is, or why not"):
-        table.add_column(title)
+        table.add_column(title, overflow="fold")
     for name, available, reason in devices:
         table.add_row(Text(name), "yes" if available else "no", Text(reason))
     _Console().print(table)
