@@ -198,7 +198,7 @@ def test_input_is_left_alone() -> None:
         ({"radius": 2.5}, "radius: expected an integer"),
         ({"beta": 0.0}, 'beta: expected "auto" or a finite number above 0, got 0.0'),
         ({"beta": "high"}, "beta: expected"),
-        ({"tau": float("nan")}, "tau: expected a finite number above 0"),
+        ({"tau": float("nan")}, 'tau: expected "auto" or a finite number above 0'),
         ({"device": "gpu"}, "device: expected one of auto, cpu"),
         ({"bandwidth": 3.0}, "setting: expected one of"),
     ],

@@ -16,7 +16,7 @@ from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.engine import FORMS, FilterOutput, choose_device, run_filter
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.lobe_features import DiffuseFeature, GgxFeature, SgFeature
-from lobewise.lobes.field import LobeField, build_lobe_field
+from lobewise.lobes.field import LobeField, build_lobe_field, default_tau
 
 SIMILARITIES = ("auto", "normal", "sg", "ggx")
 DEFAULT_SIMILARITY = "ggx"
@@ -47,8 +47,9 @@ class DenoiseSettings:
         Standard deviation of the screen distance, pixels, > 0; not used by "atrous". "auto" follows radius and noise.
     position_sigma : float
         Standard deviation of the distance in the scene, in pixel footprints, > 0.
-    tau : float or None
-        Band-limit of the lobes, radians, > 0 (see `lobewise.lobes.field`); None for the pixel's angle.
+    tau : float or "auto"
+        Band-limit of the lobes, radians, 1e-5 to 1 (see `lobewise.lobes.field`): what makes a mirror's lobe finite.
+        "auto" follows the noise, down to the angle of a pixel.
     normal_exponent : float
         Sharpness with which "normal" compares normals, > 0.
     band_limit : float or None
@@ -63,7 +64,7 @@ class DenoiseSettings:
     device: str = "auto"
     screen_sigma: float | str = "auto"
     position_sigma: float = 16.0
-    tau: float | None = None
+    tau: float | str = "auto"
     normal_exponent: float = 64.0
     band_limit: float | None = None
 
@@ -79,15 +80,14 @@ class DenoiseSettings:
                     action="8 is usual; form='atrous' reaches further",
                 )
             )
-        for name in ("beta", "diffuse_beta", "screen_sigma"):
+        for name in ("beta", "diffuse_beta", "screen_sigma", "tau"):
             value = getattr(self, name)
             if value != "auto":
                 _require_positive(name, value, '"auto" or a finite number above 0')
-        for name in ("tau", "band_limit"):
-            if getattr(self, name) is not None:
-                _require_positive(name, getattr(self, name), "a finite number above 0")
         for name in ("position_sigma", "normal_exponent"):
             _require_positive(name, getattr(self, name), "a finite number above 0")
+        if self.band_limit is not None:
+            _require_positive("band_limit", self.band_limit, "a finite number above 0")
 
 
 def _require_positive(name: str, value: Any, expected: str) -> None:
@@ -139,7 +139,7 @@ def choose_beta(spp: float) -> float:
     The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
     with the cube root of the sample count; the factor is fitted (benchmarks/results/quality.json, "tuned beta").
     """
-    return min(max(2.0 * math.pow(spp, 1.0 / 3.0), 2.0), 64.0)
+    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 2.0), 64.0)
 
 
 def choose_screen_sigma(spp: float, radius: int) -> float:
@@ -147,7 +147,16 @@ def choose_screen_sigma(spp: float, radius: int) -> float:
 
     It bounds what lobes cannot see: how fast the reflected light itself changes.
     """
-    return max(0.6 * radius * min(1.0, math.pow(4.0 / spp, 0.25)), 0.5)
+    return max(0.6 * radius * min(1.0, math.pow(8.0 / spp, 0.25)), 0.5)
+
+
+def choose_tau(spp: float, pixel_tau: float) -> float:
+    """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
+
+    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does. The
+    bound was fitted on the built-in scenes; it shrinks slowly, so that mirrors become sharp as their noise goes.
+    """
+    return max(0.03 * min(1.0, math.pow(16.0 / spp, 0.25)), pixel_tau)
 
 
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
@@ -238,6 +247,7 @@ def _make_layers(frame: Frame, settings: DenoiseSettings) -> list[_Layer]:
     normal = _require_channel(guides.normal, "normal", settings)
     apart = radiance.diffuse is not None and radiance.specular is not None
     assert not isinstance(settings.beta, str) and not isinstance(settings.diffuse_beta, str)
+    assert not isinstance(settings.tau, str)
     surface = _find_surface(frame)
     lobes: LobeField | None = None
     if settings.similarity != "normal" or settings.band_limit is not None:
@@ -255,7 +265,7 @@ def _make_layers(frame: Frame, settings: DenoiseSettings) -> list[_Layer]:
             frame.camera,
             tau=settings.tau,
             representation="ggx" if settings.similarity == "ggx" else "sg",
-            diffuse_fallback=not apart,
+            diffuse_fallback=True,
         )
     position = _make_position_features(frame, settings)
     specular = _make_specular_feature(frame, settings, lobes, settings.beta)
@@ -295,9 +305,11 @@ def resolve_settings(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings
     """Return ``settings`` with every "auto" replaced by what it stands for on this frame."""
     spp = estimate_spp(frame)
     beta = choose_beta(spp)
-    sigma = settings.screen_sigma
+    sigma, tau = settings.screen_sigma, settings.tau
+    pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     return replace(
         settings,
+        tau=choose_tau(spp, pixel_tau) if tau == "auto" else float(tau),
         screen_sigma=choose_screen_sigma(spp, settings.radius) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),
         beta=beta if settings.beta == "auto" else float(settings.beta),
