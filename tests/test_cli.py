@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -304,6 +305,17 @@ class TestCompare:
                 assert row[metric] == (None if np.isinf(value) else pytest.approx(value, rel=1e-6))
                 assert ("inf" if np.isinf(value) else f"{value:.5g}") in out
 
+    def test_the_best_stands_out(self, files, tmp_path, capsys, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        monkeypatch.setenv("TERM", "xterm")
+        assert run(["compare", "a.exr", "b.exr", "-r", "r.exr"]) == 0
+        bold = set(re.findall(r"\x1b\[1m *([0-9.]+)\x1b\[0m", capsys.readouterr().out))
+        figures = [evaluate(files[name], files["r"]) for name in "ab"]
+        best = {name: (max if name == "psnr" else min)(row[name] for row in figures) for name in figures[0]}
+        assert bold == {f"{value:.5g}" for value in best.values()}
+
     def test_json_on_standard_output_is_alone(self, files, tmp_path, capsys, monkeypatch):
         monkeypatch.chdir(tmp_path)
         assert run(["compare", "a.exr", "-r", "r.exr", "--json", "-"]) == 0
@@ -373,6 +385,10 @@ class TestRender:
         assert reference.radiance.color.max() > 0.0
         guides = read_frame(tmp_path / "guides.exr")
         assert guides.radiance.color.max() == 0.0
+        for name, kind in (("frame", "half"), ("guides", "float")):
+            assert {
+                one.pixel_type for one in describe_file(tmp_path / f"{name}.exr").parts[0].channels if one.name == "R"
+            } == {kind}
         np.testing.assert_array_equal(guides.gbuffer.normal, frame.gbuffer.normal)
         assert run(["denoise", str(tmp_path / "frame.exr"), "-o", str(tmp_path / "out.exr")]) == 0
 

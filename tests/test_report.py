@@ -69,6 +69,13 @@ class TestPng:
         image += rng.integers(0, 3, image.shape, dtype=np.uint8)
         np.testing.assert_array_equal(decode_png(encode_png(image))[0], image)
 
+    def test_ties_between_neighbours(self, rng):
+        ramp = 40 + 2 * np.add.outer(np.arange(64), np.arange(64))[..., None]
+        image = (ramp + rng.integers(-3, 4, (64, 64, 3))).astype(np.uint8)
+        stream = zlib.decompress(encode_png(image)[8 + 25 + 8 :][:-16])
+        assert stream[:: 64 * 3 + 1].count(4) > 10
+        np.testing.assert_array_equal(decode_png(encode_png(image))[0], image)
+
     def test_palette(self, rng):
         palette = rng.integers(0, 256, (256, 3), dtype=np.uint8)
         image = rng.integers(0, 256, (5, 7), dtype=np.uint8)
