@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import DenoiseSettings, choose_beta, denoise, estimate_spp
+from lobewise.denoising import (
+    DenoiseSettings,
+    choose_beta,
+    choose_screen_sigma,
+    choose_tau,
+    denoise,
+    estimate_spp,
+)
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance
 
@@ -171,13 +178,34 @@ def test_result_describes_itself() -> None:
     np.testing.assert_allclose(result.image, result.diffuse + result.specular, rtol=1e-5)
 
 
-def test_spp_is_estimated_from_variance() -> None:
+def test_noise_decides_what_the_samples_are_worth() -> None:
     frame = make_frame()
     mean = frame.radiance.color.mean(axis=-1, keepdims=True)
-    variance = Radiance(color=np.broadcast_to(mean**2 / 16.0, (*SHAPE, 3)))
+
+    def worth(relative_variance: float, spp: int | None) -> float:
+        variance = Radiance(color=np.broadcast_to(relative_variance * mean**2, (*SHAPE, 3)))
+        return estimate_spp(frame.with_changes(spp=spp, variance=variance))
+
     assert estimate_spp(frame) == 4.0
-    unknown = frame.with_changes(spp=None, variance=variance)
-    assert estimate_spp(unknown) == pytest.approx(16.0, rel=1e-3)
+    assert estimate_spp(frame.with_changes(spp=None)) == 4.0
+    assert worth(0.0825, 4) == pytest.approx(4.0, rel=1e-3)
+    assert worth(0.33, 4) == pytest.approx(1.0, rel=1e-3)
+    assert worth(0.0825, None) == pytest.approx(4.0, rel=1e-3)
+    assert worth(1e-12, None) == 4096.0
+    assert worth(np.nan, 64) == 64.0
+
+
+def test_parameters_follow_the_noise() -> None:
+    samples = [0.5, 1.0, 4.0, 16.0, 64.0, 1024.0]
+    betas = [choose_beta(spp) for spp in samples]
+    taus = [choose_tau(spp, 1e-4) for spp in samples]
+    sigmas = [choose_screen_sigma(spp, 8) for spp in samples]
+    assert betas == sorted(betas)
+    assert taus == sorted(taus, reverse=True)
+    assert sigmas == sorted(sigmas, reverse=True)
+    assert max(sigmas) == 8.0
+    assert choose_tau(1e9, 2e-3) == 2e-3
+    assert choose_screen_sigma(4.0, 0) > 0.0
 
 
 def test_input_is_left_alone() -> None:

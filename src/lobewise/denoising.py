@@ -116,21 +116,25 @@ def choose_similarity(frame: Frame, similarity: str) -> str:
 
 
 def estimate_spp(frame: Frame) -> float:
-    """Return the samples per pixel that the noise looks like, >= 1.
+    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
 
-    The stated count where there is one. Else from the variance of the mean: the median relative variance of a path
-    tracer's pixel is about 1 at one sample. Else 4.
+    Where the frame has its variance, the median relative variance of the mean is compared with what the built-in
+    ``showroom`` has at the same sample count, ``0.0825 (4/spp)^0.56`` (it falls more slowly than 1/spp because few
+    samples hide the tail). A dim, indirectly lit room is then worth fewer samples than it took. Without variance it is
+    the sample count itself, and without that 4.
     """
-    if frame.spp is not None:
-        return float(frame.spp)
+    spp = float(frame.spp) if frame.spp is not None else None
     if frame.variance is None:
-        return 4.0
-    mean = frame.radiance.color.mean(axis=-1)
-    variance = frame.variance.color.mean(axis=-1)
-    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0)
+        return spp or 4.0
+    mean, variance = frame.radiance.color.mean(axis=-1), frame.variance.color.mean(axis=-1)
+    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
     if not lit.any():
-        return 4.0
-    return float(np.clip(1.0 / max(float(np.median(variance[lit] / mean[lit] ** 2)), 1e-6), 1.0, 1e6))
+        return spp or 4.0
+    noise = max(float(np.median(variance[lit] / mean[lit] ** 2)), 1e-9)
+    if spp is None:
+        return float(np.clip(4.0 * math.pow(0.0825 / noise, 1.0 / 0.56), 0.25, 4096.0))
+    excess = noise / (0.0825 * math.pow(4.0 / spp, 0.56))
+    return spp / float(np.clip(excess, 0.25, 16.0))
 
 
 def choose_beta(spp: float) -> float:
@@ -139,7 +143,7 @@ def choose_beta(spp: float) -> float:
     The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
     with the cube root of the sample count; the factor is fitted (benchmarks/results/quality.json, "tuned beta").
     """
-    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 2.0), 64.0)
+    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
 
 
 def choose_screen_sigma(spp: float, radius: int) -> float:
@@ -147,15 +151,17 @@ def choose_screen_sigma(spp: float, radius: int) -> float:
 
     It bounds what lobes cannot see: how fast the reflected light itself changes.
     """
-    return max(0.6 * radius * min(1.0, math.pow(8.0 / spp, 0.25)), 0.5)
+    return max(radius * min(1.0, 0.6 * math.pow(8.0 / max(spp, 1.0), 0.25)), 0.5)
 
 
 def choose_tau(spp: float, pixel_tau: float) -> float:
     """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
 
     A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does. The
-    bound was fitted on the built-in scenes; it shrinks slowly, so that mirrors become sharp as their noise goes.
+    law was fitted on the built-in scenes; it shrinks slowly, so that mirrors become sharp as their noise goes.
     """
+    if spp < 4.0:
+        return max(0.03 * math.pow(4.0 / spp, 0.4), pixel_tau)
     return max(0.03 * min(1.0, math.pow(16.0 / spp, 0.25)), pixel_tau)
 
 
