@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import zlib
 from html.parser import HTMLParser
 
@@ -227,6 +228,13 @@ class TestPage:
             assert f"{rows['near']['psnr'] - rows['far']['psnr']:+.2f}" in cells
         assert "12 ms" in cells
         assert "radius 8" in cells
+
+    def test_without_flip_the_page_says_so(self, report, monkeypatch):
+        assert "FLIP is left out" not in make_page(report)
+        monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+        page = make_page(report)
+        assert "FLIP is left out: the package flip-evaluator is not installed." in page
+        assert '<th scope="col">FLIP</th>' not in page
 
     def test_the_magnifier_starts_where_the_two_differ(self, report):
         data = json.loads(re.search(r'id="data">(.*?)</script>', make_page(report), re.DOTALL)[1])
