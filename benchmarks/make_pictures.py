@@ -1,6 +1,6 @@
 """Write the pictures of the README from the frames that ``quality.py`` has rendered.
 
-    python benchmarks/make_pictures.py --cache ~/.cache/lobewise-quality
+python benchmarks/make_pictures.py --cache ~/.cache/lobewise-quality
 """
 
 from __future__ import annotations

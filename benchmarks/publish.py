@@ -113,7 +113,7 @@ Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit
 `benchmarks/quality.py`, {describe_run(quality)}. {quality["size"]}x{quality["size"]} pixels, full form, radius 8, references of
 {quality["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
 baselines were tuned on each frame against its reference ({len(quality["grid"]["normal_exponent"])} exponents times
-{len(quality["grid"]["screen_sigma"])} screen sigmas, or {len(quality["grid"]["band_limit"])} band-limits); `sg`, `ggx` and Open Image Denoise
+{len(quality["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(quality["grid"]["band_limited_normal_exponent"])} times {len(quality["grid"]["band_limited_screen_sigma"])} times {len(quality["grid"]["band_limit"])} band-limits); `sg`, `ggx` and Open Image Denoise
 (default quality, noise-free albedo and normal) ran with their defaults.
 
 {make_error_table(quality, "rel_mse", every)}

@@ -38,7 +38,9 @@ REFERENCE_SPP = 2048
 
 NORMAL_EXPONENTS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 SCREEN_SIGMAS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.5, 8.0)
-BAND_LIMITS = (0.03, 0.06, 0.125, 0.25, 0.5, 1.0, 2.0)
+BAND_EXPONENTS = (16.0, 64.0, 256.0, 1024.0)
+BAND_SIGMAS = (1.5, 3.0, 8.0)
+BAND_LIMITS = (0.06, 0.25, 1.0, 2.0)
 BETAS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
 
@@ -63,8 +65,8 @@ def fetch_reference(cache: Path, scene: str) -> FloatArray:
 def list_baselines(band_limited: bool) -> Iterator[dict[str, float]]:
     """Yield the settings of the grid search."""
     if band_limited:
-        for exponent, limit in itertools.product(NORMAL_EXPONENTS, BAND_LIMITS):
-            yield {"normal_exponent": exponent, "band_limit": limit, "screen_sigma": 8.0}
+        for exponent, sigma, limit in itertools.product(BAND_EXPONENTS, BAND_SIGMAS, BAND_LIMITS):
+            yield {"normal_exponent": exponent, "screen_sigma": sigma, "band_limit": limit}
     else:
         for exponent, sigma in itertools.product(NORMAL_EXPONENTS, SCREEN_SIGMAS):
             yield {"normal_exponent": exponent, "screen_sigma": sigma}
@@ -149,6 +151,8 @@ def main() -> None:
                 "normal_exponent": NORMAL_EXPONENTS,
                 "screen_sigma": SCREEN_SIGMAS,
                 "band_limit": BAND_LIMITS,
+                "band_limited_normal_exponent": BAND_EXPONENTS,
+                "band_limited_screen_sigma": BAND_SIGMAS,
                 "beta": BETAS,
                 "fixed": {"radius": DenoiseSettings().radius, "form": "full"},
             },
