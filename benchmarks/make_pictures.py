@@ -10,11 +10,11 @@ import json
 from pathlib import Path
 
 import numpy as np
-from quality import fetch, fetch_reference
 
 from lobewise.denoising import denoise
 from lobewise.display import choose_exposure, map_tones
 from lobewise.io.png import encode_png
+from quality import fetch, fetch_reference
 
 ROOT = Path(__file__).parents[1]
 # Two spheres, the patchwork floor and their reflections: rows, columns.
