@@ -157,12 +157,10 @@ def choose_screen_sigma(spp: float, radius: int) -> float:
 def choose_tau(spp: float, pixel_tau: float) -> float:
     """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
 
-    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does. The
-    law was fitted on the built-in scenes; it shrinks slowly, so that mirrors become sharp as their noise goes.
+    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does, and
+    mirrors become sharp as their noise goes. The factor was fitted on the built-in scenes.
     """
-    if spp < 4.0:
-        return max(0.03 * math.pow(4.0 / spp, 0.4), pixel_tau)
-    return max(0.03 * min(1.0, math.pow(16.0 / spp, 0.25)), pixel_tau)
+    return max(0.03 * math.sqrt(4.0 / max(spp, 1.0)), pixel_tau)
 
 
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
@@ -315,7 +313,8 @@ def resolve_settings(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     return replace(
         settings,
-        tau=choose_tau(spp, pixel_tau) if tau == "auto" else float(tau),
+        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
+        tau=choose_tau(math.sqrt(spp * (frame.spp or spp)), pixel_tau) if tau == "auto" else float(tau),
         screen_sigma=choose_screen_sigma(spp, settings.radius) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),
         beta=beta if settings.beta == "auto" else float(settings.beta),
