@@ -163,13 +163,23 @@ def choose_tau(spp: float, pixel_tau: float) -> float:
     return max(0.03 * math.sqrt(4.0 / max(spp, 1.0)), pixel_tau)
 
 
+def _find_good(image: FloatArray) -> NDArray[np.bool_]:
+    """Return where all three channels are finite and not negative.
+
+    Channel by channel: NumPy's reductions over an axis of three are several times slower.
+    """
+    # Not-finite compares false with everything, so the good side is what is tested.
+    each = (image >= 0.0) & (image <= np.finfo(np.float32).max)
+    good: NDArray[np.bool_] = each[..., 0] & each[..., 1] & each[..., 2]
+    return good
+
+
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     """Return where any radiance of the frame is NaN, infinite or negative, shape (height, width)."""
     bad = np.zeros(frame.shape, dtype=bool)
     for image in (frame.radiance.color, frame.radiance.diffuse, frame.radiance.specular):
         if image is not None:
-            # Not-finite compares false with everything, so the good side is what is tested.
-            bad |= ~((image >= 0.0) & (image <= np.finfo(np.float32).max)).all(axis=-1)
+            bad |= ~_find_good(image)
     return bad
 
 
@@ -239,10 +249,15 @@ def _find_surface(frame: Frame) -> NDArray[np.bool_]:
     if guides.depth is not None:
         surface &= (guides.depth > 0.0) & np.isfinite(guides.depth)
     if guides.position is not None:
-        surface &= np.isfinite(guides.position).all(axis=-1)
+        x, y, z = (guides.position[..., k] for k in range(3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            surface &= np.isfinite(x + y + z)
     if guides.normal is not None:
         # A missing surface has a zero normal in every renderer's convention.
-        surface &= np.isfinite(guides.normal).all(axis=-1) & (np.abs(guides.normal).max(axis=-1) > 0.1)
+        x, y, z = (guides.normal[..., k] for k in range(3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            squared = x * x + y * y + z * z
+        surface &= (squared > 0.01) & np.isfinite(squared)
     return surface
 
 
@@ -390,7 +405,7 @@ def denoise(frame: Frame, settings: DenoiseSettings | None = None, **changes: An
     parts = [_keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
     image = _compose(frame, parts)
     untouched = np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs])
-    holes = ~np.isfinite(image).all(axis=-1) | (bad & untouched)
+    holes = ~_find_good(image) | (bad & untouched)
     if holes.any():
         image = _refill(image, holes, chosen)
     apart = len(parts) == 2
@@ -409,10 +424,11 @@ def denoise(frame: Frame, settings: DenoiseSettings | None = None, **changes: An
 
 def _keep_unfiltered(layer: _Layer, output: FilterOutput) -> FloatArray:
     """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
-    radiance = layer.radiance
-    good = ((radiance >= 0.0) & (radiance <= np.finfo(np.float32).max)).all(axis=-1, keepdims=True)
-    kept = np.where(good, radiance, np.float32(np.nan))
-    return np.where((output.weight_sum > 0.0)[..., None], output.image, kept)
+    lost = output.weight_sum <= 0.0
+    if not lost.any():
+        return output.image
+    kept = np.where(_find_good(layer.radiance)[..., None], layer.radiance, np.float32(np.nan))
+    return np.where(lost[..., None], kept, output.image)
 
 
 def _compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
