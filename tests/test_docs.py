@@ -73,7 +73,7 @@ def test_default_similarity_is_the_winner_of_the_comparison() -> None:
     from lobewise.denoising import DEFAULT_SIMILARITY
 
     quality = json.loads((ROOT / "benchmarks" / "results" / "quality.json").read_text())
-    logs = {name: 0.0 for name in ("sg", "ggx")}
+    logs = dict.fromkeys(("sg", "ggx"), 0.0)
     for by_spp in quality["scenes"].values():
         for row in by_spp.values():
             for name in logs:

@@ -43,7 +43,7 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
     """Return one feature of a random frame of ``shape``."""
     rng = np.random.default_rng([seed, *shape])
     depth = rng.uniform(3.9, 4.1, shape).astype(np.float32)
-    place = (rng.uniform(-0.05, 0.05, (*shape, 3)) + [1.0, 2.0, 3.0]).astype(np.float32)
+    place = (rng.uniform(-0.05, 0.05, (*shape, 3)) + np.array([1.0, 2.0, 3.0])).astype(np.float32)
     normal = make_directions(rng, shape, 0.15)
     sharpness = np.exp(rng.uniform(np.log(2.0), np.log(500.0), shape)).astype(np.float32)
     if kind == "screen":
