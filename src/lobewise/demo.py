@@ -170,8 +170,7 @@ def restore_positions(frame: Frame) -> Frame:
     depth, camera = frame.gbuffer.depth, frame.camera
     if frame.gbuffer.position is not None or depth is None or camera is None:
         return frame
-    rays = camera.make_ray_directions(frame.width, frame.height)
-    position = camera.position.astype(np.float32) + depth[..., None] * rays
+    position = camera.make_positions(depth)
     return frame.with_changes(gbuffer=replace(frame.gbuffer, position=position))
 
 
