@@ -9,6 +9,7 @@ Channels of an undivided image: 0-2 the weighted radiance, 3 the weight sum, 4 t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -87,14 +88,9 @@ def _count_channels(feature: Feature) -> list[int]:
 
 def _tap_profile(offset: hl.Expr) -> hl.Expr:
     """Return log2 of the B-spline weight at -2..2."""
+    centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
-    return hl.select(
-        distance == 0,
-        hl.f32(0.0),
-        distance == 1,
-        hl.f32(-0.5849625),
-        hl.f32(-2.5849625),
-    )
+    return hl.select(distance == 0, centre, distance == 1, near, far)
 
 
 def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:

@@ -87,7 +87,7 @@ class _KernelCache:
             if (device, key) not in self._kernels:
                 target = hl.get_host_target()
                 funcs = make_pass(key, features)
-                schedule_cpu(key, funcs, target)
+                schedule_cpu(funcs, target)
                 self._kernels[device, key] = hl.Pipeline(funcs.out).compile_to_callable(funcs.arguments, target)
             return self._kernels[device, key]
 

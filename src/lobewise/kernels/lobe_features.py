@@ -19,7 +19,7 @@ from lobewise.lobes import sg, tangent
 LAMBERT_COEFFICIENTS = (0.18075601, 0.40004349, -0.41958626, 0.15761182)
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
-# eight times the exponent of `pre`, so that both need one logarithm together. It is within 3.6e-3 of the exact
+# eight times the exponent of `pre`, so that both need one logarithm together. It is within 3.7e-3 of the exact
 # autocorrelation (tests/kernels/test_lobe_features.py).
 CONCENTRIC_EXPONENT = 0.3
 TAIL_SQUARINGS = 3
