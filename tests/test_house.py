@@ -12,6 +12,7 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
 ROOMS = [
     "errors",
+    "lobe_table",
     "frame",
     "metrics",
     "lobes",
