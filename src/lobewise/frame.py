@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, describe_problem
+from lobewise.lobe_table import LobeTable
 
 FloatArray = NDArray[np.float32]
 
@@ -251,6 +252,8 @@ class GBuffer(_Images):
         World position of that hit.
     motion : array_like, shape (height, width, 2), optional
         Pixels from here to where the surface point was in the previous frame, x right and y down.
+    material : array_like, shape (height, width), optional
+        Which of the frame's lobe tables holds the pixel's lobes, counted from 1; 0 where the alphas tell all.
 
     Raises
     ------
@@ -270,6 +273,7 @@ class GBuffer(_Images):
     hit_distance: FloatArray | None = None
     hit_position: FloatArray | None = None
     motion: FloatArray | None = None
+    material: FloatArray | None = None
 
     def __post_init__(self) -> None:
         channels: dict[str, int | None] = {item.name: None for item in fields(self)}
@@ -302,11 +306,13 @@ class Frame:
         Per-pixel variance of the mean (of ``radiance``, not of one sample).
     spp : int, optional
         Samples per pixel, >= 1.
+    lobe_tables : tuple of LobeTable
+        Fitted lobes of the materials that ``gbuffer.material`` names.
 
     Raises
     ------
     InputError
-        If the parts do not have one size, or ``spp`` is below 1.
+        If the parts do not have one size, ``spp`` is below 1, or a pixel names a table that is not there.
     """
 
     radiance: Radiance
@@ -316,6 +322,7 @@ class Frame:
     half_b: Radiance | None = None
     variance: Radiance | None = None
     spp: int | None = None
+    lobe_tables: tuple[LobeTable, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("gbuffer", "half_a", "half_b", "variance"):
@@ -333,6 +340,17 @@ class Frame:
         if self.spp is not None and self.spp < 1:
             raise InputError(
                 describe_problem("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
+            )
+        object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
+        material = self.gbuffer.material
+        if material is not None and not (material.min() >= 0.0 and material.max() <= len(self.lobe_tables)):
+            raise InputError(
+                describe_problem(
+                    "material",
+                    expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
+                    got=f"{material.min():g} to {material.max():g}",
+                    action="give the frame the tables of its materials, or leave the channel out",
+                )
             )
 
     @property

@@ -7,7 +7,7 @@ import pytest
 
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import Camera, GBuffer, LobeKind
-from lobewise.lobes import field as field_module
+from lobewise.lobes import chunks
 from lobewise.lobes.brdf import reflect, reflect_sg
 from lobewise.lobes.field import LobeField, build_lobe_field, default_tau
 from lobewise.lobes.roughness import sg_sharpness_from_ggx
@@ -310,7 +310,7 @@ def test_every_chunking_and_thread_count_gives_the_same_bits(guides, camera, mon
     guides["normal"][5:8] *= -1.0  # bent normals take another way
     whole = build(guides, camera, threads=1)
     for pixels in (1, 5, WIDTH, 3 * WIDTH + 1, 10**6):
-        monkeypatch.setattr(field_module, "_CHUNK_PIXELS", pixels)
+        monkeypatch.setattr(chunks, "CHUNK_PIXELS", pixels)
         for threads in (None, 1, 2, 7):
             assert_equal(build(guides, camera, threads=threads), whole)
 

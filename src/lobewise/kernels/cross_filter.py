@@ -67,6 +67,8 @@ class PassFuncs:
     out: hl.Func
     sums: hl.Func
     image: hl.Func
+    guides: hl.Func | None
+    guide_count: int
     planes: hl.Func | None
     plane_count: int
     stages: list[hl.Func]
@@ -91,6 +93,15 @@ def _tap_profile(offset: hl.Expr) -> hl.Expr:
     centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
     return hl.select(distance == 0, centre, distance == 1, near, far)
+
+
+def _stack(name: str, values: Sequence[hl.Expr], x: hl.Var, c: hl.Var, y: hl.Var) -> hl.Func | None:
+    """Return a function whose channel c is the c-th value; None for no values."""
+    if not values:
+        return None
+    func = hl.Func(name)
+    func[x, c, y] = hl.mux(c, list(values)) if len(values) > 1 else values[0]
+    return func
 
 
 def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
@@ -129,30 +140,36 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     else:
         image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
 
-    # Planes: what the taps read of every feature, harmless where a pixel has no meaning.
+    # Guides: the input channels of every feature side by side, harmless where a pixel has no meaning.
     arrays: list[hl.ImageParam] = []
-    parameters: list[hl.Param] = []
-    values: list[hl.Expr] = []
-    slices: list[tuple[Feature, slice, list[hl.Param]]] = []
+    channels: list[hl.Expr] = []
     for number, feature in enumerate(features):
-        inputs: list[hl.Expr] = []
         neutral = iter(feature.neutral)
-        for slot, (array, channels) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
             deep = array.ndim == 3
             param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"f{number}_{slot}")
             arrays.append(param)
-            for k in range(channels):
+            for k in range(count):
                 value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
-                inputs.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
+                channels.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
+    guides = _stack("guides", channels, x, c, y)
+
+    # Planes: what the taps read of every feature.
+    parameters: list[hl.Param] = []
+    values: list[hl.Expr] = []
+    slices: list[tuple[Feature, slice, list[hl.Param]]] = []
+    given = 0
+    for number, feature in enumerate(features):
         scalars = [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
         parameters.extend(scalars)
-        prepared = feature.prepare(inputs, scalars) if inputs else []
+        count = sum(_count_channels(feature))
+        prepared: list[hl.Expr] = []
+        if guides is not None and count:
+            prepared = feature.prepare([guides[x, k, y] for k in range(given, given + count)], scalars)
+        given += count
         slices.append((feature, slice(len(values), len(values) + len(prepared)), scalars))
         values.extend(prepared)
-    planes: hl.Func | None = None
-    if values:
-        planes = hl.Func("planes")
-        planes[x, c, y] = hl.mux(c, values) if len(values) > 1 else values[0]
+    planes = _stack("planes", values, x, c, y)
 
     # Taps.
     r = key.radius
@@ -209,4 +226,4 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     else:
         out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(SUM_CHANNELS)])
     arguments = [source, *([albedo] if key.demodulate else []), mask, *arrays, step, *parameters]
-    return PassFuncs(out, sums, image, planes, len(values), stages, taps, x, y, c, arguments)
+    return PassFuncs(out, sums, image, guides, len(channels), planes, len(values), stages, taps, x, y, c, arguments)

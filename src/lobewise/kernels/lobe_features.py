@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from typing import ClassVar
 
 import halide as hl
 import numpy as np
@@ -12,16 +13,17 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
 from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, Stage, dot, require_positive, subtract
-from lobewise.lobes import sg, tangent
+from lobewise.lobes import asg, sg, tangent
+from lobewise.lobes.hits import HitField, find_hit_shift
 
 # Least-maximum fit, with x = |n_i - n_j| / sqrt(2), of the Lambert similarity ((pi - d) cos d + sin d) / pi:
 # 1 - x^2 + x^3 (c0 + c1 x + c2 x^2 + c3 x^3), error 1.3e-3 for every angle d.
 LAMBERT_COEFFICIENTS = (0.18075601, 0.40004349, -0.41958626, 0.15761182)
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
-# eight times the exponent of `pre`, so that both need one logarithm together. It is within 3.7e-3 of the exact
-# autocorrelation (tests/kernels/test_lobe_features.py).
-CONCENTRIC_EXPONENT = 0.3
+# eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves
+# all. It is within 3.7e-3 of the exact autocorrelation (tests/kernels/test_lobe_features.py).
+GGX_UNIT = 0.3
 TAIL_SQUARINGS = 3
 
 
@@ -73,7 +75,50 @@ class DiffuseFeature(Feature):
         return similarity
 
 
-class SgFeature(Feature):
+class _LobeFeature(Feature):
+    """What the features of one lobe per pixel share: the exponent, and the optional hit-distance term."""
+
+    beta: float
+    hits: HitField | None
+
+    @property
+    def structure(self) -> Hashable:
+        return self.hits is not None
+
+    def _get_hit_arrays(self) -> tuple[FloatArray, ...]:
+        return () if self.hits is None else (self.hits.position, self.hits.inverse_distance)
+
+    def _get_hit_neutral(self) -> tuple[float, ...]:
+        return () if self.hits is None else (0.0, 0.0, 0.0, 0.0)
+
+    def _split_hits(self, pixel: Pixel) -> tuple[Pixel, Pixel]:
+        """Return the planes of the lobe and those of the hit, which are the last four."""
+        return (pixel, ()) if self.hits is None else (pixel[:-4], pixel[-4:])
+
+    def _get_shift(self, i: Pixels, j: Pixels, axis: FloatArray) -> NDArray[np.float64] | None:
+        """Return what the hits add to the difference of the axes, float64; None without the term."""
+        if self.hits is None:
+            return None
+        position, inverse = self.hits.position, self.hits.inverse_distance
+        return find_hit_shift(*(a[k].astype(np.float64) for a in (axis, position, inverse) for k in (i, j)))
+
+
+def _scale_step(i: Pixel, j: Pixel) -> list[hl.Expr]:
+    """Return the step between two surface points over their mean hit distance, from the planes of the hits."""
+    inverse = hl.f32(0.5) * (i[3] + j[3])
+    return [inverse * component for component in subtract(j[:3], i[:3])]
+
+
+def _find_shift(axis_i: Pixel, axis_j: Pixel, hit_i: Pixel, hit_j: Pixel, square: hl.Expr) -> list[hl.Expr]:
+    """Return `lobewise.lobes.hits.find_hit_shift`; ``square`` is ``|axis_i - axis_j|^2``."""
+    step = _scale_step(hit_i, hit_j)
+    middle = [p + q for p, q in zip(axis_i, axis_j, strict=True)]
+    # 1 / |zi + zj|^2 = 1 / (4 - |d|^2), to first order in |d|^2 / 4: the lobes of a tap that counts are near.
+    along = hl.f32(0.25) * dot(middle, step) * (hl.f32(1.0) + hl.f32(0.25) * square)
+    return [p - along * q for p, q in zip(step, middle, strict=True)]
+
+
+class SgFeature(_LobeFeature):
     """Overlap of two spherical Gaussians: the paper's single lobe.
 
     ``(2 sqrt(li lj)/(li + lj))^beta exp(-beta li lj/(li + lj) (1 - axis_i . axis_j))``.
@@ -87,18 +132,24 @@ class SgFeature(Feature):
         Band-limited lobe sharpness, > 0.
     beta : float
         Exponent, > 0.
+    hits : HitField, optional
+        Compare footprints on what the lobes hit instead of directions; see `lobewise.lobes.hits`.
     """
 
     name = "sg"
-    neutral = (0.0, 0.0, 0.0, 1.0)
 
-    def __init__(self, axis: FloatArray, sharpness: FloatArray, beta: float) -> None:
+    def __init__(self, axis: FloatArray, sharpness: FloatArray, beta: float, hits: HitField | None = None) -> None:
         self.axis = axis
         self.sharpness = sharpness
         self.beta = require_positive("beta", beta)
+        self.hits = hits
+
+    @property
+    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # the hits are optional
+        return (0.0, 0.0, 0.0, 1.0, *self._get_hit_neutral())
 
     def get_arrays(self) -> tuple[FloatArray, ...]:
-        return self.axis, self.sharpness
+        return self.axis, self.sharpness, *self._get_hit_arrays()
 
     def get_parameters(self) -> tuple[float, ...]:
         return (self.beta,)
@@ -107,14 +158,20 @@ class SgFeature(Feature):
         # With u = 2/(beta log2(e) lambda) the exponent is -|axis_i - axis_j|^2/(u_i + u_j) and the sharpness ratio
         # 2 sqrt(u_i u_j)/(u_i + u_j); the numerator of the latter is split into one plane per pixel.
         width = hl.f32(2.0 / LOG2_E) / (parameters[0] * inputs[3])
-        return [*inputs[:3], width, hl.f32(0.5) * parameters[0] * (hl.f32(1.0) + expressions.log2(width))]
+        numerator = hl.f32(0.5) * parameters[0] * (hl.f32(1.0) + expressions.log2(width))
+        return [*inputs[:3], width, numerator, *inputs[4:]]
 
     def log2_similarity(
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
+        (i, hit_i), (j, hit_j) = self._split_hits(i), self._split_hits(j)
         d = subtract(j[:3], i[:3])
+        square = dot(d, d)
+        if self.hits is not None:
+            d = [p + q for p, q in zip(d, _find_shift(i[:3], j[:3], hit_i, hit_j, square), strict=True)]
+            square = dot(d, d)
         width = i[3] + j[3]
-        return i[4] + j[4] - parameters[0] * expressions.log2(width) - dot(d, d) * (hl.f32(1.0) / width)
+        return i[4] + j[4] - parameters[0] * expressions.log2(width) - square * (hl.f32(1.0) / width)
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         return np.asarray(
@@ -124,22 +181,99 @@ class SgFeature(Feature):
                 self.axis[j].astype(np.float64),
                 self.sharpness[j].astype(np.float64),
                 beta=self.beta,
+                shift=self._get_shift(i, j, self.axis),
             ),
             dtype=np.float64,
         )
 
 
-class GgxFeature(Feature):
-    """Overlap of two GGX reflection lobes, isotropic or anisotropic, as covariances in the tangent plane.
+class _CovarianceFeature(_LobeFeature):
+    """What the features of a covariance across an axis share.
 
-    ``pre^(0.6 beta) (1 + q/4)^(-2.4 beta)`` with ``pre = 2 (det_i det_j)^(1/4)/sqrt(det M)`` and q the Mahalanobis
-    distance of the axes under ``M = S_i + S_j`` in the plane across ``m = z_i + z_j``.
+    With ``R = tr(S) P - S`` (the covariance S turned by a quarter about its axis, P the projection across it) the
+    determinant of ``A_i + A_j``, A the inverse of S in its plane, over ``det A_i det A_j`` is exactly
+    ``Q = d^T (R_i + R_j) d``, ``d = z_j - z_i``, because neither matrix has anything along its own axis; the second
+    invariant is ``P = det_i + det_j + t_i t_j - R_i:R_j``, t the traces. Their quotient is, to first order in itself,
+    the smallest eigenvalue of ``A_i + A_j``, and exactly ``d^T (S_i + S_j)^-1 d`` in a plane. No frame, no inverse.
+    """
 
-    The plane is never built. With ``d = z_j - z_i``, which is perpendicular to m, ``D = d^T M d`` and the trace t and
-    the sum C of the principal minors of the 3x3 matrix M: ``m^T M m = D`` because S_i z_i = S_j z_j = 0, so the trace
-    in the plane is ``t - mu`` with ``mu = D/|m|^2``, ``det = C - mu (t - mu)`` and ``q = (|d|^2 (t - mu) - D)/det``.
-    Dropped is the square of M's coupling between m and the plane, which vanishes for equal lobes; the determinant is
-    bounded below by ``4 sqrt(det_i det_j)``, which keeps ``pre <= 1``.
+    along: ClassVar[float]
+    """Which part of its trace R gets along its axis; P follows from it to second order."""
+
+    def __init__(
+        self,
+        axis: FloatArray,
+        covariance: FloatArray,
+        determinant: FloatArray,
+        beta: float,
+        hits: HitField | None = None,
+    ) -> None:
+        self.axis = axis
+        self.covariance = covariance
+        self.determinant = determinant
+        self.beta = require_positive("beta", beta)
+        self.hits = hits
+
+    @property
+    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # the hits are optional
+        return (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, *self._get_hit_neutral())
+
+    def get_arrays(self) -> tuple[FloatArray, ...]:
+        return self.axis, self.covariance, self.determinant, *self._get_hit_arrays()
+
+    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        x, y, z = inputs[:3]
+        xx, xy, xz, yy, yz, zz = inputs[3:9]
+        trace = xx + yy + zz
+        two = hl.f32(2.0)
+        across = hl.f32(1.0 - self.along) * trace
+        return [
+            x,
+            y,
+            z,
+            trace - across * x * x - xx,
+            trace - across * y * y - yy,
+            trace - across * z * z - zz,
+            two * (-across * x * y - xy),
+            two * (-across * x * z - xz),
+            two * (-across * y * z - yz),
+            two * hl.sqrt(inputs[9]),
+            *inputs[10:],
+        ]
+
+    def _compare(self, i: Pixel, j: Pixel, hit_i: Pixel, hit_j: Pixel) -> tuple[hl.Expr, hl.Expr]:
+        """Return Q and P."""
+        d = subtract(j[:3], i[:3])
+        if self.hits is not None:
+            d = [p + q for p, q in zip(d, _find_shift(i[:3], j[:3], hit_i, hit_j, dot(d, d)), strict=True)]
+        dx, dy, dz = d
+        xx, yy, zz, xy2, xz2, yz2 = (i[k] + j[k] for k in range(3, 9))
+        quadratic = dx * (xx * dx + xy2 * dy + xz2 * dz) + (dy * (yy * dy + yz2 * dz) + zz * dz * dz)
+        inner = dot(i[3:6], j[3:6]) + hl.f32(0.5) * dot(i[6:9], j[6:9])
+        # The traces hold 1 + along of that across, and R_i:R_j along^2 of it more.
+        share = hl.f32((1.0 + self.along**2) / (1.0 + self.along) ** 2)
+        traces = share * (i[3] + i[4] + i[5]) * (j[3] + j[4] + j[5])
+        determinants = hl.f32(0.25) * (i[9] * i[9] + j[9] * j[9])
+        return quadratic, traces - inner + determinants
+
+    def _get_lobes(self, i: Pixels, j: Pixels) -> tuple[tangent.TangentLobe, tangent.TangentLobe]:
+        lobe_i, lobe_j = (
+            tangent.TangentLobe(
+                self.axis[k].astype(np.float64),
+                self.covariance[k].astype(np.float64),
+                self.determinant[k].astype(np.float64),
+            )
+            for k in (i, j)
+        )
+        return lobe_i, lobe_j
+
+
+class GgxFeature(_CovarianceFeature):
+    """Overlap of two GGX lobes by their covariances across the lobe axis.
+
+    With ``s = 2 sqrt(det)`` and ``q = Q / P``
+    ``(s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4``, to the power beta; see
+    `lobewise.lobes.tangent.tangent_approx_similarity`.
 
     Parameters
     ----------
@@ -151,59 +285,81 @@ class GgxFeature(Feature):
         Determinant of S in the plane across z, > 0.
     beta : float
         Exponent, > 0.
+    hits : HitField, optional
+        Compare footprints on what the lobes hit instead of directions; see `lobewise.lobes.hits`.
     """
 
     name = "ggx"
-    neutral = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0)
-
-    def __init__(self, axis: FloatArray, covariance: FloatArray, determinant: FloatArray, beta: float) -> None:
-        self.axis = axis
-        self.covariance = covariance
-        self.determinant = determinant
-        self.beta = require_positive("beta", beta)
-
-    def get_arrays(self) -> tuple[FloatArray, ...]:
-        return self.axis, self.covariance, self.determinant
+    along = 0.5  # so that lobes which face away from each other are unlike
 
     def get_parameters(self) -> tuple[float, ...]:
-        return (CONCENTRIC_EXPONENT * self.beta,)
-
-    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
-        xx, xy, xz, yy, yz, zz = inputs[3:9]
-        two = hl.f32(2.0)
-        # The numerator of pre^0.6 is split into one logarithm per pixel; the last plane bounds the determinant.
-        numerator = parameters[0] * (hl.f32(1.0) + hl.f32(0.5) * _log2_positive(inputs[9]))
-        return [*inputs[:3], xx, yy, zz, two * xy, two * xz, two * yz, numerator, two * hl.sqrt(inputs[9])]
+        return (GGX_UNIT * self.beta,)
 
     def log2_similarity(
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
-        dx, dy, dz = subtract(j[:3], i[:3])
-        xx, yy, zz, xy2, xz2, yz2 = (i[k] + j[k] for k in range(3, 9))
-        distance_squared = dx * dx + dy * dy + dz * dz
-        quadratic = dx * (xx * dx + xy2 * dy + xz2 * dz) + (dy * (yy * dy + yz2 * dz) + zz * dz * dz)
-        yy_zz = yy + zz
-        minors = xx * yy_zz + yy * zz - hl.f32(0.25) * (xy2 * xy2 + xz2 * xz2 + yz2 * yz2)
-        # 1/|m|^2 = 1/(4 - |d|^2) to third order in |d|^2/4: the lobes of a tap that counts are near.
-        one, quarter = hl.f32(1.0), hl.f32(0.25) * distance_squared
-        mu = hl.f32(0.25) * quadratic * (one + quarter * (one + quarter * (one + quarter)))
-        trace = xx + yy_zz - mu
-        # M's true determinant is at least 4 sqrt(det_i det_j); rounding and the dropped coupling may hide that.
-        determinant = hl.max(minors - mu * trace, i[10] * j[10])
-        distance = (distance_squared * trace - quadratic) / determinant
+        (i, hit_i), (j, hit_j) = self._split_hits(i), self._split_hits(j)
+        quadratic, invariant = self._compare(i, j, hit_i, hit_j)
+        # sqrt(P) is at least the mean of both s (Minkowski's inequality); rounding may hide that.
+        mean = hl.f32(0.5) * (i[9] + j[9])
+        invariant = hl.max(invariant, mean * mean)
+        # One division serves both q = Q / P and P^1.5 / (s_i s_j mean).
+        scale = i[9] * j[9] * mean
+        inverse = hl.f32(1.0) / (invariant * scale)
         # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
-        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(distance, hl.f32(4e4))
+        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic * scale * inverse, hl.f32(4e4))
         for _ in range(TAIL_SQUARINGS):
             tail = tail * tail
-        return i[9] + j[9] - parameters[0] * expressions.log2(stage(tail * determinant))
+        areas = invariant * invariant * hl.sqrt(invariant) * inverse
+        return -parameters[0] * expressions.log2(stage(tail * areas))
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        lobe_i, lobe_j = (
-            tangent.TangentLobe(
-                self.axis[k].astype(np.float64),
-                self.covariance[k].astype(np.float64),
-                self.determinant[k].astype(np.float64),
-            )
-            for k in (i, j)
+        shift = self._get_shift(i, j, self.axis)
+        return np.asarray(
+            tangent.tangent_approx_similarity(*self._get_lobes(i, j), self.beta, shift=shift), dtype=np.float64
         )
-        return np.asarray(tangent.tangent_approx_similarity(lobe_i, lobe_j, self.beta), dtype=np.float64)
+
+
+class AsgFeature(_CovarianceFeature):
+    """Overlap of two anisotropic spherical Gaussians (Xu et al. 2013), to the power beta.
+
+    The lobe ``exp(-w^T A w)`` is given by the covariance of the planar Gaussian that it is near its axis,
+    ``S = A^-1 / 2``. See `lobewise.lobes.asg.asg_approx_similarity` for the evaluation without eigenvectors.
+
+    Parameters
+    ----------
+    axis, covariance, determinant, beta, hits
+        See `GgxFeature`.
+    """
+
+    name = "asg"
+    along = 0.0
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (self.beta,)
+
+    def log2_similarity(
+        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+    ) -> hl.Expr:
+        (i, hit_i), (j, hit_j) = self._split_hits(i), self._split_hits(j)
+        quadratic, invariant = self._compare(i, j, hit_i, hit_j)
+        least = i[9] * j[9]
+        invariant = hl.max(invariant, least)
+        # The smallest eigenvalue c solves V c^3 - T c^2 + P c - Q = 0: one step of Newton's method from Q / P.
+        quarter, two, three = hl.f32(0.25), hl.f32(2.0), hl.f32(3.0)
+        det_i, det_j = quarter * i[9] * i[9], quarter * j[9] * j[9]
+        mixed = (i[3] + i[4] + i[5]) * det_j + (j[3] + j[4] + j[5]) * det_i
+        product = det_i * det_j
+        first = quadratic / invariant
+        slope = invariant + first * (three * product * first - two * mixed)
+        step = first * first * (mixed - product * first) / hl.max(slope, least)
+        value = first + step
+        # The product of the other two eigenvalues, less the smallest each.
+        rest = hl.max(invariant + value * (three * product * value - two * mixed), least)
+        ratio = stage(rest / least)
+        return -parameters[0] * (hl.f32(0.5 * LOG2_E) * value + hl.f32(0.5) * expressions.log2(ratio))
+
+    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
+        lobes = (asg.asg_from_covariance(*lobe) for lobe in self._get_lobes(i, j))
+        shift = self._get_shift(i, j, self.axis)
+        return np.asarray(asg.asg_approx_similarity(*lobes, self.beta, shift=shift), dtype=np.float64)

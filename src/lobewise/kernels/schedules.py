@@ -43,3 +43,7 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
         func.bound(c, 0, channels)
         func.compute_at(out, ys).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
         func.vectorize(x, lanes).unroll(c).never_partition_all()
+    if funcs.guides is not None:
+        # Channels of a pixel lie together in memory; a row of them is taken apart once, and not once per plane.
+        funcs.guides.compute_at(funcs.planes, y).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
+        funcs.guides.bound(c, 0, funcs.guide_count).vectorize(x, lanes).unroll(c).never_partition_all()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +11,7 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError, MissingChannelError, describe_problem, require_choice
 from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
 from lobewise.lobes.brdf import MIN_WARP_COSINE
+from lobewise.lobes.chunks import Chunk, run_chunks
 from lobewise.lobes.tangent import (
     BECKMANN_LIMIT,
     GGX_LIMIT,
@@ -28,11 +25,10 @@ NORMAL_ERROR = 1e-3
 """Standard deviation of the guides' normals, radians; a normal that is off by e turns the reflection by 2 e."""
 MIN_COSINE = 0.01
 """Normals that face away from the viewer are bent until n.v is at least about this."""
+GGX_SHARPNESS = 1.13114
+"""Of the Gaussian nearest in L2 to ``(1 + q)^-2``, over that with its curvature at 0 (see `lobewise.lobes.mixture`)."""
 LAMBERT_SHARPNESS = 2.0
 """The similarity of two Lambert lobes falls as 1 - d^2 / 2 for small angles d, as that of two SGs of this sharpness."""
-
-# Largest number of pixels worked on at a time: some thirty float32 arrays of this length fit a core's L2 cache.
-_CHUNK_PIXELS = 16384
 
 
 @dataclass(frozen=True)
@@ -49,11 +45,11 @@ class LobeField:
     sharpness : (height, width), float32
         ``sg``: band-limited sharpness of the single spherical Gaussian, inverse square radians.
     tangent_axis : (height, width, 3), float32
-        ``ggx``: mirror direction about the dominant visible normal, unit length.
+        ``ggx``, ``asg``: mirror direction about the dominant visible normal, unit length.
     covariance : (height, width, 6), float32
-        ``ggx``: band-limited covariance across ``tangent_axis``: xx, xy, xz, yy, yz, zz, square radians.
+        ``ggx``, ``asg``: band-limited covariance across ``tangent_axis``: xx, xy, xz, yy, yz, zz, square radians.
     determinant : (height, width), float32
-        ``ggx``: product of the two principal variances of ``covariance``.
+        ``ggx``, ``asg``: product of the two principal variances of ``covariance``.
     """
 
     valid: NDArray[np.bool_]
@@ -95,9 +91,10 @@ def build_lobe_field(
     tau : float, optional
         Band-limit in radians, ``1e-5 <= tau <= 1``: ``tau^2`` is added to the variance of every lobe, so that a mirror
         is finite. By default the angle of a pixel and twice 0.001 rad of normal error, added in square.
-    representation : {"both", "sg", "ggx"}
+    representation : {"both", "sg", "ggx", "asg"}
         ``sg``: axis and sharpness (Tokuyoshi 2015 with the warp of Wang et al. 2009). ``ggx``: axis and covariance
-        (see `lobewise.lobes.tangent`).
+        (see `lobewise.lobes.tangent`). ``both``: these two. ``asg``: the same axis, and the covariance of the Gaussian
+        that is nearest in L2 to the lobe's shape, which for GGX is narrower by `GGX_SHARPNESS`.
     diffuse_fallback : bool
         Give surfaces of kind NONE the Lambert lobe (axis = normal, sharpness 2, variance 1/2) instead of none.
     threads : int, optional
@@ -117,7 +114,7 @@ def build_lobe_field(
     InputError
         If ``tau``, ``threads`` or ``representation`` is out of range.
     """
-    require_choice("representation", representation, ("both", "sg", "ggx"))
+    require_choice("representation", representation, ("both", "sg", "ggx", "asg"))
     _require_channels(gbuffer, representation)
     assert gbuffer.normal is not None  # checked just above; for the type checker
     height, width = gbuffer.normal.shape[:2]
@@ -132,7 +129,7 @@ def build_lobe_field(
             describe_problem("threads", expected="at least 1", got=str(threads), action="leave it out for all cores")
         )
     builder = _Builder(gbuffer, camera, float(tau), representation, diffuse_fallback)
-    _run_chunks(builder.fill, _cut_rows(height, width), threads)
+    run_chunks(builder.fill, height, width, threads)
     return builder.field
 
 
@@ -160,41 +157,6 @@ def _require_channels(gbuffer: GBuffer, representation: str) -> None:
         )
 
 
-def _cut_rows(height: int, width: int) -> Iterator[tuple[slice, slice]]:
-    """Cut the image into pieces of about `_CHUNK_PIXELS`: whole rows where they fit, else parts of one row."""
-    if width > _CHUNK_PIXELS:
-        for row in range(height):
-            for left in range(0, width, _CHUNK_PIXELS):
-                yield slice(row, row + 1), slice(left, min(left + _CHUNK_PIXELS, width))
-        return
-    step = max(1, _CHUNK_PIXELS // width)
-    for top, bottom in pairwise([*range(0, height, step), height]):
-        yield slice(top, bottom), slice(0, width)
-
-
-def _run_chunks(
-    work: Callable[[tuple[slice, slice]], None], chunks: Iterator[tuple[slice, slice]], threads: int | None
-) -> None:
-    """Do ``work`` on every chunk; NumPy releases the interpreter lock inside it."""
-    todo = list(chunks)
-    if threads is None:
-        threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = min(threads, len(todo))
-    if threads == 1:
-        for chunk in todo:
-            work(chunk)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        # one task per thread, every n-th chunk each: a task per chunk would spend its time in the queue
-        for done in [pool.submit(_run_all, work, todo[start::threads]) for start in range(threads)]:
-            done.result()
-
-
-def _run_all(work: Callable[[tuple[slice, slice]], None], chunks: list[tuple[slice, slice]]) -> None:
-    for chunk in chunks:
-        work(chunk)
-
-
 def _split(image: Array) -> Components:
     return image[..., 0], image[..., 1], image[..., 2]
 
@@ -208,6 +170,7 @@ class _Builder:
         self.gbuffer = gbuffer
         self.noise: Any = np.float32(tau) * np.float32(tau)
         self.diffuse_fallback = diffuse_fallback
+        self.gaussian = representation == "asg"
         assert gbuffer.normal is not None
         height, width = gbuffer.normal.shape[:2]
 
@@ -230,7 +193,7 @@ class _Builder:
         def empty(*channels: int) -> FloatArray:
             return np.empty((height, width, *channels), np.float32)
 
-        sg, ggx = representation in ("both", "sg"), representation in ("both", "ggx")
+        sg, ggx = representation in ("both", "sg"), representation != "sg"
         self.field = LobeField(
             valid=np.empty((height, width), np.bool_),
             axis=empty(3) if sg else None,
@@ -240,12 +203,12 @@ class _Builder:
             determinant=empty() if ggx else None,
         )
 
-    def fill(self, chunk: tuple[slice, slice]) -> None:
+    def fill(self, chunk: Chunk) -> None:
         """Compute the pixels of ``chunk``."""
         with np.errstate(all="ignore"):  # garbage in a guide ends as a non-finite lobe, which is taken out at the end
             self._fill(chunk)
 
-    def _fill(self, chunk: tuple[slice, slice]) -> None:
+    def _fill(self, chunk: Chunk) -> None:
         gbuffer, field = self.gbuffer, self.field
         normal, surface = self._get_normal(chunk)
         view = self._get_view(chunk)
@@ -264,7 +227,7 @@ class _Builder:
         lambert = surface & (kind == LobeKind.NONE) if self.diffuse_fallback and kind is not None else None
         self._finish(chunk, normal, specular, lambert)
 
-    def _get_normal(self, chunk: tuple[slice, slice]) -> tuple[Components, Any]:
+    def _get_normal(self, chunk: Chunk) -> tuple[Components, Any]:
         """Return the unit normal and where there is a surface."""
         assert self.gbuffer.normal is not None
         x, y, z = _split(self.gbuffer.normal[chunk])
@@ -277,7 +240,7 @@ class _Builder:
         inverse = np.float32(1.0) / np.sqrt(square)
         return (x * inverse, y * inverse, z * inverse), surface
 
-    def _get_alphas(self, chunk: tuple[slice, slice], kind: FloatArray | None) -> tuple[Array, Array, Any]:
+    def _get_alphas(self, chunk: Chunk, kind: FloatArray | None) -> tuple[Array, Array, Any]:
         """Return both alphas, in [0, 1] and 0 for mirrors, and where they are numbers."""
         zero, one = np.float32(0.0), np.float32(1.0)
         delta = kind == LobeKind.DELTA if self.has_delta else None
@@ -293,7 +256,7 @@ class _Builder:
         alpha_v, finite_v = get(self.gbuffer.alpha_v)
         return alpha_u, alpha_v, finite & finite_v
 
-    def _get_view(self, chunk: tuple[slice, slice]) -> Components:
+    def _get_view(self, chunk: Chunk) -> Components:
         """Return the unit direction from the surface to the eye."""
         rows, columns = chunk
         if self.gbuffer.position is not None:
@@ -307,7 +270,7 @@ class _Builder:
 
     def _fill_sg(
         self,
-        chunk: tuple[slice, slice],
+        chunk: Chunk,
         normal: Components,
         view: Components,
         cosine: Array,
@@ -328,7 +291,7 @@ class _Builder:
 
     def _fill_ggx(
         self,
-        chunk: tuple[slice, slice],
+        chunk: Chunk,
         normal: Components,
         view: Components,
         kind: FloatArray | None,
@@ -348,12 +311,17 @@ class _Builder:
             beckmann = kind == LobeKind.BECKMANN
             deficit_u, deficit_v = np.where(beckmann, one, deficit_u), np.where(beckmann, one, deficit_v)
             limits = np.where(beckmann, np.float32(BECKMANN_LIMIT), limit)
+        sharper: Any = np.float32(GGX_SHARPNESS if self.gaussian else 1.0)
+        if self.gaussian and self.has_beckmann:
+            sharper = np.where(kind == LobeKind.BECKMANN, one, sharper)
+        # What is scaled afterwards holds the band-limit, which must not be.
+        noise = sharper * self.noise
         if self.anisotropic:
             axis, covariance, determinant = make_anisotropic_lobe(
-                tangent, bitangent, normal, view, alpha_u, alpha_v, deficit_u, deficit_v, limits, self.noise
+                tangent, bitangent, normal, view, alpha_u, alpha_v, deficit_u, deficit_v, limits, noise
             )
         else:
-            axis, covariance, determinant = make_isotropic_lobe(normal, view, alpha_u, deficit_u, limits, self.noise)
+            axis, covariance, determinant = make_isotropic_lobe(normal, view, alpha_u, deficit_u, limits, noise)
         field = self.field
         assert field.tangent_axis is not None
         assert field.covariance is not None
@@ -361,11 +329,11 @@ class _Builder:
         for k in range(3):
             field.tangent_axis[(*chunk, k)] = axis[k]
         for k in range(6):
-            field.covariance[(*chunk, k)] = covariance[k]
-        field.determinant[chunk] = determinant
+            field.covariance[(*chunk, k)] = covariance[k] / sharper if self.gaussian else covariance[k]
+        field.determinant[chunk] = determinant / (sharper * sharper)
         return np.isfinite(axis[0] + axis[1] + axis[2] + determinant)
 
-    def _get_tangent(self, chunk: tuple[slice, slice], normal: Components) -> tuple[Components, Components, Any]:
+    def _get_tangent(self, chunk: Chunk, normal: Components) -> tuple[Components, Components, Any]:
         """Return the tangent made perpendicular to the normal, the bitangent, and where the G-buffer has a tangent.
 
         Elsewhere the tangent is any vector perpendicular to the normal.
@@ -389,7 +357,7 @@ class _Builder:
         x, y, z = x * inverse, y * inverse, z * inverse
         return (x, y, z), (ny * z - nz * y, nz * x - nx * z, nx * y - ny * x), known
 
-    def _finish(self, chunk: tuple[slice, slice], normal: Components, specular: Any, lambert: Any) -> None:
+    def _finish(self, chunk: Chunk, normal: Components, specular: Any, lambert: Any) -> None:
         """Write the mask, the Lambert lobes and the harmless values of the pixels that have none."""
         field = self.field
         valid = specular if lambert is None else specular | lambert
@@ -409,7 +377,7 @@ class _Builder:
             if values is not None:
                 values[chunk][none] = harmless
 
-    def _write_lambert(self, chunk: tuple[slice, slice], normal: Components, lambert: Any) -> None:
+    def _write_lambert(self, chunk: Chunk, normal: Components, lambert: Any) -> None:
         field = self.field
         axis = np.stack([component[lambert] for component in normal], axis=-1)
         if field.axis is not None and field.sharpness is not None:

@@ -1,0 +1,193 @@
+"""What is filtered, and by which features: one layer of radiance for each lobe that the frame tells apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.settings import DenoiseSettings
+from lobewise.errors import MissingChannelError, describe_problem
+from lobewise.frame import FloatArray, Frame
+from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.lobes.field import LobeField, build_lobe_field
+from lobewise.lobes.hits import HitField
+from lobewise.lobes.mixture_field import build_mixture_field
+
+NEAREST_HIT = 2.0
+"""Hits count as no nearer than this many pixel footprints."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One radiance to filter and what it is filtered by."""
+
+    radiance: FloatArray
+    albedo: FloatArray | None
+    mask: NDArray[np.bool_]
+    features: tuple[Feature, ...]
+
+
+def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSettings) -> FloatArray:
+    if value is None:
+        raise MissingChannelError(
+            describe_problem(
+                f"channel {name}",
+                expected=f"one for similarity {settings.similarity!r}",
+                got="none",
+                action="render it with the frame, or choose another similarity",
+            )
+        )
+    return value
+
+
+def _find_places(frame: Frame) -> tuple[FloatArray, FloatArray]:
+    """Return the surface points (height, width, 3) and their depths, whichever of the two the frame has."""
+    guides = frame.gbuffer
+    assert frame.camera is not None
+    if guides.position is None:
+        assert guides.depth is not None
+        return frame.camera.make_positions(guides.depth), guides.depth
+    depth = guides.depth
+    if depth is None:
+        depth = np.linalg.norm(guides.position - frame.camera.position.astype(np.float32), axis=-1)
+    return guides.position, depth
+
+
+def _make_position_features(frame: Frame, settings: DenoiseSettings) -> list[Feature]:
+    assert not isinstance(settings.screen_sigma, str)
+    features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
+    guides = frame.gbuffer
+    if frame.camera is not None and (guides.position is not None or guides.depth is not None):
+        place, depth = _find_places(frame)
+        pixel_angle = frame.camera.get_pixel_angle(frame.height)
+        features.append(PositionFeature(place, depth, pixel_angle=pixel_angle, sigma=settings.position_sigma))
+    return features
+
+
+def _make_normal_features(frame: Frame, settings: DenoiseSettings, lobes: LobeField | None) -> list[Feature]:
+    normal = _require_channel(frame.gbuffer.normal, "normal", settings)
+    features: list[Feature] = [NormalFeature(normal, settings.normal_exponent)]
+    if settings.band_limit is not None:
+        assert lobes is not None and lobes.sharpness is not None and frame.camera is not None
+        features.append(
+            BandLimitFeature(
+                lobes.sharpness,
+                pixel_angle=frame.camera.get_pixel_angle(frame.height),
+                scale=settings.band_limit,
+                largest_sigma=float(max(settings.radius, 1)),
+            )
+        )
+    return features
+
+
+def _make_hits(frame: Frame, settings: DenoiseSettings) -> HitField | None:
+    """Return the hits, no nearer than `NEAREST_HIT` footprints, so that contacts do not close the kernel."""
+    if not settings.hit_distance:
+        return None
+    assert frame.camera is not None
+    distance = _require_channel(frame.gbuffer.hit_distance, "hit_distance", settings)
+    place, depth = _find_places(frame)
+    nearest = NEAREST_HIT * frame.camera.get_pixel_angle(frame.height) * depth
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(distance > 0.0, 1.0 / np.maximum(distance, nearest), 0.0)
+    return HitField(place, np.nan_to_num(inverse, posinf=0.0).astype(np.float32))
+
+
+def _make_lobe_feature(frame: Frame, settings: DenoiseSettings, lobes: LobeField) -> Feature:
+    assert not isinstance(settings.beta, str)
+    hits = _make_hits(frame, settings)
+    if settings.similarity == "sg":
+        assert lobes.axis is not None and lobes.sharpness is not None
+        return SgFeature(lobes.axis, lobes.sharpness, settings.beta, hits)
+    assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
+    kind = AsgFeature if settings.similarity == "asg" else GgxFeature
+    return kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, settings.beta, hits)
+
+
+def _make_specular(
+    frame: Frame, settings: DenoiseSettings, surface: NDArray[np.bool_], apart: bool
+) -> tuple[list[Feature], NDArray[np.bool_]]:
+    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
+    if settings.similarity == "normal" and settings.band_limit is None:
+        return _make_normal_features(frame, settings, None), surface
+    assert not isinstance(settings.beta, str) and not isinstance(settings.tau, str)
+    if frame.camera is None:
+        raise MissingChannelError(
+            describe_problem(
+                "camera",
+                expected=f"one for similarity {settings.similarity!r}",
+                got="none in the frame",
+                action="give the frame a camera, or use similarity 'normal'",
+            )
+        )
+    if settings.similarity == "sg_mixture":
+        mixture = build_mixture_field(
+            frame.gbuffer,
+            frame.camera,
+            tau=settings.tau,
+            lobes=settings.lobes,
+            lobe_tables=frame.lobe_tables,
+            diffuse=not apart,
+        )
+        feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
+        return [feature], surface & mixture.valid
+    lobes = build_lobe_field(
+        frame.gbuffer,
+        frame.camera,
+        tau=settings.tau,
+        representation=settings.similarity if settings.similarity in ("ggx", "asg") else "sg",
+        diffuse_fallback=True,
+    )
+    if settings.similarity == "normal":
+        return _make_normal_features(frame, settings, lobes), surface & lobes.valid
+    return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
+
+
+def _find_surface(frame: Frame) -> NDArray[np.bool_]:
+    """Return where a pixel sees a surface with finite guides."""
+    surface = np.ones(frame.shape, dtype=bool)
+    guides = frame.gbuffer
+    if guides.depth is not None:
+        surface &= (guides.depth > 0.0) & np.isfinite(guides.depth)
+    if guides.position is not None:
+        x, y, z = (guides.position[..., k] for k in range(3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            surface &= np.isfinite(x + y + z)
+    if guides.normal is not None:
+        # A missing surface has a zero normal in every renderer's convention.
+        x, y, z = (guides.normal[..., k] for k in range(3))
+        with np.errstate(invalid="ignore", over="ignore"):
+            squared = x * x + y * y + z * z
+        surface &= (squared > 0.01) & np.isfinite(squared)
+    return surface
+
+
+def make_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
+    """Return the layers of a frame; ``extra`` features count in all of them."""
+    guides, radiance = frame.gbuffer, frame.radiance
+    normal = _require_channel(guides.normal, "normal", settings)
+    apart = radiance.diffuse is not None and radiance.specular is not None
+    assert not isinstance(settings.diffuse_beta, str)
+    surface = _find_surface(frame)
+    shared = [*_make_position_features(frame, settings), *extra]
+    specular, specular_mask = _make_specular(frame, settings, surface, apart)
+    if not apart:
+        albedo = None
+        if guides.diffuse_albedo is not None and guides.specular_albedo is not None:
+            albedo = guides.diffuse_albedo + guides.specular_albedo
+        return [Layer(radiance.color, albedo, specular_mask, (*shared, *specular))]
+    assert radiance.diffuse is not None and radiance.specular is not None
+    diffuse: list[Feature]
+    if settings.similarity == "normal":
+        diffuse = [NormalFeature(normal, settings.normal_exponent)]
+    else:
+        diffuse = [DiffuseFeature(normal, settings.diffuse_beta)]
+    return [
+        Layer(radiance.diffuse, guides.diffuse_albedo, surface, (*shared, *diffuse)),
+        Layer(radiance.specular, guides.specular_albedo, specular_mask, (*shared, *specular)),
+    ]

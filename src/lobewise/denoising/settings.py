@@ -1,0 +1,197 @@
+"""Parameters of the recipe, and what "auto" stands for on a frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import Frame
+from lobewise.kernels.engine import FORMS, choose_device
+from lobewise.kernels.mixture_features import MOST_LOBES
+from lobewise.lobes.field import default_tau
+
+SIMILARITIES = ("auto", "normal", "sg", "sg_mixture", "asg", "ggx")
+DEFAULT_SIMILARITY = "ggx"
+"""What "auto" takes where the frame has lobes: the winner of benchmarks/results/quality.json."""
+USE_HITS = False
+"""Whether "auto" compares what lobes hit."""
+LARGEST_RADIUS = 64
+
+
+@dataclass(frozen=True)
+class DenoiseSettings:
+    """Parameters of `denoise`.
+
+    Parameters
+    ----------
+    similarity : {"auto", "normal", "sg", "sg_mixture", "asg", "ggx"}
+        What is compared on specular pixels: shading normals, one spherical Gaussian per lobe, a sum of them, one
+        anisotropic spherical Gaussian, or the GGX covariance of the lobe. "auto" takes "ggx" where the frame has
+        roughness and camera, else "normal".
+    form : {"full", "separable", "atrous"}
+        All (2r+1)^2 taps; a row and a column pass; five 5x5 levels of doubling step (radius 62).
+    radius : int
+        Kernel radius, pixels, 0 to 64; "atrous" does not use it.
+    beta : float or "auto"
+        Exponent of the lobe similarity, > 0: larger keeps more detail and more noise. "auto" follows the noise.
+    diffuse_beta : float or "auto"
+        The same for the overlap of diffuse lobes.
+    device : {"auto", "cpu"}
+        Where the kernels run.
+    screen_sigma : float or "auto"
+        Standard deviation of the screen distance, pixels, > 0; not used by "atrous". "auto" follows radius and noise.
+    position_sigma : float
+        Standard deviation of the distance in the scene, in pixel footprints, > 0.
+    tau : float or "auto"
+        Band-limit of the lobes, radians, 1e-5 to 1 (see `lobewise.lobes.field`): what makes a mirror's lobe finite.
+        "auto" follows the noise, down to the angle of a pixel.
+    normal_exponent : float
+        Sharpness with which "normal" compares normals, > 0.
+    band_limit : float or None
+        With "normal": scale of the screen-space band-limit by BRDF parameter, > 0; None for none.
+    lobes : int
+        With "sg_mixture": spherical Gaussians that stand for a GGX lobe, 1 to 4; where diffuse and specular radiance
+        are not apart 1 to 3, and one more is the diffuse lobe.
+    hit_distance : bool or "auto"
+        With "sg", "asg" and "ggx": compare footprints on what the lobes hit (see `lobewise.lobes.hits`).
+    """
+
+    similarity: str = "auto"
+    form: str = "full"
+    radius: int = 8
+    beta: float | str = "auto"
+    diffuse_beta: float | str = "auto"
+    device: str = "auto"
+    screen_sigma: float | str = "auto"
+    position_sigma: float = 16.0
+    tau: float | str = "auto"
+    normal_exponent: float = 64.0
+    band_limit: float | None = None
+    lobes: int = 3
+    hit_distance: bool | str = "auto"
+
+    def __post_init__(self) -> None:
+        require_choice("similarity", self.similarity, SIMILARITIES)
+        require_choice("form", self.form, FORMS)
+        if isinstance(self.radius, bool) or not isinstance(self.radius, int) or not 0 <= self.radius <= LARGEST_RADIUS:
+            raise InputError(
+                describe_problem(
+                    "radius",
+                    expected=f"an integer from 0 to {LARGEST_RADIUS}",
+                    got=repr(self.radius),
+                    action="8 is usual; form='atrous' reaches further",
+                )
+            )
+        for name in ("beta", "diffuse_beta", "screen_sigma", "tau"):
+            value = getattr(self, name)
+            if value != "auto":
+                _require_positive(name, value, '"auto" or a finite number above 0')
+        for name in ("position_sigma", "normal_exponent"):
+            _require_positive(name, getattr(self, name), "a finite number above 0")
+        if self.band_limit is not None:
+            _require_positive("band_limit", self.band_limit, "a finite number above 0")
+        if isinstance(self.lobes, bool) or not isinstance(self.lobes, int) or not 1 <= self.lobes <= MOST_LOBES:
+            raise InputError(
+                describe_problem(
+                    "lobes", expected=f"an integer from 1 to {MOST_LOBES}", got=repr(self.lobes), action="3 is usual"
+                )
+            )
+        if self.hit_distance not in (True, False, "auto"):
+            raise InputError(
+                describe_problem(
+                    "hit_distance", expected='True, False or "auto"', got=repr(self.hit_distance), action="leave it out"
+                )
+            )
+
+
+def _require_positive(name: str, value: Any, expected: str) -> None:
+    if isinstance(value, str) or not (math.isfinite(value) and value > 0.0):
+        raise InputError(describe_problem(name, expected=expected, got=repr(value), action="leave it out if unsure"))
+
+
+def choose_similarity(frame: Frame, similarity: str) -> str:
+    """Return the similarity that "auto" stands for on this frame; others are returned as they are."""
+    if similarity != "auto":
+        return similarity
+    guides = frame.gbuffer
+    placed = guides.position is not None or guides.depth is not None
+    has_lobes = guides.normal is not None and guides.alpha_u is not None and frame.camera is not None and placed
+    return DEFAULT_SIMILARITY if has_lobes else "normal"
+
+
+def estimate_spp(frame: Frame) -> float:
+    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
+
+    Where the frame has its variance, the median relative variance of the mean is compared with what the built-in
+    ``showroom`` has at the same sample count, ``0.0825 (4/spp)^0.56`` (it falls more slowly than 1/spp because few
+    samples hide the tail). A dim, indirectly lit room is then worth fewer samples than it took. Without variance it is
+    the sample count itself, and without that 4.
+    """
+    spp = float(frame.spp) if frame.spp is not None else None
+    if frame.variance is None:
+        return spp or 4.0
+    mean, variance = frame.radiance.color.mean(axis=-1), frame.variance.color.mean(axis=-1)
+    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
+    if not lit.any():
+        return spp or 4.0
+    noise = max(float(np.median(variance[lit] / mean[lit] ** 2)), 1e-9)
+    if spp is None:
+        return float(np.clip(4.0 * math.pow(0.0825 / noise, 1.0 / 0.56), 0.25, 4096.0))
+    excess = noise / (0.0825 * math.pow(4.0 / spp, 0.56))
+    return spp / float(np.clip(excess, 0.25, 16.0))
+
+
+def choose_beta(spp: float) -> float:
+    """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls.
+
+    The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
+    with the cube root of the sample count; the factor is fitted (benchmarks/results/quality.json, "tuned beta").
+    """
+    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
+
+
+def choose_screen_sigma(spp: float, radius: int) -> float:
+    """Return the standard deviation of the screen distance, pixels, for a sample count.
+
+    It bounds what lobes cannot see: how fast the reflected light itself changes.
+    """
+    return max(radius * min(1.0, 0.6 * math.pow(8.0 / max(spp, 1.0), 0.25)), 0.5)
+
+
+def choose_tau(spp: float, pixel_tau: float) -> float:
+    """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
+
+    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does, and
+    mirrors become sharp as their noise goes. The factor was fitted on the built-in scenes.
+    """
+    return max(0.03 * math.sqrt(4.0 / max(spp, 1.0)), pixel_tau)
+
+
+def can_use_hits(frame: Frame) -> bool:
+    """Return whether the frame tells where its surfaces are and how far away is what they reflect."""
+    guides = frame.gbuffer
+    placed = guides.position is not None or guides.depth is not None
+    return guides.hit_distance is not None and placed and frame.camera is not None
+
+
+def resolve_settings(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
+    """Return ``settings`` with every "auto" replaced by what it stands for on this frame."""
+    spp = estimate_spp(frame)
+    beta = choose_beta(spp)
+    sigma, tau = settings.screen_sigma, settings.tau
+    pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    return replace(
+        settings,
+        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
+        tau=choose_tau(math.sqrt(spp * (frame.spp or spp)), pixel_tau) if tau == "auto" else float(tau),
+        screen_sigma=choose_screen_sigma(spp, settings.radius) if sigma == "auto" else float(sigma),
+        similarity=choose_similarity(frame, settings.similarity),
+        hit_distance=USE_HITS and can_use_hits(frame) if settings.hit_distance == "auto" else settings.hit_distance,
+        beta=beta if settings.beta == "auto" else float(settings.beta),
+        diffuse_beta=beta if settings.diffuse_beta == "auto" else float(settings.diffuse_beta),
+        device=choose_device(settings.device),
+    )
