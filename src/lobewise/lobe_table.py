@@ -34,9 +34,9 @@ _SHAPES: dict[str, tuple[str, ...]] = {
 class LobeTable:
     """What a material reflects, times the cosine, as a sum of at most four lobes for each of some views.
 
-    A lobe is ``a exp(-l (w.x)^2 - m (w.y)^2)`` on the half of the sphere where ``w.z > 0``, else 0 (Xu et al. 2013);
-    a spherical Gaussian of sharpness L is the one with ``l = m = L / 2``. Its sum stands for ``brdf * max(n.w, 0)``
-    in 1/sr, as luminance.
+    A lobe is ``a max(w.z, 0) exp(-l (w.x)^2 - m (w.y)^2)`` (Xu et al. 2013), or in a table of kind ``sg`` the
+    spherical Gaussian ``a exp(2 l (w.z - 1))``, which near its axis is the same with ``l = m``. Their sum stands for
+    ``brdf * max(n.w, 0)`` in 1/sr, as luminance.
 
     Directions are in the view-aligned frame: z is the normal and the view is ``(sin t, 0, cos t)``, so that the plane
     of incidence is y = 0. A lobe's z is its axis; its x is the part of the frame's y across the axis, made unit length

@@ -1,0 +1,234 @@
+"""From a lobe table to the lobes of points: interpolated over the view, turned into the world.
+
+What is interpolated is each lobe as seen from the mirror direction, because that direction itself moves fast with the
+view: between the table's views the lobes follow the mirror exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.lobe_table import LobeTable
+from lobewise.lobes.vectors import Array, as_reals, dot, normalize
+
+# Points worked on at a time: the table's rows of that many points fit a core's L2 cache.
+_CHUNK = 8192
+
+
+class TableLobes(NamedTuple):
+    """The lobes of some points, in the world. N lobes each; see `LobeTable` for what a lobe is."""
+
+    axis: Array
+    """Unit vectors, shape (..., N, 3)."""
+    x: Array
+    """Unit vectors across the axis, shape (..., N, 3): the direction of the first sharpness."""
+    sharpness: Array
+    """``(l, m)`` along x and along ``axis cross x``, shape (..., N, 2)."""
+    amplitude: Array
+    """Value at the axis, 1/sr, shape (..., N)."""
+
+
+def evaluate_table(
+    table: LobeTable, normal: ArrayLike, view: ArrayLike, tangent: ArrayLike | None = None
+) -> TableLobes:
+    """Return the lobes that a material has at points seen from ``view``.
+
+    Between views the logarithm of the sharpness, the amplitude and the axis relative to the mirror direction are
+    linear in n.v and azimuth; the axis is made unit length again and the twist goes the shorter way. Beyond the ends
+    of the grid of n.v they are constant.
+
+    Parameters
+    ----------
+    table : LobeTable
+    normal, view : array_like, shape (..., 3)
+        Unit vectors in the world, the view away from the surface. Leading shapes broadcast.
+    tangent : array_like, shape (..., 3), optional
+        Direction from which the table's azimuths count; it need not be perpendicular to the normal. Anisotropic
+        tables need it.
+
+    Returns
+    -------
+    TableLobes
+        float32 where the given arrays are, else float64.
+
+    Raises
+    ------
+    InputError
+        If the table is anisotropic and there is no tangent.
+    """
+    if tangent is None and not table.is_isotropic:
+        raise InputError(
+            describe_problem(
+                "tangent",
+                expected=f"directions, because material {table.name!r} is anisotropic",
+                got="none",
+                action="pass tangent=",
+            )
+        )
+    given = (normal, view) if tangent is None else (normal, view, tangent)
+    vectors = np.broadcast_arrays(*as_reals(*given))
+    shape, dtype, lobes = vectors[0].shape[:-1], vectors[0].dtype, table.lobe_count
+    flat = [vector.reshape(-1, 3) for vector in vectors]
+    count = flat[0].shape[0]
+    axis, x = np.empty((count, lobes, 3), dtype), np.empty((count, lobes, 3), dtype)
+    sharpness, amplitude = np.empty((count, lobes, 2), dtype), np.empty((count, lobes), dtype)
+    rows = _pack(table, dtype)
+    # Lobes in the plane of incidence, not twisted, all have the same x: the direction across that plane.
+    in_plane = not rows[..., 0].any() and not rows[..., 7].any()
+    for first in range(0, count, _CHUNK):
+        part = slice(first, first + _CHUNK)
+        across, along, mirror, cosine, azimuth = _make_mirror_frame(*(vector[part] for vector in flat))
+        row = _interpolate(table, rows, cosine, azimuth)
+        local = normalize(row[..., :3])
+        axis[part] = _to_world(local, across, along, mirror)
+        sharpness[part] = np.exp(row[..., 3:5])
+        amplitude[part] = row[..., 5]
+        if in_plane:
+            x[part] = across[:, None]
+        else:
+            twist = 0.5 * np.arctan2(row[..., 7], row[..., 6])
+            x[part] = _to_world(_make_x(local, twist), across, along, mirror)
+    return TableLobes(
+        axis.reshape(*shape, lobes, 3),
+        x.reshape(*shape, lobes, 3),
+        sharpness.reshape(*shape, lobes, 2),
+        amplitude.reshape(*shape, lobes),
+    )
+
+
+def evaluate_lobes(lobes: TableLobes, direction: ArrayLike, kind: str) -> Array:
+    """Return the sum of the lobes in ``direction``: what stands for luminance of BRDF times cosine, 1/sr.
+
+    Parameters
+    ----------
+    lobes : TableLobes
+        Shapes (..., N, 3) and so on.
+    direction : array_like, shape (..., 3)
+        Unit vectors; leading shapes broadcast against those of the lobes.
+    kind : {"sg", "asg"}
+        That of the table.
+    """
+    direction = np.asarray(direction, dtype=lobes.axis.dtype)[..., None, :]
+    z = dot(lobes.axis, direction)
+    if kind == "sg":
+        value = np.exp(2.0 * lobes.sharpness[..., 0] * (z - 1.0))
+    else:
+        x, y = dot(lobes.x, direction), dot(np.cross(lobes.axis, lobes.x), direction)
+        value = np.exp(-lobes.sharpness[..., 0] * x * x - lobes.sharpness[..., 1] * y * y) * np.maximum(z, 0.0)
+    return np.asarray((lobes.amplitude * value).sum(axis=-1))
+
+
+def get_equivalent_alphas(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLike = 0.0) -> Array:
+    """Return the GGX-equivalent roughness, shape (..., 2): in the plane of incidence, and across it.
+
+    Parameters
+    ----------
+    table : LobeTable
+    cosine : array_like, shape (...)
+        n.v.
+    azimuth : array_like, shape (...)
+        Of the view about the normal from the tangent, radians; without meaning for an isotropic table.
+    """
+    return _look_up(table, table.alpha, cosine, azimuth)
+
+
+def get_albedo(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLike = 0.0) -> Array:
+    """Return the directional albedo, shape (..., 3), linear RGB; parameters as of `get_equivalent_alphas`."""
+    return _look_up(table, table.albedo, cosine, azimuth)
+
+
+def _look_up(table: LobeTable, values: Array, cosine: ArrayLike, azimuth: ArrayLike) -> Array:
+    cosine, azimuth = np.broadcast_arrays(*as_reals(cosine, azimuth))
+    flat = _interpolate(table, values.astype(cosine.dtype), cosine.ravel(), azimuth.ravel())
+    return np.asarray(flat.reshape(*cosine.shape, values.shape[-1]))
+
+
+def _pack(table: LobeTable, dtype: Any) -> Array:
+    """Return what is interpolated, (V, P, N, 8): axis relative to the mirror, log sharpness, amplitude, doubled twist.
+
+    The relative axis is in the frame (across the plane of incidence, in it, mirror direction). The twist is kept as
+    cosine and sine of its double, because a lobe turned by pi is the same lobe.
+    """
+    cosine = table.cosine.astype(np.float64)[:, None, None]
+    sine = np.sqrt(1.0 - cosine * cosine)
+    x, y, z = np.moveaxis(table.axis.astype(np.float64), -1, 0)
+    parts = [
+        y,
+        -cosine * x - sine * z,
+        cosine * z - sine * x,
+        *np.moveaxis(np.log(table.sharpness.astype(np.float64)), -1, 0),
+        table.amplitude,
+        np.cos(2.0 * table.twist),
+        np.sin(2.0 * table.twist),
+    ]
+    return np.stack(parts, axis=-1).astype(dtype)
+
+
+def _make_mirror_frame(
+    normal: Array, view: Array, tangent: Array | None = None
+) -> tuple[Array, Array, Array, Any, Any]:
+    """Return (across, along, mirror, n.v, azimuth): a right-handed frame about the mirror direction."""
+    cosine = dot(normal, view)
+    leaning = view - cosine[:, None] * normal
+    sine = np.sqrt(dot(leaning, leaning))
+    # Seen from straight above, every direction along the surface is as good; with a tangent it is the tangent.
+    spare = tangent
+    if spare is None:
+        spare = np.where(np.abs(normal[:, :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]).astype(normal.dtype)
+    spare = normalize(spare - dot(spare, normal)[:, None] * normal)
+    away = np.where((sine > 1e-6)[:, None], normalize(leaning), spare)
+    across = np.cross(normal, away)
+    along = -cosine[:, None] * away - sine[:, None] * normal
+    mirror = 2.0 * cosine[:, None] * normal - view
+    azimuth = np.zeros_like(cosine)
+    if tangent is not None:
+        azimuth = np.arctan2(-dot(across, spare), dot(away, spare))
+    return across, along, mirror, cosine, azimuth
+
+
+def _interpolate(table: LobeTable, rows: NDArray[Any], cosine: Array, azimuth: Array) -> Array:
+    """Return ``rows`` (V, P, ...) at points (n,), linear in n.v and azimuth."""
+    low, share = _locate(table.cosine.astype(np.float64), cosine)
+    high = np.minimum(low + 1, table.cosine.size - 1)
+    columns = rows.shape[1]
+    flat = rows.reshape(-1, *rows.shape[2:])
+    fill = (-1, *[1] * (rows.ndim - 2))
+    share = share.astype(rows.dtype).reshape(fill)
+
+    def at(column: NDArray[np.intp] | int) -> Array:
+        below = flat[low * columns + column]
+        return np.asarray(below + share * (flat[high * columns + column] - below))
+
+    if columns == 1:
+        return at(0)
+    turn = 2.0 * math.pi
+    grid = table.azimuth.astype(np.float64)
+    left, part = _locate(np.append(grid, grid[0] + turn), grid[0] + np.mod(azimuth - grid[0], turn))
+    weight = part.astype(rows.dtype).reshape(fill)
+    return np.asarray((1.0 - weight) * at(left) + weight * at((left + 1) % columns))
+
+
+def _locate(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the cells of an ascending grid that values are in, and how far along; clamped to its ends."""
+    position = np.interp(value, grid, np.arange(grid.size))
+    low = np.minimum(position.astype(np.intp), max(grid.size - 2, 0))
+    return low, np.asarray(position - low)
+
+
+def _to_world(local: Array, across: Array, along: Array, mirror: Array) -> Array:
+    return np.asarray(
+        local[..., 0:1] * across[:, None] + local[..., 1:2] * along[:, None] + local[..., 2:3] * mirror[:, None]
+    )
+
+
+def _make_x(axis: Array, twist: Array) -> Array:
+    """Return the x of lobes in the frame whose first direction is across the plane of incidence."""
+    first = np.zeros_like(axis)
+    first[..., 0] = 1.0
+    x = normalize(first - axis[..., :1] * axis)
+    return np.asarray(np.cos(twist)[..., None] * x + np.sin(twist)[..., None] * np.cross(axis, x))
