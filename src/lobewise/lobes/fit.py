@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from lobewise.errors import InputError, MissingDependencyError, describe_problem, require_choice
 from lobewise.lobe_table import KINDS, MAX_LOBES, LobeTable
 from lobewise.lobes.brdf import ggx_brdf
+from lobewise.lobes.fit_shapes import LobeFamily
 from lobewise.lobes.vectors import Array
 
 Evaluate = Callable[[Array, Array], Any]
@@ -28,21 +29,11 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue (ITU-R BT.709)."""
 COSINES = tuple(float((math.sqrt(0.05) + (1.0 - math.sqrt(0.05)) * i / 19.0) ** 2) for i in range(20))
 """n.v of the default views: 20 from 0.05 to 1, equally spaced in the square root, denser where lobes change faster."""
-GAUSSIANS = {
-    1: ((1.13114,), (0.85981,)),
-    2: ((1.99292, 0.38284), (0.76456, 0.20460)),
-    3: ((2.72034, 0.79279, 0.15495), (0.56175, 0.38771, 0.04203)),
-    4: ((3.36676, 1.19570, 0.35641, 0.06981), (0.39312, 0.47419, 0.12070, 0.00929)),
-}
-"""Best sums of Gaussians ``sum w exp(-b q)`` for GGX, ``(1 + q)^-2``: the b and the w. ``(1 + q)^-2`` is the mean of
-``exp(-t q)`` over the density ``t exp(-t)``, so that the same numbers serve every roughness."""
-
 # The concentration of nodes about the mirror direction, radians of the half vector: a fraction of the sharpest alpha.
 _CORE = 0.005
 # Nodes along a radius, above and below the horizon.
 _ABOVE, _BELOW = 48, 16
-# Values of log sharpness and log alpha beyond which nothing is resolved.
-_LOG_SHARPNESS = (math.log(0.5), math.log(1e7))
+# Range of log alpha: nothing sharper is resolved.
 _LOG_ALPHA = (math.log(0.003), 0.0)
 # How much better, in squared sine, a cold start must be than the neighbour's lobes: continuity over views is worth it.
 _COLD_GAIN = 2e-4
@@ -160,7 +151,7 @@ def fit_lobes(
     if azimuths is not None:
         turns = _check_grid("azimuths", azimuths, "angles from 0 to below 2 pi", lambda a: (a >= 0) & (a < 2 * math.pi))
     _require_scipy()
-    family = _Family(kind, flat=azimuths is None)
+    family = LobeFamily(kind, flat=azimuths is None)
     views, columns = grid.size, turns.size
     found: dict[tuple[int, int], _Found] = {}
     samples: dict[tuple[int, int], _Data] = {}
@@ -177,7 +168,8 @@ def fit_lobes(
             neighbour = found.get((v + 1, p))
             if neighbour is None and p > 0:
                 # Seen from above the azimuths show the same lobes, turned.
-                neighbour = family.turn(found[v, p - 1], float(azimuth - turns[p - 1]))
+                last = found[v, p - 1]
+                neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
             found[v, p] = _fit_view(samples[v, p], family, int(lobes), neighbour)
             report((views - 1 - v) * columns + p + 1)
     for v in range(1, views):
@@ -259,110 +251,7 @@ def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> 
     return _Data(cosine, nodes.weight @ reflected, missing, nodes, root, root * (reflected @ LUMINANCE))
 
 
-class _Family:
-    """The shapes that a lobe can take: rows of numbers that the search moves freely.
-
-    A row is (tilt, log sharpness...) in the plane of incidence, (tilt, side, [twist,] log sharpness...) out of it.
-    The tilt is the axis' angle from the normal, away from the viewer; the side its angle from that plane.
-    """
-
-    def __init__(self, kind: str, *, flat: bool) -> None:
-        self.kind = kind
-        self.flat = flat
-        angles = 1 if flat else 3 if kind == "asg" else 2
-        self.first = angles
-        self.size = angles + (2 if kind == "asg" else 1)
-        self.low = np.full(self.size, -np.inf)
-        self.high = np.full(self.size, np.inf)
-        self.low[angles:], self.high[angles:] = _LOG_SHARPNESS
-
-    def make_start(self, cosine: float, alpha: Array, covariance: Array, lobes: int) -> Array:
-        """Return rows for the reflected lobes of the sums of Gaussians that are best for GGX (Xu et al. 2013)."""
-        mirror = math.atan2(math.sqrt(max(0.0, 1.0 - cosine * cosine)), cosine)
-        precision = np.diag(np.maximum(1.0 / alpha**2 - 1.0, 0.02))
-        if not self.flat:
-            # The data tell how the half vectors' ellipse is turned; alpha tells its size.
-            shape = np.linalg.inv(covariance)
-            precision = shape * math.sqrt(np.linalg.det(precision) / np.linalg.det(shape))
-        # Half vectors along (x, y) move the light by 2 in the plane of incidence, by 2 n.v across it.
-        warp = np.asarray([0.5, 0.5 / max(cosine, 0.1)])
-        precision = precision * warp[:, None] * warp
-        rows = np.zeros((lobes, self.size))
-        rows[:, 0] = mirror
-        scale = np.log(GAUSSIANS[lobes][0])
-        values, vectors = np.linalg.eigh(precision)
-        # A half vector that moves along y moves the light along the lobe's x, one along x against the lobe's y.
-        if self.kind == "sg":
-            rows[:, -1] = scale + math.log(2.0) + 0.5 * math.log(np.linalg.det(precision))
-            if not self.flat:
-                # In a row along the ellipse: on one spot they would stay there, each a stationary point.
-                spread = np.linspace(-0.5, 0.5, lobes) if lobes > 1 else np.zeros(1)
-                rows[:, :2] += spread[:, None] * vectors[:, 0] * [-1.0, 1.0] / math.sqrt(values[0])
-        elif self.flat:
-            rows[:, 1:] = scale[:, None] + np.log([precision[1, 1], precision[0, 0]])
-        else:
-            rows[:, 2] = math.atan2(-vectors[0, 1], vectors[1, 1])
-            rows[:, 3:] = scale[:, None] + np.log(values[::-1])
-        return np.clip(rows, self.low, self.high)
-
-    def to_frames(self, rows: Array) -> tuple[Array, Array, Array]:
-        """Return (axis, sharpness, twist) of rows (..., size), as a `LobeTable` keeps them."""
-        tilt, none = rows[..., 0], np.zeros(rows.shape[:-1])
-        side = none if self.flat else rows[..., 1]
-        axis = np.stack([-np.sin(tilt) * np.cos(side), np.sin(side), np.cos(tilt) * np.cos(side)], axis=-1)
-        if self.kind == "sg":
-            return axis, np.repeat(0.5 * np.exp(rows[..., -1:]), 2, axis=-1), none
-        twist = none if self.flat else np.arctan2(np.sin(rows[..., 2]), np.cos(rows[..., 2]))
-        return axis, np.exp(rows[..., -2:]), twist
-
-    def move(self, rows: Array, old: float, new: float) -> Array:
-        """Return rows of the view at n.v = ``old`` as they would be at ``new``: mirrored, and warped as GGX is."""
-        moved = rows.copy()
-        moved[:, 0] += math.acos(new) - math.acos(old)
-        ratio = math.log(max(old, 0.1) / max(new, 0.1))
-        moved[:, self.first] += ratio if self.kind == "sg" else 2.0 * ratio
-        return moved
-
-    def turn(self, found: _Found, angle: float) -> _Found:
-        """Return the lobes of a view from above as a viewer sees them whose azimuth is greater by ``angle``."""
-        x, y, z = np.moveaxis(self.to_frames(found.shapes)[0], -1, 0)
-        rows = found.shapes.copy()
-        ahead = math.cos(angle) * x + math.sin(angle) * y
-        rows[:, 0] = np.arctan2(-ahead, z)
-        if not self.flat:
-            rows[:, 1] = np.arcsin(np.clip(math.cos(angle) * y - math.sin(angle) * x, -1.0, 1.0))
-            rows[:, 2 : self.first] -= angle
-        return replace(found, shapes=rows)
-
-    def align(self, rows: Array, neighbour: Array) -> Array:
-        """Return rows in the one of two equal ways to name a lobe's x and y that is nearer to the neighbour's."""
-        aligned = rows.copy()
-        if self.flat or self.kind == "sg":
-            return aligned
-        quarters = np.round((neighbour[:, 2] - rows[:, 2]) / (0.5 * math.pi))
-        aligned[:, 2] += 0.5 * math.pi * quarters
-        swapped = np.asarray(quarters % 2.0 == 1.0)
-        aligned[swapped, 3:] = aligned[swapped, :2:-1]
-        return aligned
-
-    def evaluate(self, row: Array, light: Array) -> Array:
-        """Return the lobe of one row with amplitude 1."""
-        side = 0.0 if self.flat else row[1]
-        sine, cosine = math.sin(row[0]), math.cos(row[0])
-        in_plane = cosine * light[:, 2] - sine * light[:, 0]
-        z = math.cos(side) * in_plane + math.sin(side) * light[:, 1]
-        if self.kind == "sg":
-            return np.asarray(np.exp(math.exp(row[-1]) * (z - 1.0)))
-        x = math.cos(side) * light[:, 1] - math.sin(side) * in_plane
-        y = -cosine * light[:, 0] - sine * light[:, 2]
-        if not self.flat:
-            turn = math.cos(row[2]), math.sin(row[2])
-            x, y = turn[0] * x + turn[1] * y, turn[0] * y - turn[1] * x
-        exponent = math.exp(row[-2]) * (x * x) + math.exp(row[-1]) * (y * y)
-        return np.asarray(np.exp(-exponent) * np.maximum(z, 0.0))
-
-
-def _fit_view(data: _Data, family: _Family, lobes: int, neighbour: _Found | None) -> _Found:
+def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | None) -> _Found:
     """Return the lobes of one view; the neighbour's lobes are a start, and kept in order unless much worse."""
     norm = float(np.linalg.norm(data.target))
     if not norm > 0.0:
@@ -387,7 +276,7 @@ def _fit_view(data: _Data, family: _Family, lobes: int, neighbour: _Found | None
     return _finish(data, family, best, alpha)
 
 
-def _refit_view(data: _Data, family: _Family, found: _Found, neighbour: _Found) -> _Found:
+def _refit_view(data: _Data, family: LobeFamily, found: _Found, neighbour: _Found) -> _Found:
     """Return the lobes of one view, searched once more from those of the view below it."""
     if not (data.target.any() and neighbour.cosine_l2 > 0.0):
         return found
@@ -398,11 +287,11 @@ def _refit_view(data: _Data, family: _Family, found: _Found, neighbour: _Found) 
     return found
 
 
-def _search_lobes(data: _Data, family: _Family, start: Array) -> _Trial:
+def _search_lobes(data: _Data, family: LobeFamily, start: Array) -> _Trial:
     return _search(data, lambda row: family.evaluate(row, data.nodes.light), start, family.low, family.high)
 
 
-def _match(data: _Data, family: _Family, trial: _Trial, neighbour: Array) -> _Trial:
+def _match(data: _Data, family: LobeFamily, trial: _Trial, neighbour: Array) -> _Trial:
     """Return the lobes of ``trial`` in the order and the names of x and y that are nearest to the neighbour's."""
     ours, theirs = (
         np.stack([data.root * family.evaluate(row, data.nodes.light) for row in rows])
@@ -413,7 +302,7 @@ def _match(data: _Data, family: _Family, trial: _Trial, neighbour: Array) -> _Tr
     return _Trial(family.align(trial.shapes[list(order)], neighbour), trial.amplitude[list(order)], trial.error)
 
 
-def _finish(data: _Data, family: _Family, trial: _Trial, alpha: Array) -> _Found:
+def _finish(data: _Data, family: LobeFamily, trial: _Trial, alpha: Array) -> _Found:
     """Complete the albedo by the lobes where there is no measurement."""
     light = data.nodes.light[data.missing]
     model = sum(a * family.evaluate(row, light) for a, row in zip(trial.amplitude, trial.shapes, strict=True))
