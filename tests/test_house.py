@@ -22,6 +22,7 @@ ROOMS = [
     "render",
     "peers",
     "display",
+    "fit_plot",
     "report",
     "demo",
     "cli",
@@ -35,6 +36,8 @@ OWNERS = {
     "typer": "cli",
     "rich": "cli",
     "flip_evaluator": "metrics",
+    "scipy": "lobes",
+    "matplotlib": "fit_plot",
 }
 
 

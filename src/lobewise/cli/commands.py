@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 import lobewise
+from lobewise.cli.fitting import fit
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError, describe_problem
 
 app = typer.Typer(
@@ -148,6 +149,9 @@ def denoise(
         raise type(problem)(f"{source}: {problem}") from problem
     write_result(output, result, source=source)
     print_line(f"Wrote {output}: {describe_result(result)}.")
+
+
+app.command()(fit)
 
 
 @app.command()

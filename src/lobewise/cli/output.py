@@ -13,6 +13,7 @@ from rich.text import Text
 
 from lobewise.frame import Result
 from lobewise.io import FileDescription
+from lobewise.lobe_table import LobeTable
 
 
 class _Console(Console):
@@ -87,6 +88,29 @@ def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
     for name, available, reason in devices:
         table.add_row(Text(name), "yes" if available else "no", Text(reason))
     _Console().print(table)
+
+
+def print_fit(table: LobeTable) -> None:
+    """Print how near the lobes of a material are to its data at each view, and the GGX that is nearest."""
+    many = not table.is_isotropic
+    listing = Table(
+        title=Text(f"{table.name}: {table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''} a view"),
+        title_justify="left",
+    )
+    for title in ("n.v", "worst L2 cosine" if many else "L2 cosine", "residual"):
+        listing.add_column(title, justify="right", no_wrap=True)
+    if not many:
+        listing.add_column("alpha along, across", justify="right", no_wrap=True)
+        listing.add_column("albedo", justify="right", no_wrap=True)
+    for row in range(table.cosine.size - 1, -1, -1):
+        nearness = float(table.cosine_l2[row].min())
+        # The distance of the best multiple of the lobes from the data, in the unit of the data's norm.
+        cells = [f"{table.cosine[row]:.3f}", f"{nearness:.4f}", f"{100 * math.sqrt(1 - min(nearness, 1) ** 2):.1f} %"]
+        if not many:
+            cells.append(", ".join(f"{alpha:.3f}" for alpha in table.alpha[row, 0]))
+            cells.append(", ".join(f"{albedo:.2f}" for albedo in table.albedo[row, 0]))
+        listing.add_row(*map(Text, cells))
+    _Console().print(listing)
 
 
 def print_description(found: FileDescription, *, with_attributes: bool) -> None:

@@ -1,0 +1,117 @@
+"""The verb `fit`: a measured material becomes a lobe file, with a table of residuals and a plot of fit against data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lobewise.errors import InputError, describe_problem
+
+if TYPE_CHECKING:
+    from lobewise.lobes.fit import Evaluate
+
+
+def fit(
+    material: Annotated[
+        Path,
+        typer.Argument(metavar="MATERIAL.binary", help="A material of the MERL database.", show_default=False),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE.lobes", help="The file to write.", show_default=False)
+    ],
+    lobes: Annotated[int, typer.Option(metavar="1-4", help="Lobes for each view.")] = 3,
+    kind: Annotated[str, typer.Option(metavar="sg|asg", help="Round or anisotropic lobes.")] = "asg",
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE.png",
+            help="Where to draw fit against data; by default beside the output.",
+            show_default=False,
+        ),
+    ] = None,
+    no_plot: Annotated[bool, typer.Option("--no-plot", help="Draw nothing.")] = False,
+) -> None:
+    """Turn a measured material into lobes, and say how near they are."""
+    from lobewise.io.materials import read_merl
+
+    picture = choose_plot(output, plot, wanted=not no_plot)
+    brdf = read_merl(material)
+    fit_material(brdf, name=brdf.name, output=output, lobes=lobes, kind=kind, plot=picture)
+
+
+def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:
+    """Return where the plot goes, or None for no plot; both paths can be written.
+
+    Raises
+    ------
+    FileError
+        If one of them cannot be written.
+    InputError
+        If they are the same, or a plot is named and not wanted.
+    MissingDependencyError
+        If a plot is wanted and Matplotlib is not installed.
+    """
+    from lobewise.fit_plot import require_matplotlib
+    from lobewise.io.files import require_writable
+
+    target = require_writable(output)
+    if not wanted:
+        if plot is not None:
+            raise InputError(
+                describe_problem(
+                    "--no-plot", expected="no --plot beside it", got="both", action="leave one of them out"
+                )
+            )
+        return None
+    picture = output.with_suffix(".png") if plot is None else plot
+    if require_writable(picture, what="plot") == target:
+        raise InputError(
+            describe_problem(
+                "--plot", expected="another file than the output", got=f"{str(picture)!r}", action="rename one of them"
+            )
+        )
+    require_matplotlib()
+    return picture
+
+
+def fit_material(evaluate: Evaluate, *, name: str, output: Path, lobes: int, kind: str, plot: Path | None) -> None:
+    """Fit a material, print the residuals, and write its lobe file and plot.
+
+    Nothing is written before all is computed.
+
+    Parameters
+    ----------
+    evaluate : callable
+        The material; see `lobewise.lobes.fit.Evaluate`.
+    name : str
+        What it is called.
+    output : Path
+        The lobe file.
+    lobes, kind
+        See `lobewise.lobes.fit.fit_lobes`.
+    plot : Path, optional
+        The PNG file, if any.
+    """
+    from lobewise.cli.commands import show_progress
+    from lobewise.cli.output import print_fit, print_line
+    from lobewise.fit_plot import draw_fit
+    from lobewise.io.files import open_atomic
+    from lobewise.io.materials import write_lobe_table
+    from lobewise.lobes.fit import fit_lobes
+
+    with show_progress() as advance:
+
+        def progress(done: int, total: int) -> None:
+            advance(f"Fitting {name}", done, total)
+
+        table = fit_lobes(evaluate, lobes=lobes, kind=kind, name=name, progress=progress)
+    picture = None if plot is None else draw_fit(table, evaluate)
+    write_lobe_table(output, table)
+    if plot is not None and picture is not None:
+        with open_atomic(plot, what="plot") as stream:
+            stream.write(picture)
+    print_fit(table)
+    print_line(f"Wrote {output}." if plot is None else f"Wrote {output} and {plot}.")

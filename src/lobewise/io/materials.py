@@ -1,0 +1,169 @@
+"""Files of materials: MERL tables in, lobe tables in and out.
+
+A lobe file is JSON: an object with ``"format": "lobewise lobes"``, ``"version": 1`` and the fields of a `LobeTable`,
+arrays as nested lists. Every number has as many digits as its float32 needs, so that reading gives the same bits.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.io.files import PathLike, open_atomic, require_readable, write_text
+from lobewise.lobe_table import LobeTable
+from lobewise.lobes.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
+
+FORMAT = "lobewise lobes"
+VERSION = 1
+# Far above the 4 lobes of a table over a thousand views; a larger file is something else.
+_MAX_BYTES = 1 << 26
+_FIELDS = tuple(item.name for item in fields(LobeTable))
+
+
+def read_merl(path: PathLike) -> MerlBrdf:
+    """Return the BRDF of a MERL file, named as the file is.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, or is not a whole MERL file with measurements; see `parse_merl`.
+    """
+    # One byte more than there should be is enough to see that something follows.
+    data = _read_bytes(path, FILE_BYTES + 1, expected="a MERL table")
+    try:
+        return parse_merl(data, Path(path).stem)
+    except FileError as problem:
+        raise FileError(f"{path}: {problem}") from None
+
+
+def write_merl(path: PathLike, brdf: MerlBrdf) -> None:
+    """Write a MERL file, whole or not at all.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written.
+    """
+    with open_atomic(path) as stream:
+        stream.write(to_bytes(brdf))
+
+
+def read_lobe_table(path: PathLike) -> LobeTable:
+    """Return the lobe table of a ``.lobes`` file.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, is no lobe file, is of another version, or holds values that no table can have.
+    """
+    data = _read_bytes(path, _MAX_BYTES, expected="a lobe table")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        text = ""
+    return lobe_table_from_json(text, what=f"lobe file {str(path)!r}")
+
+
+def write_lobe_table(path: PathLike, table: LobeTable) -> None:
+    """Write a ``.lobes`` file, whole or not at all.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written.
+    """
+    write_text(path, lobe_table_to_json(table))
+
+
+def lobe_table_to_json(table: LobeTable) -> str:
+    """Return the text of a lobe file; it may as well stand in the header of an image."""
+    values: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    for name in _FIELDS:
+        value = getattr(table, name)
+        values[name] = value if isinstance(value, str) else _to_lists(value)
+    lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in values.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def lobe_table_from_json(text: str, *, what: str = "lobe table") -> LobeTable:
+    """Return the table that `lobe_table_to_json` wrote.
+
+    Parameters
+    ----------
+    text : str
+        The JSON.
+    what : str
+        Stands in errors: where the text is from.
+
+    Raises
+    ------
+    FileError
+        If it is no lobe table, is of another version, or holds values that no table can have.
+    """
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError):
+        values = None
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        raise FileError(
+            describe_problem(
+                what,
+                expected=f"JSON with the format {FORMAT!r}",
+                got="something else",
+                action="pass a file that `lobewise fit` wrote",
+            )
+        )
+    if values.get("version") != VERSION:
+        raise FileError(
+            describe_problem(
+                what,
+                expected=f"version {VERSION}",
+                got=f"version {values.get('version')!r}",
+                action="update lobewise or fit the material again",
+            )
+        )
+    lost = [name for name in _FIELDS if name not in values]
+    if lost:
+        raise FileError(
+            describe_problem(
+                what, expected=f"all of {', '.join(_FIELDS)}", got=f"no {lost[0]}", action="fit the material again"
+            )
+        )
+    try:
+        return LobeTable(**{name: values[name] for name in _FIELDS})
+    except InputError as problem:
+        raise FileError(f"{what}: {problem}") from None
+
+
+def _to_lists(array: Any) -> Any:
+    """Return nested lists of floats with the fewest digits that give the same float32."""
+    if array.ndim == 0:
+        return float(str(array))
+    return [_to_lists(part) for part in array]
+
+
+def _read_bytes(path: PathLike, limit: int, *, expected: str) -> bytes:
+    """Return at most ``limit`` bytes of a file that exists and is not empty."""
+    file = Path(path)
+    if file.is_file() and file.stat().st_size == 0:
+        raise FileError(
+            describe_problem(
+                f"input {str(file)!r}", expected=expected, got="an empty file of 0 bytes", action="write it again"
+            )
+        )
+    file = require_readable(file)
+    try:
+        with file.open("rb") as stream:
+            return stream.read(limit)
+    except OSError as problem:
+        raise FileError(
+            describe_problem(
+                f"input {str(file)!r}",
+                expected="a readable file",
+                got=(problem.strerror or str(problem)).lower(),
+                action="check the disk",
+            )
+        ) from problem

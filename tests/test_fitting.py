@@ -1,0 +1,130 @@
+"""`lobewise fit` as users call it: what it prints and writes, and how it ends when something is wrong."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.fit_plot import draw_fit
+from lobewise.io.materials import read_lobe_table, write_merl
+from lobewise.lobes.brdf import ggx_brdf
+from lobewise.lobes.fit import fit_lobes
+from lobewise.lobes.merl import FILE_BYTES, make_merl
+
+
+@pytest.fixture(scope="module")
+def material(tmp_path_factory):
+    """Return the path of a MERL file of a reddish GGX of roughness 0.2."""
+    path = tmp_path_factory.mktemp("merl") / "copper.binary"
+    color = np.asarray([0.9, 0.5, 0.2])
+    write_merl(path, make_merl(lambda view, light: ggx_brdf(view, light, 0.2)[:, None] * color))
+    return path
+
+
+def read_png_size(data):
+    """Return (width, height) of a PNG."""
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">2I", data[16:24])
+
+
+class TestFit:
+    def test_a_file_becomes_lobes_residuals_and_a_plot(self, material, tmp_path, capsys):
+        out = tmp_path / "copper.lobes"
+        assert run(["fit", str(material), "-o", str(out), "--lobes", "2"]) == 0
+        table = read_lobe_table(out)
+        assert (table.name, table.kind, table.lobe_count) == ("copper", "asg", 2)
+        assert table.cosine_l2[-1, 0] > 0.99
+        np.testing.assert_allclose(table.alpha[-1], 0.2, rtol=0.01)
+        assert table.albedo[-1, 0, 0] > table.albedo[-1, 0, 2]
+        width, height = read_png_size((tmp_path / "copper.png").read_bytes())
+        assert min(width, height) > 500
+        printed = capsys.readouterr().out
+        assert "copper: 2 asg lobes a view" in printed
+        assert f"{table.cosine_l2[-1, 0]:.4f}" in printed
+        assert printed.count("│") == (table.cosine.size) * 6
+        assert printed.endswith(f"Wrote {out} and {tmp_path / 'copper.png'}.\n")
+
+    def test_choices_arrive(self, material, tmp_path):
+        out, picture = tmp_path / "a.lobes", tmp_path / "b.png"
+        assert run(["fit", str(material), "-o", str(out), "--lobes", "1", "--kind", "sg", "--plot", str(picture)]) == 0
+        table = read_lobe_table(out)
+        assert (table.kind, table.lobe_count) == ("sg", 1)
+        assert picture.exists()
+        assert run(["fit", str(material), "-o", str(out), "--lobes", "1", "--no-plot"]) == 0
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.lobes", "b.png"]
+
+
+class TestMistakes:
+    """Each one sentence, exit code 2, and nothing written."""
+
+    @pytest.fixture
+    def fail(self, tmp_path, capsys):
+        """Return a function that runs a line which must fail, and returns its one sentence."""
+
+        def call(material, *arguments):
+            before = sorted(tmp_path.iterdir())
+            assert run(["fit", str(material), "-o", str(tmp_path / "out.lobes"), *map(str, arguments)]) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert err.startswith("lobewise: ")
+            assert (err.count("\n"), "Traceback" in err) == (1, False)
+            assert sorted(tmp_path.iterdir()) == before
+            return err
+
+        return call
+
+    def test_broken_files(self, material, tmp_path, fail):
+        path = tmp_path / "bad.binary"
+        good = material.read_bytes()
+        cases = {
+            "end is missing": good[:-1],
+            "MERL header": b"\x76\x2f\x31\x01" + good[4:4000],
+            "not measured": good[:12] + np.full((FILE_BYTES - 12) // 8, -1.0).tobytes(),
+            "empty file": b"",
+        }
+        for words, data in cases.items():
+            path.write_bytes(data)
+            assert words in fail(path)
+
+    def test_wrong_options(self, material, tmp_path, fail):
+        assert "1 to 4" in fail(material, "--lobes", 5)
+        assert "did you mean 'asg'" in fail(material, "--kind", "asgs")
+        assert "another file" in fail(material, "--plot", tmp_path / "out.lobes")
+        assert "no folder" in fail(material, "--plot", tmp_path / "nowhere" / "a.png")
+        assert "--plot" in fail(material, "--plot", tmp_path / "a.png", "--no-plot")
+        assert "no such file" in fail(tmp_path / "missing.binary")
+
+    def test_without_matplotlib(self, material, fail, monkeypatch):
+        monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+        assert "lobewise[fit]" in fail(material)
+
+    def test_nothing_is_written_when_the_plot_fails(self, material, tmp_path, monkeypatch):
+        def explode(*_arguments):
+            raise ZeroDivisionError
+
+        monkeypatch.setattr("lobewise.fit_plot.draw_fit", explode)
+        assert run(["fit", str(material), "-o", str(tmp_path / "out.lobes"), "--lobes", "1"]) == 1
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("cosines", [[1.0], np.linspace(0.1, 1.0, 5)])
+def test_plots_of_few_views(cosines):
+    def hole(view, light):
+        return np.where(light[:, 0] > 0.5, np.nan, ggx_brdf(view, light, 0.3))
+
+    table = fit_lobes(hole, cosines=cosines, lobes=1, name="50 $ a $ piece")
+    assert min(read_png_size(draw_fit(table, hole))) > 100
+
+
+def test_nothing_heavy_is_imported_before_it_is_needed():
+    code = (
+        "import lobewise.lobes.fit, lobewise.fit_plot, lobewise.io.materials, lobewise.cli.fitting, sys;"
+        "print(sorted(set(sys.modules) & {'scipy', 'matplotlib', 'rich.table'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
