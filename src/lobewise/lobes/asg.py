@@ -22,8 +22,8 @@ from lobewise.lobes.vectors import Array, as_reals, divide_or, dot, normalize, r
 
 MIN_VARIANCE = 1e-9
 """Square radians; the least variance of a lobe made from a roughness, so that a mirror without band-limit is finite."""
-MIN_DEFICIT = 1e-3
-"""Floor of ``1 - alpha^2``: rougher normals than that are flat."""
+GGX_LIMIT = 0.6
+"""Sharpness added to GGX lobes, so that rough ones are no wider than the hemisphere (fitted to quadrature)."""
 INTEGRAL_NODES = 24
 """Per quarter circle: 1e-13 for sharpnesses up to 1e6 in any ratio."""
 
@@ -209,14 +209,25 @@ def asg_product(lobe_i: AsgLobe, lobe_j: AsgLobe) -> AsgProduct:
     return AsgProduct(*(np.asarray(part, dtype=dtype) for part in parts))
 
 
-def asg_product_integral(lobe_i: AsgLobe, lobe_j: AsgLobe) -> Array:
-    """Return the integral over the sphere of the product of two lobes. Approximate (Xu et al. 2013).
+def _two_cosine_integral(sharpness_x: Array, sharpness_y: Array) -> Array:
+    """Return `asg_integral` times the mean of a cosine: the integral of ``max(w.z, 0)^2 exp(-w^T A w)``."""
+    product, total = sharpness_x * sharpness_y, sharpness_x + sharpness_y
+    return asg_integral(sharpness_x, sharpness_y) * divide_or(product, product + 0.25 * total, 0.5)
 
-    ``exp(-c) (e3.z_i) (e3.z_j) I(a - c, b - c)``, see `asg_product`; I is `asg_integral`.
+
+def asg_product_integral(lobe_i: AsgLobe, lobe_j: AsgLobe) -> Array:
+    """Return the integral over the sphere of the product of two lobes. Approximate.
+
+    ``exp(-c) (e3.z_i) (e3.z_j) I(a - c, b - c)``, see `asg_product`; I is `asg_integral` with a second cosine.
+    Source: Xu et al. 2013.
+    Departs: the product has two cosines and one lobe has one. The mean of the second, ``1 / (1 + (1 / l + 1 / m) / 4)``
+    for the sharpnesses l and m of the product, takes the relative error from 0.16, 0.022 and 0.0065 (RMS, smallest
+    sharpness 1 to 2, 5 to 10 and 10 to 100) to 0.041, 0.0015 and 0.0002.
     """
     product = asg_product(lobe_i, lobe_j)
-    integral = asg_integral(product.sharpness_x, product.sharpness_y)
-    return np.asarray(product.amplitude * product.smooth * integral)
+    return np.asarray(
+        product.amplitude * product.smooth * _two_cosine_integral(product.sharpness_x, product.sharpness_y)
+    )
 
 
 def asg_sg_product_integral(lobe: AsgLobe, sg_axis: ArrayLike, sg_sharpness: ArrayLike) -> Array:
@@ -251,33 +262,67 @@ def asg_sharpness(lobe: AsgLobe) -> tuple[Array, Array]:
 def asg_similarity(lobe_i: AsgLobe, lobe_j: AsgLobe) -> Array:
     """Return the L2-normalised product integral of two lobes, in [0, 1]; 1 for equal lobes. Approximate.
 
-    `asg_product_integral` over the norms by the same formula. Validity: see the table in the theory page.
+    `asg_product_integral` over the norms by the same formula. Validity: RMSE of S against quadrature over random pairs
+    (sharpness ratio in a lobe up to 4, between lobes up to 3, any twist, axes up to 1.3 widths apart) 0.012 for the
+    smallest sharpness from 1 to 2, 0.0026 from 2 to 5, 0.0003 from 5 to 10.
     """
-    norms = [asg_integral(2.0 * x, 2.0 * y) for x, y in (asg_sharpness(lobe_i), asg_sharpness(lobe_j))]
+    norms = [_two_cosine_integral(2.0 * x, 2.0 * y) for x, y in (asg_sharpness(lobe_i), asg_sharpness(lobe_j))]
     value = asg_product_integral(lobe_i, lobe_j) / (np.sqrt(norms[0]) * np.sqrt(norms[1]))
     return np.asarray(np.clip(value, 0.0, 1.0))
 
 
-def asg_approx_similarity(lobe_i: AsgLobe, lobe_j: AsgLobe, beta: ArrayLike = 1.0) -> Array:
-    """Return the similarity of two lobes in the arithmetic of the image kernels: no eigenvectors. Approximate.
+def asg_approx_similarity(
+    lobe_i: AsgLobe, lobe_j: AsgLobe, beta: ArrayLike = 1.0, *, shift: ArrayLike | None = None
+) -> Array:
+    """Return the similarity of two lobes without eigenvectors, in [0, 1]: what the image kernels compute. Approximate.
 
-    Both determinants must be > 0.
+    Parameters
+    ----------
+    lobe_i, lobe_j : AsgLobe
+        Lobes with positive determinants.
+    beta : array_like
+        Bandwidth exponent, > 0.
+    shift : array_like, shape (..., 3), optional
+        Added to the difference of the axes in Q (`lobewise.lobes.hits.find_hit_shift`).
+
+    Notes
+    -----
+    With ``d = z_j - z_i``, ``g`` the root of the determinant, ``H = A / g`` the shape of the lobe,
+    ``E = H_j - H_i``, ``N = (g_i + g_j)^2 + g_i g_j (E:E - (tr E)^2) / 2``,
+    ``c = g_i g_j d^T (g_j H_i + g_i H_j) d / N``, ``s = tr(A_i + A_j) / N`` and, of each lobe, ``h = tr A / (8 g^2)``:
+    ``S = 2 sqrt(g_i g_j / N) exp((h_i + h_j) / 2 - c - s (c - 1/2)^2 - |d|^2 / 4 (1 + |d|^2))``.
+
+    Because both matrices have rank 2 and nothing along their own axis, the invariants of ``A_i + A_j`` are exactly
+    ``c N`` (determinant), ``N`` (sum of the principal minors) and ``s N`` (trace), and none of them loses digits
+    between similar lobes. ``c`` is the first step of Newton's method towards the smallest eigenvalue, the exponent of
+    the product of the lobes; ``s c^2`` is what the second step adds, ``-s c`` turns N into the determinant across the
+    product's axis, and ``s / 4`` is the second cosine of `asg_product_integral`, as ``h`` is in the norms. All are
+    right to first order in s, which is of the order of 1 / sharpness. ``|d|^2 / 4`` stands for the other two cosines,
+    and the term with it for the hemispheres, which part as the axes do: the exponent of an anisotropic lobe is the
+    same for w and -w, so that without these lobes which face away from each other would be taken for similar.
+    ``E:E >= (tr E)^2`` (Garding's inequality), and so it is held; the result is not taken above 1.
+
+    Source: this library, from the product of Xu et al. 2013. Validity: RMSE of S against quadrature over random pairs
+    as in `asg_similarity`: 0.008 for the smallest sharpness from 1 to 2, 0.0033 from 2 to 5, 0.0015 from 5 to 10,
+    0.0006 from 10 to 100. In single precision within 1e-4 up to sharpness 1e6.
     """
-    (beta,) = as_reals(beta)
-    difference = lobe_j.axis - lobe_i.axis
-    shape_i, shape_j = (lobe.precision / lobe.determinant[..., None] for lobe in (lobe_i, lobe_j))
-    v_i, v_j = 1.0 / lobe_i.determinant, 1.0 / lobe_j.determinant
-    t_i, t_j = _trace(shape_i), _trace(shape_j)
-    root = np.sqrt(v_i) * np.sqrt(v_j)
-    q = _inner(shape_i + shape_j, _outer(difference))
-    p = np.maximum(v_i + v_j + t_i * t_j - _inner(shape_i, shape_j), 4.0 * root)
-    t = t_i * v_j + t_j * v_i
-    v = v_i * v_j
-    c = q / p
-    c = c + c * c * (t - v * c) / (p - 2.0 * t * c + 3.0 * v * c * c)
-    det = p - 2.0 * t * c + 3.0 * v * c * c
-    exponent = 0.5 * np.log(np.minimum(4.0 * root / det, 1.0)) - c - 0.25 * dot(difference, difference)
-    return np.asarray(np.exp(beta.astype(q.dtype) * exponent))
+    axis_i, precision_i, determinant_i, axis_j, precision_j, determinant_j, beta = as_reals(*lobe_i, *lobe_j, beta)
+    difference = axis_j - axis_i
+    square = dot(difference, difference)
+    trace_i, trace_j = _trace(precision_i), _trace(precision_j)
+    size_i, size_j = np.sqrt(determinant_i), np.sqrt(determinant_j)
+    shape_i, shape_j = precision_i / size_i[..., None], precision_j / size_j[..., None]
+    change = shape_j - shape_i
+    unlike = np.maximum(_inner(change, change) - _trace(change) ** 2, 0.0)
+    product, total = size_i * size_j, size_i + size_j
+    inverse = 1.0 / (total * total + 0.5 * product * unlike)
+    spread = _inner(size_j[..., None] * shape_i + size_i[..., None] * shape_j, _outer(difference))
+    c = product * np.maximum(spread, 0.0) * inverse
+    softness = (trace_i + trace_j) * inverse
+    norms = (trace_i / determinant_i + trace_j / determinant_j) / 16.0
+    exponent = c + softness * (c - 0.5) ** 2 + 0.25 * square * (1.0 + square)
+    exponent = exponent - norms - 0.5 * np.log(4.0 * product * inverse)
+    return np.asarray(np.exp(-beta * np.maximum(exponent, 0.0)))
 
 
 def reflect_asg(view: ArrayLike, normal: ArrayLike, sharpness: ArrayLike) -> AsgLobe:
@@ -373,7 +418,8 @@ def make_ggx_asg(
     Notes
     -----
     The normals have the sharpnesses ``1.131 (1 / alpha^2 - 1)`` (`lobewise.lobes.roughness.asg_sharpness_from_ggx`),
-    reflected as in `reflect_anisotropic_asg`; ``1 - alpha^2`` is not taken below 1e-3.
+    reflected as in `reflect_anisotropic_asg`; `GGX_LIMIT` is added to both. Written over common denominators nothing is
+    divided by 0 from alpha 0 to 1. Validity: see the theory page.
     """
     view, normal, alpha_u, alpha_v, tangent_ = as_reals(
         view, normal, alpha_u, alpha_u if alpha_v is None else alpha_v, normal if tangent is None else tangent
@@ -383,17 +429,20 @@ def make_ggx_asg(
     m = _dominant_normal(view, normal, tangent_, alpha_u, alpha_v) if dominant else normal
     slope = dot(m, normal)
     axis = reflect(view, m)
+    square_u, square_v = alpha_u * alpha_u, alpha_v * alpha_v
+    deficit_u, deficit_v = np.maximum(1.0 - square_u, 0.0), np.maximum(1.0 - square_v, 0.0)
+    # U, the inverse of the reflected precision, and its determinant, both times g = deficit_u deficit_v
+    scale = 1.0 / (0.5 * GGX_SHARPNESS_SCALES["l2"] * slope)
+    step_u = _reflect_step(tangent_, view, m)
+    step_v = _reflect_step(np.cross(normal, tangent_), view, m)
+    weight_u, weight_v = scale * square_u * deficit_v, scale * square_v * deficit_u
+    inverse = weight_u[..., None] * _outer(step_u) + weight_v[..., None] * _outer(step_v)
+    # across m the two steps of the normal span m.n
+    area = 16.0 * (np.maximum(dot(view, m), MIN_COSINE) * slope * scale) ** 2 * square_u * square_v
+    # (U^-1 + c I)^-1 = (U g + c det I) / (g + c tr + c^2 det), its determinant det over the same
+    trace = _trace(inverse)
+    half = 0.5 / (deficit_u * deficit_v + GGX_LIMIT * (trace + GGX_LIMIT * area))
     noise = max(tau * tau, MIN_VARIANCE)
-    covariance = noise * _across(axis)
-    variances = []
-    for step, alpha in ((tangent_, alpha_u), (np.cross(normal, tangent_), alpha_v)):
-        square = alpha * alpha
-        variance = square / (GGX_SHARPNESS_SCALES["l2"] * slope * np.maximum(1.0 - square, MIN_DEFICIT))
-        image = _reflect_step(step, view, m)
-        covariance = covariance + variance[..., None] * _outer(image)
-        variances.append((variance, dot(image, image)))
-    (u, length_u), (v, length_v) = variances
-    # the determinant of the sum by its parts: the map has the determinant 4 (v.m) (m.n)
-    area = 16.0 * np.maximum(dot(view, m), MIN_COSINE) ** 2 * slope * slope
-    determinant = u * v * area + noise * (u * length_u + v * length_v + noise)
-    return asg_from_covariance(axis, covariance, determinant)
+    covariance = half[..., None] * inverse + (half * GGX_LIMIT * area + noise)[..., None] * _across(axis)
+    spread = half * (trace + 2.0 * GGX_LIMIT * area)
+    return asg_from_covariance(axis, covariance, 0.5 * half * area + noise * (spread + noise))
