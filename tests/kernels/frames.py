@@ -7,11 +7,28 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.lobe_features import DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.lobes.hits import HitField
 
 SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41)]
 FORMS = ["full", "separable", "atrous"]
-KINDS = ["screen", "position", "depth", "normal", "band_limit", "diffuse", "sg", "ggx"]
+KINDS = [
+    "screen",
+    "position",
+    "depth",
+    "normal",
+    "band_limit",
+    "diffuse",
+    "sg",
+    "ggx",
+    "asg",
+    "sg_hits",
+    "ggx_hits",
+    "asg_hits",
+    "mixture",
+    "coaxial",
+]
 
 
 def make_directions(rng: np.random.Generator, shape: tuple[int, int], spread: float) -> FloatArray:
@@ -58,11 +75,23 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
         return BandLimitFeature(sharpness, pixel_angle=0.02, scale=1.0, largest_sigma=6.0)
     if kind == "diffuse":
         return DiffuseFeature(make_directions(rng, shape, 0.5), beta)
-    if kind == "sg":
-        return SgFeature(normal, sharpness, beta)
-    if kind == "ggx":
+    hits = None
+    if kind.endswith("_hits"):
+        # Steps of some hundredths, seen at some tenths: as much as the axes differ.
+        inverse = rng.uniform(0.0, 4.0, shape).astype(np.float32)
+        hits = HitField(place, np.where(inverse < 1.0, np.float32(0.0), inverse))
+    if kind.startswith("sg"):
+        return SgFeature(normal, sharpness, beta, hits)
+    if kind.startswith(("ggx", "asg")):
         covariance, determinant = make_covariances(rng, normal, 0.08, 0.4)
-        return GgxFeature(normal, covariance, determinant, beta)
+        return (GgxFeature if kind.startswith("ggx") else AsgFeature)(normal, covariance, determinant, beta, hits)
+    if kind in ("mixture", "coaxial"):
+        lobes = 3
+        axis = normal if kind == "coaxial" else np.concatenate([make_directions(rng, shape, 0.15) for _ in range(3)], -1)
+        widths = np.exp(rng.uniform(np.log(2.0), np.log(300.0), (*shape, lobes))).astype(np.float32)
+        amplitude = rng.uniform(0.1, 1.0, (*shape, lobes)).astype(np.float32)
+        amplitude[..., 1:][rng.random((*shape, lobes - 1)) < 0.3] = 0.0  # pixels have different numbers of lobes
+        return SgMixtureFeature(axis, widths, amplitude, beta)
     raise ValueError(kind)
 
 

@@ -14,6 +14,8 @@ from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, m
 # and the diffuse overlap is a fit to 1.3e-3, which matters where it is small.
 RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
+# One radius for all: each other one would compile every kernel again.
+RADIUS = 3
 
 
 def get_tolerance(kind: str, form: str) -> float:
@@ -27,8 +29,8 @@ def get_tolerance(kind: str, form: str) -> float:
 def test_image_and_weight_sum_agree_with_oracle(kind: str, form: str, shape: tuple[int, int]) -> None:
     features = [make_feature(kind, shape)]
     radiance, mask = make_radiance(shape), make_mask(shape)
-    out = run_filter(radiance, mask, features, form=form, radius=3)
-    image, total, effective = filter_reference(radiance, mask, features, form=form, radius=3)
+    out = run_filter(radiance, mask, features, form=form, radius=RADIUS)
+    image, total, effective = filter_reference(radiance, mask, features, form=form, radius=RADIUS)
     tolerance = get_tolerance(kind, form)
     np.testing.assert_allclose(out.weight_sum, total, rtol=tolerance)
     np.testing.assert_allclose(out.effective_samples, effective, rtol=2.0 * tolerance)
@@ -46,8 +48,8 @@ def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, 
         at = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
         impulse = np.zeros((*shape, 3), np.float32)
         impulse[at] = 1.0
-        out = run_filter(impulse, mask, features, form=form, radius=3)
-        image, total, _ = filter_reference(impulse, mask, features, form=form, radius=3)
+        out = run_filter(impulse, mask, features, form=form, radius=RADIUS)
+        image, total, _ = filter_reference(impulse, mask, features, form=form, radius=RADIUS)
         weights = image[..., 0] * total
         np.testing.assert_allclose(
             out.image[..., 0] * out.weight_sum, weights, rtol=2.0 * get_tolerance(kind, form), atol=2e-5
@@ -63,7 +65,7 @@ def test_full_weights_are_symmetric(kind: str) -> None:
     for j in range(count):
         impulse = np.zeros((*shape, 3), np.float32)
         impulse.reshape(count, 3)[j] = 1.0
-        out = run_filter(impulse, make_mask(shape), features, form="full", radius=4)
+        out = run_filter(impulse, make_mask(shape), features, form="full", radius=RADIUS)
         weights[:, j] = (out.image[..., 0] * out.weight_sum).ravel()
     np.testing.assert_allclose(weights, weights.T, rtol=2e-5, atol=1e-7)
     np.testing.assert_allclose(np.diag(weights), 1.0, atol=2e-3)
@@ -75,7 +77,7 @@ def test_full_weights_are_symmetric(kind: str) -> None:
 def test_constant_in_constant_out(kind: str, form: str) -> None:
     shape = (33, 20)
     radiance = np.full((*shape, 3), 0.37, np.float32)
-    out = run_filter(radiance, make_mask(shape), [make_feature(kind, shape)], form=form, radius=5)
+    out = run_filter(radiance, make_mask(shape), [make_feature(kind, shape)], form=form, radius=RADIUS)
     np.testing.assert_allclose(out.image, 0.37, rtol=3e-6)
 
 
@@ -92,8 +94,8 @@ def test_features_multiply() -> None:
     shape = (20, 23)
     radiance, mask = make_radiance(shape), make_mask(shape)
     features = [make_feature(kind, shape) for kind in ("screen", "position", "sg")]
-    out = run_filter(radiance, mask, features, form="full", radius=3)
-    image, total, _ = filter_reference(radiance, mask, features, form="full", radius=3)
+    out = run_filter(radiance, mask, features, form="full", radius=RADIUS)
+    image, total, _ = filter_reference(radiance, mask, features, form="full", radius=RADIUS)
     np.testing.assert_allclose(out.weight_sum, total, rtol=1e-3)
     np.testing.assert_allclose(out.image, image, rtol=2e-3)
 
@@ -105,8 +107,8 @@ def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
     for at, value in (((3, 4), np.nan), ((8, 8), np.inf), ((9, 9), -1.0), ((0, 0), -np.inf)):
         radiance[at][1] = value
     features = [make_feature("sg", shape), ScreenFeature(2.0)]
-    out = run_filter(radiance, make_mask(shape), features, form=form, radius=3)
-    image, total, _ = filter_reference(radiance, make_mask(shape), features, form=form, radius=3)
+    out = run_filter(radiance, make_mask(shape), features, form=form, radius=RADIUS)
+    image, total, _ = filter_reference(radiance, make_mask(shape), features, form=form, radius=RADIUS)
     assert np.isfinite(out.image).all()
     np.testing.assert_allclose(out.weight_sum, total, rtol=5e-3)
     np.testing.assert_allclose(out.image, image, rtol=5e-3)
@@ -124,8 +126,8 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
         4.0,
     )
     radiance = make_radiance(shape)
-    out = run_filter(radiance, mask, [poisoned], form=form, radius=3)
-    image, total, _ = filter_reference(radiance, mask, [feature], form=form, radius=3)
+    out = run_filter(radiance, mask, [poisoned], form=form, radius=RADIUS)
+    image, total, _ = filter_reference(radiance, mask, [feature], form=form, radius=RADIUS)
     assert (out.image[~mask] == 0.0).all()
     assert (out.weight_sum[~mask] == 0.0).all()
     np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance("ggx", form))
@@ -140,24 +142,24 @@ def test_demodulation(form: str) -> None:
     albedo[4:6, 3:9] = 0.0
     albedo[..., 2] = 0.0
     light = np.full((*shape, 3), 2.5, np.float32)
-    out = run_filter(light * albedo, make_mask(shape), [make_feature("sg", shape)], form=form, radius=3, albedo=albedo)
+    out = run_filter(light * albedo, make_mask(shape), [make_feature("sg", shape)], form=form, radius=RADIUS, albedo=albedo)
     lit = albedo > 1e-3
     np.testing.assert_allclose(out.image[lit], (2.5 * albedo)[lit], rtol=1e-5)
     assert (out.image[albedo == 0.0] == 0.0).all()
 
 
 def test_another_size_or_parameter_does_not_compile_again() -> None:
-    run_filter(make_radiance((8, 9)), make_mask((8, 9)), [make_feature("sg", (8, 9))], form="full", radius=2)
+    run_filter(make_radiance((8, 9)), make_mask((8, 9)), [make_feature("sg", (8, 9))], form="full", radius=RADIUS)
     before = count_compiled_kernels()
     shape = (31, 50)
     other: list[Feature] = [make_feature("sg", shape, beta=9.0)]
-    run_filter(make_radiance(shape), make_mask(shape), other, form="full", radius=2)
+    run_filter(make_radiance(shape), make_mask(shape), other, form="full", radius=RADIUS)
     assert count_compiled_kernels() == before
 
 
 def test_same_bits_twice_and_for_a_crop_of_strips() -> None:
     shape = (70, 45)
     features = [make_feature("ggx", shape)]
-    first = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=4)
-    again = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=4)
+    first = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=RADIUS)
+    again = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=RADIUS)
     assert first.image.tobytes() == again.image.tobytes()

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lobewise.kernels.lobe_features import CONCENTRIC_EXPONENT, LAMBERT_COEFFICIENTS, TAIL_SQUARINGS
+from lobewise.kernels.lobe_features import GGX_UNIT, LAMBERT_COEFFICIENTS, TAIL_SQUARINGS
 
 
 def correlate_ggx(offset: float) -> float:
@@ -22,13 +22,13 @@ def correlate_ggx(offset: float) -> float:
 def test_tail_is_the_autocorrelation_of_ggx() -> None:
     peak = correlate_ggx(0.0)
     np.testing.assert_allclose(peak, np.pi / 3.0, rtol=1e-5)
-    power = CONCENTRIC_EXPONENT * 2**TAIL_SQUARINGS
+    power = GGX_UNIT * 2**TAIL_SQUARINGS
     errors = [abs(correlate_ggx(d) / peak - (1.0 + 0.25 * d * d) ** -power) for d in np.linspace(0.0, 8.0, 41)]
     assert max(errors) < 3.8e-3
 
 
 def test_tail_has_the_exact_slope() -> None:
-    assert 0.25 * CONCENTRIC_EXPONENT * 2**TAIL_SQUARINGS == 0.6
+    assert 0.25 * GGX_UNIT * 2**TAIL_SQUARINGS == 0.6
 
 
 def test_lambert_fit_is_the_overlap_of_two_cosines() -> None:

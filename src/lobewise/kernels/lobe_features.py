@@ -238,14 +238,20 @@ class _CovarianceFeature(_LobeFeature):
             two * (-across * x * z - xz),
             two * (-across * y * z - yz),
             two * hl.sqrt(inputs[9]),
+            *self._prepare_more(two * hl.sqrt(inputs[9]), parameters),
             *inputs[10:],
         ]
 
-    def _compare(self, i: Pixel, j: Pixel, hit_i: Pixel, hit_j: Pixel) -> tuple[hl.Expr, hl.Expr]:
-        """Return Q and P."""
+    def _prepare_more(self, root: hl.Expr, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        """Return more planes from ``root``, twice the root of the determinant."""
+        return []
+
+    def _compare(self, i: Pixel, j: Pixel, hit_i: Pixel, hit_j: Pixel) -> tuple[hl.Expr, hl.Expr, hl.Expr]:
+        """Return Q, P and ``|d|^2``."""
         d = subtract(j[:3], i[:3])
+        square = dot(d, d)
         if self.hits is not None:
-            d = [p + q for p, q in zip(d, _find_shift(i[:3], j[:3], hit_i, hit_j, dot(d, d)), strict=True)]
+            d = [p + q for p, q in zip(d, _find_shift(i[:3], j[:3], hit_i, hit_j, square), strict=True)]
         dx, dy, dz = d
         xx, yy, zz, xy2, xz2, yz2 = (i[k] + j[k] for k in range(3, 9))
         quadratic = dx * (xx * dx + xy2 * dy + xz2 * dz) + (dy * (yy * dy + yz2 * dz) + zz * dz * dz)
@@ -254,7 +260,7 @@ class _CovarianceFeature(_LobeFeature):
         share = hl.f32((1.0 + self.along**2) / (1.0 + self.along) ** 2)
         traces = share * (i[3] + i[4] + i[5]) * (j[3] + j[4] + j[5])
         determinants = hl.f32(0.25) * (i[9] * i[9] + j[9] * j[9])
-        return quadratic, traces - inner + determinants
+        return quadratic, traces - inner + determinants, square
 
     def _get_lobes(self, i: Pixels, j: Pixels) -> tuple[tangent.TangentLobe, tangent.TangentLobe]:
         lobe_i, lobe_j = (
@@ -295,23 +301,24 @@ class GgxFeature(_CovarianceFeature):
     def get_parameters(self) -> tuple[float, ...]:
         return (GGX_UNIT * self.beta,)
 
+    def _prepare_more(self, root: hl.Expr, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        # s_i s_j is split into one logarithm per pixel.
+        return [parameters[0] * expressions.log2(root)]
+
     def log2_similarity(
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
         (i, hit_i), (j, hit_j) = self._split_hits(i), self._split_hits(j)
-        quadratic, invariant = self._compare(i, j, hit_i, hit_j)
+        quadratic, invariant, _ = self._compare(i, j, hit_i, hit_j)
         # sqrt(P) is at least the mean of both s (Minkowski's inequality); rounding may hide that.
         mean = hl.f32(0.5) * (i[9] + j[9])
         invariant = hl.max(invariant, mean * mean)
-        # One division serves both q = Q / P and P^1.5 / (s_i s_j mean).
-        scale = i[9] * j[9] * mean
-        inverse = hl.f32(1.0) / (invariant * scale)
         # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
-        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic * scale * inverse, hl.f32(4e4))
+        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
         for _ in range(TAIL_SQUARINGS):
             tail = tail * tail
-        areas = invariant * invariant * hl.sqrt(invariant) * inverse
-        return -parameters[0] * expressions.log2(stage(tail * areas))
+        areas = invariant * hl.sqrt(invariant) / mean
+        return i[10] + j[10] - parameters[0] * expressions.log2(stage(tail * areas))
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         shift = self._get_shift(i, j, self.axis)
@@ -342,22 +349,20 @@ class AsgFeature(_CovarianceFeature):
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
         (i, hit_i), (j, hit_j) = self._split_hits(i), self._split_hits(j)
-        quadratic, invariant = self._compare(i, j, hit_i, hit_j)
+        quadratic, invariant, square = self._compare(i, j, hit_i, hit_j)
         least = i[9] * j[9]
-        invariant = hl.max(invariant, least)
-        # The smallest eigenvalue c solves V c^3 - T c^2 + P c - Q = 0: one step of Newton's method from Q / P.
-        quarter, two, three = hl.f32(0.25), hl.f32(2.0), hl.f32(3.0)
-        det_i, det_j = quarter * i[9] * i[9], quarter * j[9] * j[9]
-        mixed = (i[3] + i[4] + i[5]) * det_j + (j[3] + j[4] + j[5]) * det_i
-        product = det_i * det_j
-        first = quadratic / invariant
-        slope = invariant + first * (three * product * first - two * mixed)
-        step = first * first * (mixed - product * first) / hl.max(slope, least)
-        value = first + step
-        # The product of the other two eigenvalues, less the smallest each.
-        rest = hl.max(invariant + value * (three * product * value - two * mixed), least)
-        ratio = stage(rest / least)
-        return -parameters[0] * (hl.f32(0.5 * LOG2_E) * value + hl.f32(0.5) * expressions.log2(ratio))
+        inverse = hl.f32(1.0) / hl.max(invariant, least)
+        # R holds variances here, and half inverse sharpnesses there: c is half of Q / P, and T / P twice as large.
+        half, quarter, one = hl.f32(0.5), hl.f32(0.25), hl.f32(1.0)
+        c = half * quadratic * inverse
+        trace_i, trace_j = i[3] + i[4] + i[5], j[3] + j[4] + j[5]
+        mixed = quarter * (trace_i * j[9] * j[9] + trace_j * i[9] * i[9])
+        softness = hl.f32(2.0) * mixed * inverse
+        away = c - half
+        exponent = c + softness * away * away + quarter * square * (one + square)
+        exponent = exponent - hl.f32(0.125) * (trace_i + trace_j)
+        areas = half * expressions.log2(stage(least * inverse))
+        return parameters[0] * (areas - hl.f32(LOG2_E) * exponent)
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         lobes = (asg.asg_from_covariance(*lobe) for lobe in self._get_lobes(i, j))
