@@ -198,6 +198,17 @@ class TestRecovery:
         with pytest.raises(InputError, match=r"n\.v = 0\.2: expected values above 0"):
             fit_lobes(brdf, cosines=[0.1, 0.2])
 
+    def test_a_view_that_shows_only_the_tail_of_a_lobe_takes_its_neighbours(self):
+        def brdf(view, light):
+            value = ggx_brdf(view, light, 0.1)
+            return np.where((view[:, 2] < 0.3) & (light[:, 2] < 0.5), -1.0, value)
+
+        table = fit_lobes(brdf, cosines=[0.2, 0.5])
+        assert table.cosine_l2[0, 0] == 0.0
+        np.testing.assert_array_equal(table.alpha[0], table.alpha[1])
+        mirror = evaluate_table(table, np.asarray([0.0, 0.0, 1.0]), make_view(0.2)).axis[0]
+        np.testing.assert_allclose(mirror @ (make_view(0.2) * [-1.0, 1.0, 1.0]), 1.0, atol=1e-3)
+
 
 class TestArguments:
     def test_progress_is_monotone_and_complete(self):

@@ -129,8 +129,9 @@ def fit_lobes(
     -------
     LobeTable
         Its `alpha` are those of the GGX lobe that is nearest to the data at each view, in the same space. Where there
-        is no measurement, the albedo is completed by the fitted lobes. A view without any data above 0 takes the
-        lobes of the view before it, with 0 for `cosine_l2`.
+        is no measurement, the albedo is completed by the fitted lobes. A view without data, or where more
+        than half of its neighbour's lobes (in square) falls on directions that were not measured, takes the lobes of
+        that neighbour, turned, with 0 for `cosine_l2`.
 
     Raises
     ------
@@ -253,9 +254,8 @@ def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> 
 
 def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | None) -> _Found:
     """Return the lobes of one view; the neighbour's lobes are a start, and kept in order unless much worse."""
-    norm = float(np.linalg.norm(data.target))
-    if not norm > 0.0:
-        if neighbour is None:
+    if neighbour is None:
+        if not data.target.any():
             raise InputError(
                 describe_problem(
                     f"reflection at n.v = {data.cosine:g}",
@@ -264,13 +264,15 @@ def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | N
                     action="leave out the cosines without data",
                 )
             )
-        moved = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
-        return replace(neighbour, cosine=data.cosine, shapes=moved, cosine_l2=0.0)
+        start = None
+    else:
+        start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
+        if not (data.target.any() and _is_seen(data, family, start, neighbour.amplitude)):
+            return replace(neighbour, cosine=data.cosine, shapes=start, cosine_l2=0.0)
     alpha = _fit_ggx(data, None if neighbour is None else neighbour.alpha)
     ellipse = np.eye(2) if family.flat else _measure_half_vectors(data)
     best = _search_lobes(data, family, family.make_start(data.cosine, alpha, ellipse, lobes))
-    if neighbour is not None:
-        start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
+    if start is not None:
         warm = _search_lobes(data, family, start)
         best = warm if warm.error <= best.error + _COLD_GAIN else _match(data, family, best, start)
     return _finish(data, family, best, alpha)
@@ -287,6 +289,14 @@ def _refit_view(data: _Data, family: LobeFamily, found: _Found, neighbour: _Foun
     return found
 
 
+def _is_seen(data: _Data, family: LobeFamily, rows: Array, amplitude: Array) -> bool:
+    """Return whether most of what these lobes reflect, in square, goes where there are measurements."""
+    above = data.nodes.light[:, 2] > 0.0
+    light, weight = data.nodes.light[above], data.nodes.weight[above]
+    energy = weight * sum(a * family.evaluate(row, light) for a, row in zip(amplitude, rows, strict=True)) ** 2
+    return bool(np.sum(energy[~data.missing[above]]) > 0.5 * np.sum(energy))
+
+
 def _search_lobes(data: _Data, family: LobeFamily, start: Array) -> _Trial:
     return _search(data, lambda row: family.evaluate(row, data.nodes.light), start, family.low, family.high)
 
@@ -297,7 +307,8 @@ def _match(data: _Data, family: LobeFamily, trial: _Trial, neighbour: Array) -> 
         np.stack([data.root * family.evaluate(row, data.nodes.light) for row in rows])
         for rows in (trial.shapes, neighbour)
     )
-    overlap = (theirs @ ours.T) / np.linalg.norm(theirs, axis=1)[:, None] / np.linalg.norm(ours, axis=1)
+    sizes = np.linalg.norm(theirs, axis=1)[:, None] * np.linalg.norm(ours, axis=1)
+    overlap = (theirs @ ours.T) / np.maximum(sizes, _MIN_SIZE**2)
     order = max(permutations(range(len(ours))), key=lambda p: float(overlap[range(len(ours)), p].sum()))
     return _Trial(family.align(trial.shapes[list(order)], neighbour), trial.amplitude[list(order)], trial.error)
 

@@ -39,8 +39,8 @@ def evaluate_table(
     """Return the lobes that a material has at points seen from ``view``.
 
     Between views the logarithm of the sharpness, the amplitude and the axis relative to the mirror direction are
-    linear in n.v and azimuth; the axis is made unit length again and the twist goes the shorter way. Beyond the ends
-    of the grid of n.v they are constant.
+    linear in the angle of the view and its azimuth; the axis is made unit length again and the twist goes the shorter
+    way. Beyond the ends of the grid of n.v they are constant.
 
     Parameters
     ----------
@@ -192,8 +192,9 @@ def _make_mirror_frame(
 
 
 def _interpolate(table: LobeTable, rows: NDArray[Any], cosine: Array, azimuth: Array) -> Array:
-    """Return ``rows`` (V, P, ...) at points (n,), linear in n.v and azimuth."""
-    low, share = _locate(table.cosine.astype(np.float64), cosine)
+    """Return ``rows`` (V, P, ...) at points (n,), linear in the angle from the normal and the azimuth."""
+    # As functions of n.v lobes bend sharply at normal incidence, as functions of the angle they are even.
+    low, share = _locate(np.arcsin(table.cosine.astype(np.float64)), np.arcsin(np.clip(cosine, -1.0, 1.0)))
     high = np.minimum(low + 1, table.cosine.size - 1)
     columns = rows.shape[1]
     flat = rows.reshape(-1, *rows.shape[2:])
