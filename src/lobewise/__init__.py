@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import LobewiseError
 from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance, Result
+from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
     from lobewise.denoising import DenoiseSettings, denoise
+    from lobewise.kernels.features import Feature
     from lobewise.io.exr import read_frame, write_frame, write_result
 
 __version__ = "0.1.0"
@@ -16,9 +18,11 @@ __version__ = "0.1.0"
 __all__ = [
     "Camera",
     "DenoiseSettings",
+    "Feature",
     "Frame",
     "GBuffer",
     "LobeKind",
+    "LobeTable",
     "LobewiseError",
     "Radiance",
     "Result",
@@ -32,6 +36,7 @@ __all__ = [
 # Halide and OpenEXR load on first use, so that importing the package stays cheap.
 _LAZY = {
     "DenoiseSettings": "lobewise.denoising",
+    "Feature": "lobewise.kernels.features",
     "denoise": "lobewise.denoising",
     "read_frame": "lobewise.io.exr",
     "write_frame": "lobewise.io.exr",

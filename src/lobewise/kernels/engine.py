@@ -12,7 +12,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import DeviceError, describe_problem, require_choice
+from lobewise.errors import DeviceError, InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import SUM_CHANNELS, PassKey, Taps, describe_structure, make_pass
 from lobewise.kernels.features import Feature
@@ -100,6 +100,20 @@ def count_compiled_kernels() -> int:
     return len(_cache)
 
 
+def _take_array(feature: Feature, array: NDArray[Any], size: tuple[int, int]) -> FloatArray:
+    """Return an input of a feature as the kernels take it; raise InputError where it is no image of this size."""
+    if array.ndim not in (2, 3) or array.shape[:2] != size or array.dtype.kind not in "fiub":
+        raise InputError(
+            describe_problem(
+                f"an array of feature {feature.name!r}",
+                expected=f"real numbers of shape {size} or {(*size, 'channels')}",
+                got=f"{array.dtype} of shape {array.shape}",
+                action="give one value, or one row of channels, for every pixel of the frame",
+            )
+        )
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
 @dataclass(frozen=True)
 class FilterOutput:
     """What a filter run gives.
@@ -164,7 +178,7 @@ def run_filter(
     mask_bytes = np.ascontiguousarray(mask).view(np.uint8)
     held: list[NDArray[Any]] = [
         mask_bytes,
-        *(np.ascontiguousarray(a) for feature in features for a in feature.get_arrays()),
+        *(_take_array(feature, array, (height, width)) for feature in features for array in feature.get_arrays()),
     ]
     parameters = [value for feature in features for value in feature.get_parameters()]
     tint = np.ascontiguousarray(albedo) if albedo is not None else None

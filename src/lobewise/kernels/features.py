@@ -4,8 +4,8 @@ A feature is a distribution per pixel; two pixels are as similar as the L2-norma
 distributions, to the power beta (Tokuyoshi 2015). The filter multiplies the similarities of its features by adding
 their base-2 logarithms, so that a tap costs one exponential however many features there are.
 
-To write one, derive from `Feature`: hand over the per-pixel arrays, say which planes the taps read, and give the
-log-similarity of two pixels as an expression. It then runs in every form and on every device.
+To write one, derive from `Feature`: hand over the per-pixel arrays and give the log-similarity of two pixels as an
+expression. It then runs in every form and on every device. docs/features.md shows how, `examples/` two of them.
 """
 
 from __future__ import annotations
@@ -39,9 +39,12 @@ class Feature(ABC):
     run on any arrays of any size.
     """
 
-    name: ClassVar[str]
-    neutral: ClassVar[tuple[float, ...]]
-    """One value per input channel that is put in place of a pixel without meaning, so that no tap sees NaN."""
+    name: ClassVar[str] = "own"
+
+    @property
+    def neutral(self) -> tuple[float, ...]:
+        """One value per input channel that is put in place of a pixel without meaning, so that no tap sees NaN."""
+        return (0.0,) * sum(1 if array.ndim == 2 else array.shape[2] for array in self.get_arrays())
 
     @property
     def structure(self) -> Hashable:
@@ -81,12 +84,15 @@ class Feature(ABC):
             Wrap a long intermediate in ``stage(...)`` to compute it in a loop of its own (fewer registers).
         """
 
-    @abstractmethod
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         """Return the similarity of pixels i and j to the power beta in float64: the oracle's word.
 
-        Written a second time, in NumPy, from the definition and not from the planes.
+        Written a second time, in NumPy, from the definition and not from the planes. Only tests against
+        `lobewise.kernels.reference` need it.
         """
+        raise NotImplementedError(
+            f"{type(self).__name__} has no get_similarity, so there is nothing to test it against"
+        )
 
 
 def require_positive(name: str, value: float) -> float:
@@ -121,7 +127,6 @@ class ScreenFeature(Feature):
     """
 
     name = "screen"
-    neutral = ()
 
     def __init__(self, sigma: float) -> None:
         self.sigma = require_positive("screen sigma", sigma)
@@ -172,7 +177,7 @@ class PositionFeature(Feature):
         return self.place.ndim
 
     @property
-    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # depends on what places a pixel
+    def neutral(self) -> tuple[float, ...]:
         return (0.0, 0.0, 0.0, 1.0) if self.place.ndim == 3 else (0.0, 1.0)
 
     def get_arrays(self) -> tuple[FloatArray, ...]:
@@ -210,7 +215,6 @@ class NormalFeature(Feature):
     """
 
     name = "normal"
-    neutral = (0.0, 0.0, 0.0)
 
     def __init__(self, normal: FloatArray, exponent: float) -> None:
         self.normal = normal

@@ -44,7 +44,6 @@ class DiffuseFeature(Feature):
     """
 
     name = "diffuse"
-    neutral = (0.0, 0.0, 0.0)
 
     def __init__(self, normal: FloatArray, beta: float) -> None:
         self.normal = normal
@@ -100,7 +99,8 @@ class _LobeFeature(Feature):
         if self.hits is None:
             return None
         position, inverse = self.hits.position, self.hits.inverse_distance
-        return find_hit_shift(*(a[k].astype(np.float64) for a in (axis, position, inverse) for k in (i, j)))
+        pairs = (a[k].astype(np.float64) for a in (axis, position, inverse) for k in (i, j))
+        return np.asarray(find_hit_shift(*pairs), dtype=np.float64)
 
 
 def _scale_step(i: Pixel, j: Pixel) -> list[hl.Expr]:
@@ -145,7 +145,7 @@ class SgFeature(_LobeFeature):
         self.hits = hits
 
     @property
-    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # the hits are optional
+    def neutral(self) -> tuple[float, ...]:
         return (0.0, 0.0, 0.0, 1.0, *self._get_hit_neutral())
 
     def get_arrays(self) -> tuple[FloatArray, ...]:
@@ -215,7 +215,7 @@ class _CovarianceFeature(_LobeFeature):
         self.hits = hits
 
     @property
-    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # the hits are optional
+    def neutral(self) -> tuple[float, ...]:
         return (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, *self._get_hit_neutral())
 
     def get_arrays(self) -> tuple[FloatArray, ...]:
@@ -365,6 +365,6 @@ class AsgFeature(_CovarianceFeature):
         return parameters[0] * (areas - hl.f32(LOG2_E) * exponent)
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        lobes = (asg.asg_from_covariance(*lobe) for lobe in self._get_lobes(i, j))
+        lobe_i, lobe_j = (asg.asg_from_covariance(*lobe) for lobe in self._get_lobes(i, j))
         shift = self._get_shift(i, j, self.axis)
-        return np.asarray(asg.asg_approx_similarity(*lobes, self.beta, shift=shift), dtype=np.float64)
+        return np.asarray(asg.asg_approx_similarity(lobe_i, lobe_j, self.beta, shift=shift), dtype=np.float64)

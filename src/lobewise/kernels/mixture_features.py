@@ -68,7 +68,7 @@ class SgMixtureFeature(Feature):
         return self.lobes, self.coaxial
 
     @property
-    def neutral(self) -> tuple[float, ...]:  # type: ignore[override]  # as many as there are lobes
+    def neutral(self) -> tuple[float, ...]:
         return (*[0.0] * self.axis.shape[2], *[1.0] * (2 * self.lobes))
 
     def get_arrays(self) -> tuple[FloatArray, ...]:
@@ -127,7 +127,7 @@ class SgMixtureFeature(Feature):
         return parameters[0] * expressions.log2(hl.max(total, hl.f32(1e-30)))
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        pair = (
+        mixture_i, mixture_j = (
             mixture.SgMixture(
                 self.axis[k].astype(np.float64).reshape(*self.axis[k].shape[:-1], -1, 3),
                 self.sharpness[k].astype(np.float64),
@@ -135,4 +135,4 @@ class SgMixtureFeature(Feature):
             )
             for k in (i, j)
         )
-        return np.asarray(mixture.mixture_approx_similarity(*pair, self.beta), dtype=np.float64)
+        return np.asarray(mixture.mixture_approx_similarity(mixture_i, mixture_j, self.beta), dtype=np.float64)
