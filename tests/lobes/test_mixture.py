@@ -88,6 +88,14 @@ def test_beta_is_a_power(i, j, beta):
     assert value == pytest.approx(float(mixture.mixture_approx_similarity(i, j)) ** beta, rel=1e-9, abs=1e-300)
 
 
+def test_absent_lobes_count_nothing_beside_a_constant():
+    # the sharp form of two constants is infinite, and 0 times that is not a number
+    absent, constant = (mixture.SgMixture(Z[None], np.zeros(1), np.full(1, value)) for value in (0.0, 1.0))
+    assert mixture.mixture_approx_product_integral(absent, constant) == 0.0
+    assert mixture.mixture_approx_product_integral(constant, absent) == 0.0
+    assert mixture.mixture_product_integral(constant, constant) == pytest.approx(4.0 * np.pi, rel=ROUNDING)
+
+
 def test_one_lobe_is_a_spherical_gaussian(rng):
     i, j = draw_mixture(rng, (40,), 1), draw_mixture(rng, (40,), 1)
     pair = (i.axis[:, 0], i.sharpness[:, 0], j.axis[:, 0], j.sharpness[:, 0])
