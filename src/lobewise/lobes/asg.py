@@ -225,9 +225,8 @@ def asg_product_integral(lobe_i: AsgLobe, lobe_j: AsgLobe) -> Array:
     sharpness 1 to 2, 5 to 10 and 10 to 100) to 0.041, 0.0015 and 0.0002.
     """
     product = asg_product(lobe_i, lobe_j)
-    return np.asarray(
-        product.amplitude * product.smooth * _two_cosine_integral(product.sharpness_x, product.sharpness_y)
-    )
+    integral = _two_cosine_integral(product.sharpness_x, product.sharpness_y)
+    return np.asarray(product.amplitude * product.smooth * integral)
 
 
 def asg_sg_product_integral(lobe: AsgLobe, sg_axis: ArrayLike, sg_sharpness: ArrayLike) -> Array:
@@ -283,7 +282,7 @@ def asg_approx_similarity(
     beta : array_like
         Bandwidth exponent, > 0.
     shift : array_like, shape (..., 3), optional
-        Added to the difference of the axes in Q (`lobewise.lobes.hits.find_hit_shift`).
+        Added to the difference of the axes in c (`lobewise.lobes.hits.find_hit_shift`).
 
     Notes
     -----
