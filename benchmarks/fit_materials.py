@@ -1,9 +1,9 @@
 """How near fitted lobes are to GGX tabulated as MERL, what the table itself loses, and how long a whole file takes.
 
     python benchmarks/fit_materials.py -o benchmarks/results/fit_materials.json
-    python benchmarks/fit_materials.py --table benchmarks/results/fit_materials.json
+    python benchmarks/fit_materials.py --publish
 
-The second form prints the table of docs/materials.md.
+The second form writes the figures of that file into docs/materials.md.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ SHOWN = (0.01, 0.1, 0.3, 0.5)
 VIEWS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
 """n.v at which fits are judged; none but the last is a view of the table."""
 RUNS = 3
+ROOT = Path(__file__).parents[1]
+RESULTS, PAGE = ROOT / "benchmarks" / "results" / "fit_materials.json", ROOT / "docs" / "materials.md"
+START, END = "<!-- figures -->\n", "<!-- end -->\n"
 UP = np.asarray([0.0, 0.0, 1.0])
 
 
@@ -93,8 +96,19 @@ def measure_seconds(folder: Path) -> dict[str, Any]:
     }
 
 
+def fill_page(page: str, results: dict[str, Any]) -> str:
+    """Return the text of docs/materials.md with the figures of ``results``."""
+    before, rest = page.split(START)
+    whole, machine = results["whole file"], results["machine"]
+    closing = (
+        f"\nOn {machine['processor']} with {machine['cores']} cores a whole file takes {min(whole['seconds']):.1f} s,"
+        f" the start of the program and the plot included; the lobe file has {whole['lobe file bytes']:,} bytes.\n"
+    )
+    return before + START + make_table(results) + closing + END + rest.split(END, 1)[1]
+
+
 def make_table(results: dict[str, Any]) -> str:
-    """Return the Markdown table of docs/materials.md."""
+    """Return a Markdown table of the L2 cosines."""
     lines = ["| GGX alpha | what | " + " | ".join(f"n.v {cosine:g}" for cosine in results["views"]) + " |"]
     lines.append("| ---: | --- |" + " ---: |" * len(results["views"]))
     names = {"tabulated": "the MERL table itself"}
@@ -108,13 +122,13 @@ def make_table(results: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure and write, or print the tables of a file."""
+    """Measure and write, or publish."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--table", type=Path)
+    parser.add_argument("--publish", action="store_true")
     chosen = parser.parse_args()
-    if chosen.table is not None:
-        sys.stdout.write(make_table(json.loads(chosen.table.read_text())))
+    if chosen.publish:
+        PAGE.write_text(fill_page(PAGE.read_text(), json.loads(RESULTS.read_text())))
         return
     with tempfile.TemporaryDirectory() as folder:
         whole = measure_seconds(Path(folder))
