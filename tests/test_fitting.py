@@ -9,10 +9,11 @@ import sys
 import numpy as np
 import pytest
 
+from lobewise.cli.fitting import choose_plot
 from lobewise.cli.main import run
 from lobewise.fit_plot import draw_fit
 from lobewise.io.materials import read_lobe_table, write_merl
-from lobewise.lobes.brdf import ggx_brdf
+from lobewise.lobes.brdf import ggx_brdf, lambert_brdf
 from lobewise.lobes.fit import fit_lobes
 from lobewise.lobes.merl import FILE_BYTES, make_merl
 
@@ -50,13 +51,17 @@ class TestFit:
         assert printed.endswith(f"Wrote {out} and {tmp_path / 'copper.png'}.\n")
 
     def test_choices_arrive(self, material, tmp_path):
-        out, picture = tmp_path / "a.lobes", tmp_path / "b.png"
-        assert run(["fit", str(material), "-o", str(out), "--lobes", "1", "--kind", "sg", "--plot", str(picture)]) == 0
+        out = tmp_path / "a.lobes"
+        assert run(["fit", str(material), "-o", str(out), "--lobes", "1", "--kind", "sg", "--no-plot"]) == 0
         table = read_lobe_table(out)
         assert (table.kind, table.lobe_count) == ("sg", 1)
-        assert picture.exists()
-        assert run(["fit", str(material), "-o", str(out), "--lobes", "1", "--no-plot"]) == 0
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["a.lobes", "b.png"]
+        assert list(tmp_path.iterdir()) == [out]
+
+    def test_where_the_plot_goes(self, tmp_path):
+        out, other = tmp_path / "a.lobes", tmp_path / "b.png"
+        assert choose_plot(out, other, wanted=True) == other
+        assert choose_plot(out, None, wanted=True) == tmp_path / "a.png"
+        assert choose_plot(out, None, wanted=False) is None
 
 
 class TestMistakes:
@@ -107,6 +112,8 @@ class TestMistakes:
         def explode(*_arguments):
             raise ZeroDivisionError
 
+        table = fit_lobes(lambert_brdf, cosines=[1.0], lobes=1)
+        monkeypatch.setattr("lobewise.lobes.fit.fit_lobes", lambda *_arguments, **_settings: table)
         monkeypatch.setattr("lobewise.fit_plot.draw_fit", explode)
         assert run(["fit", str(material), "-o", str(tmp_path / "out.lobes"), "--lobes", "1"]) == 1
         assert not list(tmp_path.iterdir())

@@ -104,14 +104,14 @@ class TestQuality:
         def brdf(view, light):
             return ggx_brdf(view, light, alpha)
 
-        table = fit_lobes(make_merl(brdf), name="ggx")
+        table = fit_lobes(make_merl(brdf), name="ggx", cosines=COSINES[7::2])
         assert (table.name, table.kind, table.lobe_count, table.is_isotropic) == ("ggx", "asg", 3, True)
-        np.testing.assert_allclose(table.cosine, COSINES, rtol=1e-6)
+        np.testing.assert_allclose(table.cosine, COSINES[7::2], rtol=1e-6)
         assert table.cosine_l2[table.cosine >= 0.3].min() >= MIN_COSINE_L2
         # At a view of the grid, and between views, by another quadrature and against the BRDF itself.
-        for cosine in (float(table.cosine[11]), 0.3, 0.52, 0.75, 0.97):
+        for cosine in (float(table.cosine[2]), 0.3, 0.52, 0.75, 0.97):
             assert measure_nearness(table, brdf, make_view(cosine)) >= MIN_COSINE_L2, cosine
-        index = 11
+        index = 2
         ours = measure_nearness(table, brdf, make_view(float(table.cosine[index])))
         assert math.isclose(ours, table.cosine_l2[index, 0], abs_tol=5e-4)
         # The table of bins is coarse at grazing angles.
@@ -161,20 +161,20 @@ class TestRecovery:
 
     @pytest.mark.parametrize("kind", ["sg", "asg"])
     def test_anisotropic_material(self, kind):
-        azimuths = np.arange(8) * (math.pi / 4.0)
+        azimuths = np.asarray([0.0, 0.25, 0.5, 1.0]) * math.pi
 
         def brdf(view, light):
             return ggx_brdf(view, light, 0.25, 0.1)
 
-        table = fit_lobes(brdf, kind=kind, cosines=[0.6, 0.8], azimuths=azimuths)
+        table = fit_lobes(brdf, kind=kind, cosines=[0.6, 0.9], azimuths=azimuths)
         assert not table.is_isotropic
         np.testing.assert_allclose(table.alpha[:, 0], [[0.25, 0.1]] * 2, rtol=1e-3)
         np.testing.assert_allclose(table.alpha[:, 2], [[0.1, 0.25]] * 2, rtol=1e-3)
-        np.testing.assert_allclose(table.cosine_l2[:, :4], table.cosine_l2[:, 4:], atol=1e-3)
+        np.testing.assert_allclose(table.cosine_l2[:, 0], table.cosine_l2[:, 3], atol=1e-3)
         assert table.cosine_l2.min() > (0.995 if kind == "asg" else 0.93)
         tangent = np.asarray([1.0, 0.0, 0.0])
-        for index in (0, 1, 2, 5):
-            near = measure_nearness(table, brdf, make_view(0.8, azimuths[index]), tangent)
+        for index in range(4):
+            near = measure_nearness(table, brdf, make_view(0.9, azimuths[index]), tangent)
             assert math.isclose(near, table.cosine_l2[1, index], abs_tol=2e-3)
 
     def test_missing_data_have_no_weight(self, rng):
