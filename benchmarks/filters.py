@@ -22,8 +22,10 @@ from lobewise.denoising import denoise
 from lobewise.frame import Camera, FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.kernels.engine import ATROUS_LEVELS, FORMS, run_filter
 from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.lobe_features import GgxFeature, SgFeature
-from lobewise.lobes.field import build_lobe_field
+from lobewise.kernels.lobe_features import AsgFeature, GgxFeature, SgFeature
+from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.lobes.mixture_field import build_mixture_field
 from lobewise.peers import denoise_oidn, has_oidn
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080))
@@ -81,9 +83,19 @@ def make_features(frame: Frame) -> dict[str, list[Feature]]:
     assert lobes.tangent_axis is not None
     assert lobes.covariance is not None
     assert lobes.determinant is not None
+    gaussian = build_lobe_field(guides, camera, representation="asg")
+    assert gaussian.tangent_axis is not None
+    assert gaussian.covariance is not None
+    assert gaussian.determinant is not None
+    mixture = build_mixture_field(guides, camera, tau=default_tau(camera, frame.height), lobes=3)
+    # The same lobes without the knowledge that they share an axis: what lobes fitted to measured materials cost.
+    apart = np.tile(mixture.axis, (1, 1, 3))
     return {
         "normal": [*place, NormalFeature(guides.normal, 64.0)],
         "sg": [*place, SgFeature(lobes.axis, lobes.sharpness, BETA)],
+        "sg_mixture, 3 lobes": [*place, SgMixtureFeature(apart, mixture.sharpness, mixture.amplitude, BETA)],
+        "sg_mixture, 3 coaxial": [*place, SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, BETA)],
+        "asg": [*place, AsgFeature(gaussian.tangent_axis, gaussian.covariance, gaussian.determinant, BETA)],
         "ggx": [*place, GgxFeature(lobes.tangent_axis, lobes.covariance, lobes.determinant, BETA)],
     }
 

@@ -10,8 +10,8 @@ from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
     from lobewise.denoising import DenoiseSettings, denoise
-    from lobewise.kernels.features import Feature
     from lobewise.io.exr import read_frame, write_frame, write_result
+    from lobewise.kernels.features import Feature
 
 __version__ = "0.1.0"
 

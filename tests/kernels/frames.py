@@ -87,11 +87,11 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
         return (GgxFeature if kind.startswith("ggx") else AsgFeature)(normal, covariance, determinant, beta, hits)
     if kind in ("mixture", "coaxial"):
         lobes = 3
-        axis = normal if kind == "coaxial" else np.concatenate([make_directions(rng, shape, 0.15) for _ in range(3)], -1)
+        axes = [normal] if kind == "coaxial" else [make_directions(rng, shape, 0.15) for _ in range(lobes)]
         widths = np.exp(rng.uniform(np.log(2.0), np.log(300.0), (*shape, lobes))).astype(np.float32)
         amplitude = rng.uniform(0.1, 1.0, (*shape, lobes)).astype(np.float32)
         amplitude[..., 1:][rng.random((*shape, lobes - 1)) < 0.3] = 0.0  # pixels have different numbers of lobes
-        return SgMixtureFeature(axis, widths, amplitude, beta)
+        return SgMixtureFeature(np.concatenate(axes, axis=-1), widths, amplitude, beta)
     raise ValueError(kind)
 
 

@@ -142,7 +142,8 @@ def test_demodulation(form: str) -> None:
     albedo[4:6, 3:9] = 0.0
     albedo[..., 2] = 0.0
     light = np.full((*shape, 3), 2.5, np.float32)
-    out = run_filter(light * albedo, make_mask(shape), [make_feature("sg", shape)], form=form, radius=RADIUS, albedo=albedo)
+    features = [make_feature("sg", shape)]
+    out = run_filter(light * albedo, make_mask(shape), features, form=form, radius=RADIUS, albedo=albedo)
     lit = albedo > 1e-3
     np.testing.assert_allclose(out.image[lit], (2.5 * albedo)[lit], rtol=1e-5)
     assert (out.image[albedo == 0.0] == 0.0).all()

@@ -1,0 +1,62 @@
+"""The paper's table of denoising times, measured here: 1024x1024, radius 8 and 16, beside the paper's own ratios.
+
+The paper's filter must have been separable: its times grow by less than two from radius 8 to 16. Both forms are timed.
+
+    python benchmarks/paper_table.py -o benchmarks/results/paper_table.json
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import lobewise
+from common import describe_machine, write_json
+from filters import bench_kernels, make_frame
+
+SIZE = 1024
+RADII = (8, 16)
+PAPER_MILLISECONDS = {
+    8: {"normal": 2.43, "sg": 3.29, "sg_mixture, 3 lobes": 15.2, "asg": 17.7},
+    16: {"normal": 4.56, "sg": 6.03, "sg_mixture, 3 lobes": 27.6, "asg": 30.8},
+}
+"""Tokuyoshi 2015, slide "Denoising Performance": AMD Radeon HD 6990."""
+
+
+def main() -> None:
+    """Run and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "paper_table.json")
+    parser.add_argument("--seconds", type=float, default=6.0, help="least time per group")
+    arguments = parser.parse_args()
+    frame = make_frame(SIZE, SIZE)
+    rows: list[dict[str, Any]] = []
+    for form in ("separable", "full"):
+        for radius in RADII:
+            result = bench_kernels(frame, radius, form, arguments.seconds)
+            paper = PAPER_MILLISECONDS[radius]
+            for name, cell in result.items():
+                if name in paper:
+                    cell["paper_milliseconds"] = paper[name]
+                    cell["paper_ratio_to_normal"] = round(paper[name] / paper["normal"], 2)
+                told = f"paper {cell['paper_ratio_to_normal']:.2f}" if name in paper else ""
+                print(
+                    f"{form:9} radius {radius:2}  {name:22} {cell['milliseconds']:8.1f} ms  "
+                    f"ratio {cell['ratio_to_normal']:5.2f}  {told}",
+                    flush=True,
+                )
+            rows.append({"form": form, "radius": radius, "similarities": result})
+    write_json(
+        arguments.output,
+        {
+            "what": "best wall time of one run at 1024x1024; ratios to normal-aware filtering within the run",
+            "version": lobewise.__version__,
+            "machine": describe_machine(),
+            "rows": rows,
+        },
+    )
+
+
+if __name__ == "__main__":
+    main()
