@@ -153,6 +153,10 @@ class TestFrames:
         lobes = evaluate_table(make_table(0.1, [0.5, 1.0]), UP, make_view(0.3) * [1.0, 1.0, -1.0])
         assert all(np.isfinite(part).all() for part in lobes)
 
+    def test_no_points(self):
+        lobes = evaluate_table(make_table(0.1, [0.5, 1.0]), np.empty((0, 3)), UP)
+        assert [part.shape for part in lobes] == [(0, 1, 3), (0, 1, 3), (0, 1, 2), (0, 1)]
+
     def test_shapes_and_precision(self, rng):
         normal = rng.normal(size=(130, 90, 3)).astype(np.float32)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
