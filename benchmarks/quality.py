@@ -4,6 +4,8 @@ Both of the paper's baselines are tuned by grid search on each frame against its
 good as a user could make them); ours runs with its defaults. Writes a JSON with everything and prints a table; scenes
 and sample counts that a run leaves out keep their rows, each of which names its commit.
 
+The four references take some twenty minutes on two cores.
+
     python benchmarks/quality.py --cache ~/.cache/lobewise-quality -o benchmarks/results/quality.json
 """
 
@@ -72,21 +74,40 @@ def list_baselines(band_limited: bool) -> Iterator[dict[str, float]]:
             yield {"normal_exponent": exponent, "screen_sigma": sigma}
 
 
-def measure(image: FloatArray, reference: FloatArray, specular: Mask) -> dict[str, float]:
+def measure(image: FloatArray, reference: FloatArray, specular: Mask, anisotropic: Mask) -> dict[str, float]:
     """Return the errors of one image."""
-    return {
+    errors = {
         "rel_mse": rel_mse(image, reference),
         "rel_mse_specular": rel_mse(image, reference, specular),
         "smape": smape(image, reference),
     }
+    if anisotropic.any():
+        errors["rel_mse_anisotropic"] = rel_mse(image, reference, anisotropic)
+    return errors
+
+
+def find_anisotropic(frame: Frame) -> Mask:
+    """Return the specular pixels whose two alphas differ by more than a third."""
+    guides = frame.gbuffer
+    assert guides.lobe_kind is not None
+    assert guides.alpha_u is not None
+    assert guides.alpha_v is not None
+    large, small = np.maximum(guides.alpha_u, guides.alpha_v), np.minimum(guides.alpha_u, guides.alpha_v)
+    return (guides.lobe_kind > 0) & (large > 4.0 / 3.0 * small)
 
 
 def search(
-    frame: Frame, reference: FloatArray, specular: Mask, grid: list[dict[str, Any]], **fixed: Any
+    frame: Frame,
+    reference: FloatArray,
+    specular: Mask,
+    anisotropic: Mask,
+    grid: list[dict[str, Any]],
+    **fixed: Any,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return errors and settings of the best grid point, once for the whole image and once for specular pixels."""
     tried = [
-        {**measure(denoise(frame, **fixed, **point).image, reference, specular), "settings": point} for point in grid
+        {**measure(denoise(frame, **fixed, **point).image, reference, specular, anisotropic), "settings": point}
+        for point in grid
     ]
     return min(tried, key=lambda row: row["rel_mse"]), min(tried, key=lambda row: row["rel_mse_specular"])
 
@@ -95,21 +116,25 @@ def run_frame(frame: Frame, reference: FloatArray) -> dict[str, Any]:
     """Return the errors of every method on one frame."""
     assert frame.gbuffer.lobe_kind is not None
     specular = frame.gbuffer.lobe_kind > 0
-    row: dict[str, Any] = {"specular_fraction": float(specular.mean())}
-    row["noisy"] = measure(frame.radiance.color, reference, specular)
-    common = (frame, reference, specular)
+    masks = specular, find_anisotropic(frame)
+    row: dict[str, Any] = {"specular_fraction": float(specular.mean()), "anisotropic_fraction": float(masks[1].mean())}
+    row["noisy"] = measure(frame.radiance.color, reference, *masks)
+    common = (frame, reference, *masks)
     for name, grid in (("normal", list(list_baselines(False))), ("band-limited", list(list_baselines(True)))):
         row[name], row[f"{name} (for specular)"] = search(*common, grid, similarity="normal")
-    for similarity in ("sg", "ggx"):
-        row[similarity] = measure(denoise(frame, similarity=similarity).image, reference, specular)
+    for similarity in ("sg", "sg_mixture", "asg", "ggx"):
+        row[similarity] = measure(denoise(frame, similarity=similarity).image, reference, *masks)
         betas: list[dict[str, Any]] = [{"beta": beta} for beta in BETAS]
         row[f"{similarity} (tuned beta)"], _ = search(*common, betas, similarity=similarity)
+    for similarity in ("sg", "asg", "ggx"):
+        near = denoise(frame, similarity=similarity, hit_distance=True).image
+        row[f"{similarity} with hits"] = measure(near, reference, *masks)
     default = denoise(frame)
-    row["default"] = {**measure(default.image, reference, specular), "settings": default.settings}
+    row["default"] = {**measure(default.image, reference, *masks), "settings": default.settings}
     for form in ("separable", "atrous"):
-        row[f"default ({form})"] = measure(denoise(frame, form=form).image, reference, specular)
+        row[f"default ({form})"] = measure(denoise(frame, form=form).image, reference, *masks)
     if has_oidn():
-        row["oidn"] = measure(denoise_oidn(frame)[0], reference, specular)
+        row["oidn"] = measure(denoise_oidn(frame)[0], reference, *masks)
     row["default_over_normal"] = row["default"]["rel_mse"] / row["normal"]["rel_mse"]
     row["default_over_normal_specular"] = (
         row["default"]["rel_mse_specular"] / row["normal (for specular)"]["rel_mse_specular"]
@@ -135,7 +160,7 @@ def main() -> None:
             row = run_frame(fetch(arguments.cache, scene, spp), reference)
             row["commit"] = describe_machine()["commit"]
             rows.setdefault(scene, {})[str(spp)] = row
-            shown = ("noisy", "normal", "band-limited", "sg", "ggx", "default", "oidn")
+            shown = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "ggx with hits", "oidn")
             cells = "  ".join(f"{name} {row[name]['rel_mse']:.4f}" for name in shown if name in row)
             ratio = f"{row['default_over_normal']:.2f}, specular {row['default_over_normal_specular']:.2f}"
             print(f"{scene:9} {spp:3} spp  {cells}  default/normal {ratio}", flush=True)

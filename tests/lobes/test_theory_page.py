@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
-MODULES = ["sg", "roughness", "brdf", "tangent", "asg", "mixture", "field"]
+MODULES = ["sg", "roughness", "brdf", "tangent", "asg", "mixture", "field", "mixture_field", "hits"]
 INNER = {"make_isotropic_lobe", "make_anisotropic_lobe"}  # the two halves of make_tangent_lobe, by component
 
 

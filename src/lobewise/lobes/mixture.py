@@ -121,6 +121,36 @@ def mixture_approx_similarity(mixture_i: SgMixture, mixture_j: SgMixture, beta: 
     return np.asarray(value ** beta.astype(value.dtype))
 
 
+def spread_ggx_mixture(
+    area: ArrayLike, alpha_square: ArrayLike, albedo: ArrayLike, *, lobes: int, noise: float
+) -> tuple[Array, Array]:
+    """Return sharpness and amplitude (..., ``lobes``) of the mixture for GGX; see `make_ggx_mixture`.
+
+    Parameters
+    ----------
+    area : array_like
+        Variance of the reflected lobe, ``2 n.v alpha^2``, square radians; 0 for a mirror.
+    alpha_square : array_like
+        Product of the two alphas, in [0, 1].
+    albedo : array_like
+        Directional albedo.
+    lobes : {1, 2, 3, 4}
+        How many.
+    noise : float
+        Added to every ``1 / sharpness``, square radians, > 0.
+    """
+    area, square, albedo = as_reals(area, alpha_square, albedo)
+    exponent, weight = (np.asarray(column, dtype=square.dtype) for column in GGX_MIXTURES[lobes])
+    # 1 / sharpness = area / (b (1 - alpha^2)) + tau^2
+    area = area[..., None]
+    steepness = np.maximum(exponent * np.maximum(1.0 - square, 0.0)[..., None], MIN_SHARPNESS * area)
+    sharpness = steepness / (area + np.asarray(noise, dtype=square.dtype) * steepness)
+    # the integrals of the lobes before the band-limit, over the area, which is 0 for a mirror
+    share = weight * -np.expm1(-2.0 * divide_or(steepness, area + 0.0 * steepness, np.inf)) / steepness
+    share = share / np.sum(share, axis=-1, keepdims=True) * np.sum(weight / exponent)
+    return np.asarray(sharpness), np.asarray(albedo[..., None] * share / sg_integral(sharpness))
+
+
 def make_ggx_mixture(
     view: ArrayLike,
     normal: ArrayLike,
@@ -185,16 +215,9 @@ def make_ggx_mixture(
         slope = (a * cosine + b) * inverse
         cosine = (a + b * cosine) * inverse
     warp = np.maximum(np.abs(cosine), MIN_WARP_COSINE) / slope
-    exponent, weight = (np.asarray(column, dtype=square.dtype) for column in GGX_MIXTURES[lobes])
-    noise = max(tau * tau, MIN_VARIANCE)
-    # 1 / sharpness = area / (b (1 - alpha^2)) + tau^2
-    area = 2.0 * (warp * square)[..., None]
-    steepness = np.maximum(exponent * np.maximum(1.0 - square, 0.0)[..., None], MIN_SHARPNESS * area)
-    sharpness = steepness / (area + noise * steepness)
-    # the integrals of the lobes before the band-limit, over the area, which is 0 for a mirror
-    share = weight * -np.expm1(-2.0 * divide_or(steepness, area + 0.0 * steepness, np.inf)) / steepness
-    share = share / np.sum(share, axis=-1, keepdims=True) * np.sum(weight / exponent)
-    return SgMixture(reflect(view, m)[..., None, :], sharpness, albedo[..., None] * share / sg_integral(sharpness))
+    area = 2.0 * warp * square
+    sharpness, amplitude = spread_ggx_mixture(area, square, albedo, lobes=lobes, noise=max(tau * tau, MIN_VARIANCE))
+    return SgMixture(reflect(view, m)[..., None, :], sharpness, amplitude)
 
 
 def make_lambert_lobe(normal: ArrayLike, albedo: ArrayLike) -> SgMixture:

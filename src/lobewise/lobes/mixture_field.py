@@ -13,7 +13,8 @@ from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.chunks import Chunk, run_chunks
 from lobewise.lobes.field import LobeField, build_lobe_field
-from lobewise.lobes.mixture import GGX_MIXTURES, LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS
+from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
+from lobewise.lobes.sg import sg_integral
 from lobewise.lobes.table import evaluate_table
 from lobewise.lobes.vectors import Array, normalize
 
@@ -169,29 +170,31 @@ class _Builder:
 
     def _fill_parametric(self, chunk: Chunk) -> None:
         """The universal mixture about the axis of the single lobe, whose variance tells the area."""
-        single, gbuffer, one = self.single, self.gbuffer, np.float32(1.0)
+        single, gbuffer, field = self.single, self.gbuffer, self.field
         assert single.axis is not None and single.sharpness is not None and gbuffer.alpha_u is not None
-        area = np.maximum(one / single.sharpness[chunk] - self.noise, np.float32(0.0))
+        area = np.maximum(np.float32(1.0) / single.sharpness[chunk] - self.noise, np.float32(0.0))
         alpha_v = gbuffer.alpha_u if gbuffer.alpha_v is None else gbuffer.alpha_v
-        square = np.clip(gbuffer.alpha_u[chunk] * alpha_v[chunk], np.float32(0.0), one)
-        albedo: Array | np.float32 = one
+        square = np.clip(gbuffer.alpha_u[chunk] * alpha_v[chunk], np.float32(0.0), np.float32(1.0))
+        albedo = np.ones_like(square)
         if gbuffer.specular_albedo is not None:
             albedo = _sum_luminance(gbuffer.specular_albedo[chunk])
-        kind = None if gbuffer.lobe_kind is None else gbuffer.lobe_kind[chunk]
+        lobes = slice(0, self.lobes)
+        field.sharpness[chunk][..., lobes], field.amplitude[chunk][..., lobes] = spread_ggx_mixture(
+            area, square, albedo, lobes=self.lobes, noise=float(self.noise)
+        )
+        for k in range(1 if self.coaxial else self.lobes):
+            field.axis[chunk][..., 3 * k : 3 * k + 3] = single.axis[chunk]
+        if gbuffer.lobe_kind is None:
+            return
+        kind = gbuffer.lobe_kind[chunk]
         # Beckmann, mirrors and, in place of a missing lobe, the diffuse one are each a single Gaussian already.
-        alone = np.zeros(square.shape, np.bool_) if kind is None else kind != LobeKind.GGX
-        lambert = alone & (kind == LobeKind.NONE) if kind is not None else alone
-        deficit = np.where(alone, one, np.maximum(one - square, np.float32(1e-3)))
-        for k in range(self.lobes):
-            exponent, weight = (np.float32(column[k]) for column in GGX_MIXTURES[self.lobes])
-            steepness = np.where(alone, one, exponent * deficit)
-            share = np.where(alone, np.float32(k == 0), weight)
-            inverse = one / (area + self.noise * steepness)
-            self.field.sharpness[(*chunk, k)] = steepness * inverse
-            self.field.amplitude[(*chunk, k)] = np.where(lambert, share, albedo * share * inverse)
-            if not self.coaxial or k == 0:
-                self.field.axis[chunk][..., 3 * k : 3 * k + 3] = single.axis[chunk]
-        self.field.amplitude[chunk][..., : self.lobes] *= np.float32(0.5 / np.pi)
+        alone = kind != LobeKind.GGX
+        if alone.any():
+            sharpness = single.sharpness[chunk][alone]
+            scale = np.where(kind[alone] == LobeKind.NONE, np.float32(1.0), albedo[alone])
+            field.sharpness[chunk][..., 0][alone] = sharpness
+            field.amplitude[chunk][..., 0][alone] = scale / sg_integral(sharpness)
+            field.amplitude[chunk][..., 1 : self.lobes][alone] = 0.0
 
     def _fill_table(self, chunk: Chunk, number: int, table: LobeTable) -> None:
         """Replace the lobes of the pixels that show the table's material."""
