@@ -66,7 +66,7 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
 
 @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
 @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
-@pytest.mark.parametrize("similarity", ["sg", "ggx"])
+@pytest.mark.parametrize("similarity", ["sg", "sg_mixture", "asg", "ggx"])
 def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart: bool) -> None:
     frame, clean = make_frame(apart=apart), get_clean()
     lobes = denoise(frame, similarity=similarity, form=form).image
@@ -79,6 +79,41 @@ def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart
     everywhere = slice(None)
     assert error(lobes, everywhere) < 0.25 * error(frame.radiance.color, everywhere)
     assert error(lobes, near_edge) < 0.6 * error(normals, near_edge)
+
+
+def test_mixture_of_one_lobe_is_the_single_lobe() -> None:
+    # up to the sharpness, which is that of the curvature at the axis for sg and that of least squares for mixtures
+    frame = make_frame()
+    one = denoise(frame, similarity="sg_mixture", lobes=1).image
+    np.testing.assert_allclose(one, denoise(frame, similarity="sg").image, rtol=0.1, atol=0.02)
+
+
+def test_combined_radiance_is_compared_by_diffuse_and_specular_lobe() -> None:
+    # two paints under one lacquer: all that differs is how much the diffuse lobe reflects
+    bright = np.broadcast_to(np.where(np.arange(SHAPE[1]) % 10 < 5, 0.9, 0.02)[None, :, None], (*SHAPE, 3))
+    alpha = np.full(SHAPE, 0.3)
+    dim = np.full((*SHAPE, 3), 0.04)
+    frame = make_frame(apart=False, alpha_u=alpha, alpha_v=alpha, diffuse_albedo=bright, specular_albedo=dim)
+    support = {name: denoise(frame, similarity=name).weight_sum for name in ("sg", "sg_mixture")}
+    assert np.median(support["sg_mixture"] / support["sg"]) < 0.8
+    with pytest.raises(InputError, match="lobes of a mixture.*1 to 3"):
+        denoise(frame, similarity="sg_mixture", lobes=4)
+
+
+@pytest.mark.parametrize("similarity", ["sg", "asg", "ggx"])
+def test_near_hits_narrow_the_kernel(similarity: str) -> None:
+    distance = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.05, np.inf)[:, None], SHAPE)
+    frame = make_frame(hit_distance=distance)
+    plain = denoise(frame, similarity=similarity, hit_distance=False)
+    near = denoise(frame, similarity=similarity, hit_distance=True)
+    assert near.weight_sum[:15].mean() < 0.5 * plain.weight_sum[:15].mean()
+    np.testing.assert_allclose(near.weight_sum[29:], plain.weight_sum[29:], rtol=1e-4)
+    assert plain.settings["hit_distance"] is False
+
+
+def test_hit_distance_needs_the_channel() -> None:
+    with pytest.raises(MissingChannelError, match="channel hit_distance"):
+        denoise(make_frame(), hit_distance=True)
 
 
 def test_default_is_what_auto_says() -> None:

@@ -122,7 +122,7 @@ def denoise(
     similarity: Annotated[
         str,
         typer.Option(
-            metavar="auto|normal|sg|ggx",
+            metavar="auto|normal|sg|sg_mixture|asg|ggx",
             help="What makes two pixels similar; auto takes the best that the file allows.",
         ),
     ] = "auto",
@@ -131,6 +131,15 @@ def denoise(
     ] = "full",
     radius: Annotated[int, typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.")] = 8,
     beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    lobes: Annotated[int, typer.Option(metavar="1-4", help="With sg_mixture: Gaussians that stand for GGX.")] = 3,
+    hit_distance: Annotated[
+        bool | None,
+        typer.Option(
+            "--hit-distance/--no-hit-distance",
+            help="With sg, asg, ggx: compare what the lobes hit, where the file has hit distances.",
+            show_default="auto",
+        ),
+    ] = None,
     device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
 ) -> None:
     """Denoise an EXR file; its other parts, channels and attributes are kept."""
@@ -143,7 +152,14 @@ def denoise(
     frame = read_frame(source)
     try:
         result = run_denoise(
-            frame, similarity=similarity, form=form, radius=radius, beta=_parse_beta(beta), device=device
+            frame,
+            similarity=similarity,
+            form=form,
+            radius=radius,
+            beta=_parse_beta(beta),
+            lobes=lobes,
+            hit_distance="auto" if hit_distance is None else hit_distance,
+            device=device,
         )
     except LobewiseError as problem:
         raise type(problem)(f"{source}: {problem}") from problem
