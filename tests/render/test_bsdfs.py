@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.errors import UnsupportedBsdfError
 from lobewise.frame import Frame, GBuffer, LobeKind
 from tests.render.tolerances import ALBEDO_FIT, EXACT, GLASS_FIT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
 
@@ -288,17 +287,6 @@ def test_opaque_half_of_a_mask_is_what_the_pixel_shows(furnace: Furnace) -> None
     assert np.allclose(seen.alpha_u, 0.2, atol=EXACT)
     assert np.all(unseen.depth == 0)
     assert np.all(unseen.lobe_kind == LobeKind.NONE)
-
-
-@pytest.mark.parametrize("plugin", ["hair", "principledthin", "thindielectric", "pplastic"])
-def test_unsupported_bsdf_is_named(mi: Any, plugin: str) -> None:
-    from lobewise.render.bsdfs import SUPPORTED_BSDFS, read_material
-
-    bsdf = mi.load_dict({"type": "mask", "inner": {"type": plugin, "id": "my_bsdf"}})
-    with pytest.raises(UnsupportedBsdfError, match="my_bsdf") as caught:
-        read_material(bsdf)
-    assert bsdf.class_name() == "MaskBSDF"
-    assert all(name in str(caught.value) for name in SUPPORTED_BSDFS)
 
 
 def make_maps() -> list[tuple[str, dict[str, Any]]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.errors import InputError, UnsupportedBsdfError
+from lobewise.errors import InputError
 from lobewise.frame import Frame
 
 pytestmark = pytest.mark.mitsuba
@@ -165,16 +165,6 @@ def test_bad_numbers_are_errors(scene: Any, arguments: dict[str, Any], name: str
     for function in (render_frame, render_reference):
         with pytest.raises(InputError, match=name):
             function(scene, **arguments)
-
-
-def test_scene_with_an_unknown_bsdf_still_has_a_reference(mi: Any, make_box_scene: Callable[..., Any]) -> None:
-    from lobewise.render import render_frame, render_reference
-
-    thin = {"type": "sphere", "center": [0, 0.7, 0], "radius": 0.7, "bsdf": {"type": "thindielectric", "id": "pane"}}
-    scene = make_box_scene({"thin": thin}, size=8)
-    with pytest.raises(UnsupportedBsdfError, match=r"pane.*ThinDielectric"):
-        render_frame(scene, spp=1)
-    assert render_reference(scene, spp=1).radiance.color.max() > 0
 
 
 def test_all_images_are_finite_and_within_their_ranges(scene: Any) -> None:

@@ -15,6 +15,12 @@ GLASS_FIT = 0.045
 PRINCIPLED_DIFFUSE = 0.06
 """Base colour instead of the true albedo of Burley's diffuse lobe, which is 0.94 to 1.02 of it at these angles."""
 
+FITTED_ALPHA = 0.1
+"""The nearest GGX of a metal of constant alpha: Fresnel and masking skew the lobe; rows between views add some."""
+
+FITTED_ALBEDO = 0.02
+"""Linear interpolation over at most 12 views, and the noise of 4096 samples where light is transmitted."""
+
 PEAK_SHAPE = 0.05
 """Shape of a lobe near its peak, where Fresnel and masking vary by some per cent."""
 

@@ -1,7 +1,8 @@
 """Open Mitsuba's BSDF objects: which plugin each is, what it nests, and the parameters that shape its lobes.
 
 A wrapper (``twosided``, ``normalmap``, ``bumpmap``, ``mask``, ``blendbsdf``) does not forward the attributes of what it
-nests, so the objects themselves are walked, once per scene; `lobewise.render.surface` evaluates them at every hit.
+nests, so the objects themselves are walked, once per scene; `lobewise.render.surface` evaluates them at every hit. A
+BSDF for which there is no formula is fitted (`lobewise.render.fitted`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import UnsupportedBsdfError, describe_problem
 from lobewise.frame import LobeKind
+from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
+from lobewise.render.fitted import Fit, FittedLobes
+from lobewise.render.probe import make_context
 
 PLUGIN_OF_CLASS = {
     "SmoothDiffuse": "diffuse",
@@ -36,7 +39,8 @@ PLUGIN_OF_CLASS = {
 }
 """Plugin name by C++ class name: the first is what a scene file says, the second what an object tells of itself."""
 
-SUPPORTED_BSDFS = tuple(sorted(PLUGIN_OF_CLASS.values()))
+FITTED = "fitted"
+"""What stands for the plugin of every other class."""
 
 _NESTED = {
     "twosided": ("brdf_0", "brdf_1"),
@@ -64,7 +68,7 @@ class Material:
     bsdf : mitsuba.BSDF
         The object itself.
     plugin : str
-        One of `SUPPORTED_BSDFS`.
+        A value of `PLUGIN_OF_CLASS`, or `FITTED`.
     textures : dict
         Its textures by parameter name.
     numbers : dict
@@ -75,6 +79,10 @@ class Material:
         Kind of its own specular lobe, NONE for a wrapper.
     diffuse_spread : float
         Of a plastic: its diffuse albedo over its diffuse value for light along the normal, the same for every viewer.
+    fitted : FittedLobes, optional
+        Of a fitted one: what was found.
+    number : int
+        Of a fitted one with a lobe table: its place among those of the scene, from 1; else 0.
     """
 
     bsdf: Any
@@ -84,6 +92,8 @@ class Material:
     nested: tuple[Material, ...] = ()
     lobe_kind: LobeKind = LobeKind.NONE
     diffuse_spread: float = 0.0
+    fitted: FittedLobes | None = None
+    number: int = 0
 
     def __iter__(self) -> Iterator[Material]:
         """Yield this material, then every one below it."""
@@ -94,7 +104,18 @@ class Material:
     @property
     def can_be_transparent(self) -> bool:
         """Whether a ray may pass through without noticing (``mask``, ``null``)."""
-        return any(node.plugin in ("mask", "null") for node in self)
+        return any(
+            node.plugin in ("mask", "null") or (node.fitted is not None and node.fitted.fit.can_be_transparent)
+            for node in self
+        )
+
+    @property
+    def heeds_context(self) -> bool:
+        """Whether it, and all below it, evaluate the lobes that a context asks for and no others."""
+        return all(
+            node.plugin != "principled" and (node.fitted is None or node.fitted.fit.parts.heeds_context)
+            for node in self
+        )
 
 
 @lru_cache(maxsize=1)
@@ -167,30 +188,43 @@ def _find_spread(plugin: str, lobe_kind: LobeKind, numbers: dict[str, Any]) -> f
 
 def make_diffuse_context() -> Any:
     """Return the context that asks a BSDF for its diffuse lobes alone."""
-    context = mi.BSDFContext()
-    context.type_mask = mi.BSDFFlags.Diffuse
-    return context
+    return make_context(mi.BSDFFlags.Diffuse)
 
 
-def read_material(bsdf: Any) -> Material:
+def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
+    fitted = FittedLobes(bsdf)
+    fit = fitted.fit
+    number = 0
+    if fit.table is not None:
+        # A material that answers alike has the rows of another, which are one object.
+        known = [index for index, other in enumerate(fits) if other.rows is fit.rows]
+        if not known:
+            fits.append(fit)
+        number = known[0] + 1 if known else len(fits)
+    return Material(bsdf=bsdf, plugin=FITTED, lobe_kind=fit.kind, fitted=fitted, number=number)
+
+
+def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
     """Return what a BSDF object is made of, nested ones included.
+
+    Parameters
+    ----------
+    bsdf : mitsuba.BSDF
+        Of any class: one that is not in `PLUGIN_OF_CLASS` is fitted.
+    fits : list, optional
+        Fits of the scene with a lobe table, in the order of their numbers; new ones are appended.
 
     Raises
     ------
     UnsupportedBsdfError
-        If it, or one inside it, is not of `SUPPORTED_BSDFS`.
+        If it, or one inside it, is of another class and cannot be evaluated or sampled.
+    MissingDependencyError
+        If one must be fitted and SciPy is not installed.
     """
-    class_name = str(bsdf.class_name())
-    plugin = PLUGIN_OF_CLASS.get(class_name)
+    fits = [] if fits is None else fits
+    plugin = PLUGIN_OF_CLASS.get(str(bsdf.class_name()))
     if plugin is None:
-        raise UnsupportedBsdfError(
-            describe_problem(
-                f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id",
-                expected="one of " + ", ".join(SUPPORTED_BSDFS) + ", nested as you like",
-                got=class_name,
-                action="its reflection lobe is unknown; replace it in the scene",
-            )
-        )
+        return _fit_material(bsdf, fits)
     objects, numbers = _list_parameters(bsdf)
     names = _NESTED.get(plugin, ())
     wanted = set(_NUMBERS.get(plugin, ()))
@@ -204,7 +238,7 @@ def read_material(bsdf: Any) -> Material:
         plugin=plugin,
         textures={name: value for name, value in objects.items() if name not in names},
         numbers=values,
-        nested=tuple(read_material(objects[name]) for name in names),
+        nested=tuple(read_material(objects[name], fits) for name in names),
         lobe_kind=lobe_kind,
         diffuse_spread=_find_spread(plugin, lobe_kind, values) if "plastic" in plugin else 0.0,
     )
@@ -213,14 +247,22 @@ def read_material(bsdf: Any) -> Material:
 def read_scene_materials(scene: Any) -> dict[int, Material]:
     """Return the material of every BSDF that a shape of the scene carries, by the object's address.
 
-    Raises
-    ------
-    UnsupportedBsdfError
-        If one of them, or one inside it, is not of `SUPPORTED_BSDFS`.
+    Errors are those of `read_material`.
     """
     materials: dict[int, Material] = {}
+    fits: list[Fit] = []
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         if bsdf is not None and bsdf.ptr not in materials:
-            materials[bsdf.ptr] = read_material(bsdf)
+            materials[bsdf.ptr] = read_material(bsdf, fits)
     return materials
+
+
+def list_lobe_tables(materials: dict[int, Material]) -> tuple[LobeTable, ...]:
+    """Return the lobe tables of a scene's fitted materials, in the order of their numbers."""
+    tables: dict[int, LobeTable] = {}
+    for material in materials.values():
+        for node in material:
+            if node.fitted is not None and node.fitted.fit.table is not None:
+                tables.setdefault(node.number, node.fitted.fit.table)
+    return tuple(tables[number] for number in sorted(tables))

@@ -101,6 +101,7 @@ def trace_guides(
         "alpha_u": dr.select(found, surface.alpha_u, 0.0),
         "alpha_v": dr.select(found, surface.alpha_v, 0.0),
         "lobe_kind": dr.select(found, surface.lobe_kind, 0.0),
+        "material": dr.select(found, surface.material, 0.0),
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,

@@ -10,7 +10,7 @@ import numpy as np
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, FloatArray, Frame, Radiance
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material, read_scene_materials
+from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.gbuffer import finish_hits, make_gbuffer, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
@@ -172,7 +172,9 @@ def render_frame(
     InputError
         If a number is out of range, or the sensor is not a plain perspective camera.
     UnsupportedBsdfError
-        If the scene uses a BSDF whose lobe is not known.
+        If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
+    MissingDependencyError
+        If a BSDF must be fitted and SciPy is not installed.
     """
     spp = _check_count("spp", spp, 1, 1 << 24)
     seed = _check_count("seed", seed, 0, (1 << 32) - 1)
@@ -190,6 +192,9 @@ def render_frame(
             sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
             tiles.append(_finish_tile(sums, guides, spp))
     images = _join(tiles, *size)
+    tables = list_lobe_tables(materials)
+    if not tables:
+        del images["gbuffer.material"]
     has_halves = spp > 1 and not aov_only
     return Frame(
         radiance=Radiance(**_select(images, "radiance")),
@@ -199,6 +204,7 @@ def render_frame(
         half_b=Radiance(**_select(images, "half_b")) if has_halves else None,
         variance=Radiance(**_select(images, "variance")) if has_halves else None,
         spp=spp,
+        lobe_tables=tables,
     )
 
 

@@ -68,7 +68,9 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
     if material.plugin == "principled":
         total = material.bsdf.eval(everything, si, wo, active)
         return _divide(evaluate_principled_diffuse(material, si, wo, active), total)
-    if all(node.plugin != "principled" for node in material):
+    if material.fitted is not None and not material.fitted.fit.parts.diffuse:
+        return mi.Color3f(0)
+    if material.heeds_context:
         part = material.bsdf.eval(make_diffuse_context(), si, wo, active)
         return _divide(part, material.bsdf.eval(everything, si, wo, active))
     frame = make_world_frame(si)

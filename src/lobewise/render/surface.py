@@ -9,7 +9,7 @@ from typing import Any
 from lobewise.frame import LobeKind
 from lobewise.lobes.brdf import ggx_directional_albedo
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material, make_diffuse_context
+from lobewise.render.bsdfs import FITTED, Material, make_diffuse_context
 
 
 @dataclass
@@ -17,7 +17,8 @@ class Surface:
     """The guides of one hit point per lane (Dr.Jit arrays; a PyTree).
 
     ``normal`` and ``tangent`` are unit vectors of the world, the normal on the viewer's side; ``lobe_kind`` holds
-    `LobeKind` values; ``opacity`` is the chance that a ray notices the surface at all.
+    `LobeKind` values; ``opacity`` is the chance that a ray notices the surface at all; ``material`` the number of its
+    lobe table, or 0.
     """
 
     normal: Any
@@ -28,6 +29,7 @@ class Surface:
     diffuse_albedo: Any
     specular_albedo: Any
     opacity: Any
+    material: Any
 
 
 @dataclass
@@ -107,17 +109,25 @@ def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v
 
 def make_no_surface() -> Surface:
     """Return the guides of nothing: all zero."""
-    vector, color, number = mi.Vector3f(0), mi.Color3f(0), mi.Float(0)
-    return Surface(vector, mi.Vector3f(0), number, mi.Float(0), mi.Float(0), color, mi.Color3f(0), mi.Float(0))
+    return Surface(
+        normal=mi.Vector3f(0),
+        tangent=mi.Vector3f(0),
+        alpha_u=mi.Float(0),
+        alpha_v=mi.Float(0),
+        lobe_kind=mi.Float(0),
+        diffuse_albedo=mi.Color3f(0),
+        specular_albedo=mi.Color3f(0),
+        opacity=mi.Float(0),
+        material=mi.Float(0),
+    )
 
 
-def _make_surface(material: Material, si: Any, frame: WorldFrame, **found: Any) -> Surface:
+def _make_surface(material: Material, si: Any, frame: WorldFrame, /, **found: Any) -> Surface:
     return replace(
         make_no_surface(),
         normal=mi.Vector3f(frame.n),
-        tangent=mi.Vector3f(frame.s),
         lobe_kind=mi.Float(int(material.lobe_kind)),
-        **{"opacity": mi.Float(1), **found},
+        **{"tangent": mi.Vector3f(frame.s), "opacity": mi.Float(1), **found},
     )
 
 
@@ -215,6 +225,27 @@ def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) 
     return _make_surface(material, si, frame, opacity=mi.Float(0))
 
 
+def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
+    fitted = material.fitted
+    assert fitted is not None
+    alpha_u, alpha_v, *colors, opacity = fitted.look_up(si, active)
+    # A side that answers is taken for the front: lobes are fitted once.
+    seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
+    upward = fitted.evaluate_diffuse(material.bsdf, si, active)
+    return _make_surface(
+        material,
+        si,
+        frame,
+        tangent=frame.to_world(fitted.find_tangent(si)),
+        alpha_u=alpha_u,
+        alpha_v=alpha_v,
+        specular_albedo=mi.Color3f(*colors[:3]) & seen,
+        diffuse_albedo=dr.clip(mi.Color3f(*colors[3:]) * upward, 0.0, 1.0) & seen,
+        opacity=opacity,
+        material=mi.Float(material.number),
+    )
+
+
 def enter_twosided(si: Any, frame: WorldFrame) -> tuple[Any, WorldFrame]:
     """Return the hit as the nested BSDF sees it: from behind, the local z axis is mirrored."""
     behind = si.wi.z < 0
@@ -306,6 +337,7 @@ _DESCRIBERS: dict[str, Callable[[Material, Any, WorldFrame, Any], Surface]] = {
     "roughplastic": _describe_plastic,
     "principled": _describe_principled,
     "null": _describe_null,
+    FITTED: _describe_fitted,
     "twosided": _describe_twosided,
     "normalmap": _describe_perturbed,
     "bumpmap": _describe_perturbed,
@@ -333,4 +365,5 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
     # Where no lobe reflects there is none, whatever the plugin could do elsewhere.
     dark = dr.max(surface.specular_albedo) <= 0
     surface.lobe_kind = dr.select(dark, float(LobeKind.NONE), surface.lobe_kind)
+    surface.material = dr.select(dark, 0.0, surface.material)
     return surface

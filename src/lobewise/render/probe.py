@@ -1,0 +1,189 @@
+"""Evaluate and sample a lone BSDF object, without a scene: what an unknown reflection tells of itself.
+
+Directions are local: z is the normal, x the tangent. Textures are seen at the middle of the texture square, uv = (0.5,
+0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import UnsupportedBsdfError, describe_problem
+from lobewise.lobes.vectors import Array
+from lobewise.render.bridge import dr, mi
+
+# Mitsuba's values are times the cosine; below this one they are of no account and the division would raise noise.
+_LEAST_COSINE = 1e-6
+# How far two evaluations that should be equal may differ, relative to the larger in the mean square.
+_SAME = 0.02
+
+
+def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
+    """Return the context that asks a BSDF for some of its lobes, or all.
+
+    With ``importance`` what is refracted is not scaled by the square of the index, which leaving the glass undoes.
+    """
+    context = mi.BSDFContext()
+    if lobes is not None:
+        context.type_mask = lobes
+    if importance:
+        context.mode = mi.TransportMode.Importance
+    return context
+
+
+def make_hits(view: Array) -> Any:
+    """Return hits on a flat surface whose viewers are in the local directions ``view`` (n, 3)."""
+    si = dr.zeros(mi.SurfaceInteraction3f, len(view))
+    si.t = 1.0
+    si.n = mi.Normal3f(0, 0, 1)
+    si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
+    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+    si.uv = mi.Point2f(0.5, 0.5)
+    si.wi = _to_vectors(view)
+    return si
+
+
+def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None) -> Array:
+    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3): shape (n, 3), 1/sr.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If the BSDF cannot be evaluated.
+    """
+
+    def run() -> Any:
+        return bsdf.eval(make_context(lobes), make_hits(view), _to_vectors(light), mi.Bool(True))
+
+    cosine = np.maximum(np.abs(light[:, 2:]), _LEAST_COSINE)
+    return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
+
+
+def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0) -> Callable[..., Array]:
+    """Return `evaluate_bsdf` of one BSDF as `lobewise.lobes.fit.Evaluate`.
+
+    Parameters
+    ----------
+    bsdf : mitsuba.BSDF
+    lobes : mitsuba.BSDFFlags, optional
+        Only these lobes.
+    through : bool
+        Evaluate what is transmitted, as if the surface mirrored it.
+    turn : float
+        Angle from the BSDF's tangent to the x of the directions, radians, counter-clockwise.
+    """
+    cosine, sine = np.cos(turn), np.sin(turn)
+    matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    flip = np.asarray([1.0, 1.0, -1.0 if through else 1.0])
+
+    def evaluate(view: Array, light: Array) -> Array:
+        return evaluate_bsdf(bsdf, view @ matrix, light @ matrix * flip, lobes)
+
+    return evaluate
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a BSDF's own sampling gave; N samples for each of V views.
+
+    Parameters
+    ----------
+    light : (V, N, 3)
+        Local directions.
+    weight : (V, N, 3)
+        BSDF times cosine over density; finite.
+    null, delta : (V, N), bool
+        Whether the ray passed unnoticed, or followed a single direction.
+    """
+
+    light: Array
+    weight: Array
+    null: NDArray[np.bool_]
+    delta: NDArray[np.bool_]
+
+
+def sample_bsdf(bsdf: Any, view: Array, count: int) -> Samples:
+    """Return ``count`` samples of the BSDF for each of the local directions ``view`` (V, 3), the same every time.
+
+    Refracted weights are not scaled by the square of the index.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If the BSDF cannot be sampled.
+    """
+    # The additive recurrence of Roberts 2018 in three dimensions: evenly spread, without a random generator.
+    root = 1.2207440846057596
+    points = np.mod(0.5 + np.outer(np.arange(count), [1.0 / root, root**-2, root**-3]), 1.0)
+    points = np.tile(points, (len(view), 1)).astype(np.float32)
+
+    def run() -> Any:
+        square = mi.Point2f(np.ascontiguousarray(points[:, 1:].T))
+        hits = make_hits(np.repeat(view, count, axis=0))
+        return bsdf.sample(make_context(importance=True), hits, mi.Float(points[:, 0]), square, mi.Bool(True))
+
+    total = len(view) * count
+    found, weight = _try(bsdf, run)
+    kind = np.broadcast_to(np.array(found.sampled_type).astype(np.int64), (total,)).reshape(len(view), count)
+    values = _to_colors(weight, total).reshape(len(view), count, 3)
+    alive = np.asarray(np.isfinite(values).all(axis=-1))
+    return Samples(
+        light=_to_colors(found.wo, total).reshape(len(view), count, 3),
+        weight=np.where(alive[..., None], values, 0.0),
+        null=(kind & int(mi.BSDFFlags.Null)) != 0,
+        delta=(kind & int(mi.BSDFFlags.Delta)) != 0,
+    )
+
+
+def are_same(one: Array, two: Array, scale: Array | None = None) -> bool:
+    """Return whether two sets of values agree within 2 % in the mean square, relative to ``scale`` or the larger."""
+    norm = max(float(np.linalg.norm(one)), float(np.linalg.norm(two))) if scale is None else np.linalg.norm(scale)
+    return bool(np.linalg.norm(one - two) <= _SAME * norm)
+
+
+def list_flags(bsdf: Any) -> tuple[bool, bool, bool]:
+    """Return whether a BSDF has diffuse, glossy and delta lobes, by its own account."""
+    flags = _try(bsdf, bsdf.flags)
+    # Mitsuba counts what passes unnoticed to the delta lobes; here it is none.
+    kinds = mi.BSDFFlags
+    diffuse, glossy, mirror, clear = (
+        bool(mi.has_flag(flags, kind))
+        for kind in (kinds.Diffuse, kinds.Glossy, kinds.DeltaReflection, kinds.DeltaTransmission)
+    )
+    return diffuse, glossy, mirror or clear
+
+
+def name_bsdf(bsdf: Any) -> str:
+    """Return how errors name a BSDF."""
+    return f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id"
+
+
+def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
+    try:
+        out = run()
+        dr.eval(out)
+    except Exception as error:  # what a BSDF of the user's raises can be anything
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UnsupportedBsdfError(
+            describe_problem(
+                name_bsdf(bsdf),
+                expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
+                got=f"{bsdf.class_name()}: {reason}",
+                action="mend or replace it in the scene",
+            )
+        ) from error
+    return out
+
+
+def _to_vectors(directions: Array) -> Any:
+    return mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32))
+
+
+def _to_colors(value: Any, count: int) -> Array:
+    """Return three numbers per lane, shape (count, 3): a value that is equal everywhere has a width of 1."""
+    return np.array(np.broadcast_to(np.array(value, dtype=np.float64).reshape(3, -1).T, (count, 3)))

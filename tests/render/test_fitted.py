@@ -1,0 +1,229 @@
+"""BSDFs without a formula: lobes fitted to what they answer, against the formulas of those that have one."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise import denoise
+from lobewise.errors import MissingDependencyError, UnsupportedBsdfError
+from lobewise.frame import Frame, GBuffer, LobeKind
+from tests.render.python_bsdf import register_lobes
+from tests.render.test_bsdfs import COPPER, WRAPPERS, flat_normals, middle, rgb
+from tests.render.tolerances import EXACT, FITTED_ALBEDO, FITTED_ALPHA, NOISE
+
+pytestmark = pytest.mark.mitsuba
+
+Furnace = Callable[..., Frame]
+Guide = Callable[..., GBuffer]
+
+GGX = {"type": "roughconductor", "distribution": "ggx", **COPPER}
+
+
+@pytest.fixture(scope="module")
+def lobes(mi: Any) -> str:
+    """Return the name of a plugin that is written in Python."""
+    return register_lobes()
+
+
+@pytest.fixture
+def fit_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take away the formulas of two plugins, so that they are fitted."""
+    from lobewise.render import bsdfs
+
+    known = {"RoughConductor", "RoughPlastic", "SmoothDiffuse"}
+    rest = {name: plugin for name, plugin in bsdfs.PLUGIN_OF_CLASS.items() if name not in known}
+    monkeypatch.setattr(bsdfs, "PLUGIN_OF_CLASS", rest)
+
+
+def fit(mi: Any, bsdf: dict[str, Any]) -> Any:
+    from lobewise.render.fitted import fit_bsdf
+
+    return fit_bsdf(mi.load_dict(bsdf))
+
+
+@pytest.fixture(scope="module")
+def frame(mi: Any, lobes: str, make_box_scene: Callable[..., Any]) -> Frame:
+    """Return a small frame of a ball and a plate of such BSDFs, one nested; and of metal that has a formula."""
+    from lobewise.render import render_frame
+
+    turn = mi.ScalarTransform4f()
+
+    nested = {
+        "type": "twosided",
+        "inner": {"type": "normalmap", "normalmap": flat_normals(0.1, 0.05), "inner": {"type": lobes}},
+    }
+    scene = make_box_scene(
+        {
+            "left": {"type": "sphere", "center": [-0.7, 0.6, 0.0], "radius": 0.6, "bsdf": nested},
+            "plate": {
+                "type": "rectangle",
+                "to_world": turn.translate([0.7, 0.1, 0.3]).rotate([1, 0, 0], -90).scale(0.8),
+                "bsdf": {"type": lobes, "id": "mine", "sharp": 30.0},
+            },
+            "metal": {"type": "sphere", "center": [-0.2, 0.4, 0.9], "radius": 0.4, "bsdf": {**GGX, "alpha": 0.2}},
+        }
+    )
+    return render_frame(scene, spp=8, seed=2)
+
+
+class TestAgainstFormulas:
+    @pytest.mark.parametrize("cos_view", [1.0, 0.85, 0.5])
+    def test_metal(self, guide: Guide, fit_all: None, cos_view: float) -> None:
+        gbuffer = guide({**GGX, "alpha": 0.2}, cos_view=cos_view)
+        assert np.all(gbuffer.lobe_kind == LobeKind.GGX)
+        assert np.allclose([gbuffer.alpha_u, gbuffer.alpha_v], 0.2, rtol=FITTED_ALPHA)
+        assert np.all(gbuffer.material == 1)
+
+    @pytest.mark.parametrize(
+        "bsdf",
+        [
+            {**GGX, "alpha": 0.2},
+            {**GGX, "alpha_u": 0.1, "alpha_v": 0.3},
+            {"type": "roughplastic", "distribution": "ggx", "alpha": 0.15, "diffuse_reflectance": rgb(0.6, 0.3, 0.1)},
+            {"type": "diffuse", "reflectance": rgb(0.7, 0.4, 0.2)},
+        ],
+        ids=["metal", "brushed", "plastic", "diffuse"],
+    )
+    def test_albedos_are_the_furnace_radiance(self, furnace: Furnace, fit_all: None, bsdf: dict[str, Any]) -> None:
+        frame = furnace(bsdf, cos_view=0.6, spp=256)
+        for name in ("diffuse", "specular"):
+            seen, told = middle(getattr(frame.radiance, name)), middle(getattr(frame.gbuffer, f"{name}_albedo"))
+            assert np.allclose(told, seen, atol=FITTED_ALBEDO), name
+        assert (middle(frame.radiance.diffuse).max() > 0.1) == ("alpha" not in str(bsdf) or "plastic" in bsdf["type"])
+
+    @pytest.mark.parametrize("turn", [0.0, 0.6, 2.0])
+    def test_long_axis(self, guide: Guide, lobes: str, turn: float) -> None:
+        gbuffer = guide({"type": lobes, "sharp": 40.0, "wide": 20.0, "stretch": 2.0, "turn": turn}, cos_view=0.9)
+        # The square lies in the plane z = 0, its tangent along x.
+        told = np.arctan2(gbuffer.tangent[..., 1], gbuffer.tangent[..., 0])
+        assert np.abs(np.sin(told - turn)).max() < 0.05
+        ratio = gbuffer.alpha_u / gbuffer.alpha_v
+        assert np.allclose(ratio, 4.0, rtol=0.1)
+
+    @pytest.mark.parametrize("turn", [0.3, 1.2, 3.0])
+    def test_brushed_alphas_at_every_azimuth(self, mi: Any, fit_all: None, turn: float) -> None:
+        import drjit as dr
+
+        from lobewise.render.bsdfs import read_material
+        from lobewise.render.surface import describe_material
+
+        material = read_material(mi.load_dict({**GGX, "alpha_u": 0.1, "alpha_v": 0.3}))
+        si = dr.zeros(mi.SurfaceInteraction3f, 3)
+        si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
+        cosine = np.array([0.2, 0.6, 0.95])
+        sine = np.sqrt(1.0 - cosine**2)
+        si.wi = mi.Vector3f(np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine]).astype(np.float32))
+        surface = describe_material(material, si, mi.Bool(True))
+        assert np.allclose(np.abs(np.array(surface.tangent).T[0]), [0, 1, 0], atol=0.02)
+        assert np.allclose(np.array(surface.alpha_u), 0.3, rtol=FITTED_ALPHA)
+        assert np.allclose(np.array(surface.alpha_v), 0.1, rtol=FITTED_ALPHA)
+
+
+class TestPythonBsdf:
+    def test_guides_are_finite_and_name_their_tables(self, frame: Frame) -> None:
+        material = frame.gbuffer.material
+        assert material is not None
+        assert set(np.unique(material)) == {0.0, 1.0, 2.0}
+        assert [table.lobe_count for table in frame.lobe_tables] == [3, 3]
+        assert "mine" in [table.name for table in frame.lobe_tables]
+        for name in ("alpha_u", "alpha_v", "tangent", "normal", "specular_albedo", "hit_position"):
+            assert np.isfinite(getattr(frame.gbuffer, name)).all(), name
+        fitted = material > 0
+        length = np.linalg.norm(frame.gbuffer.tangent[fitted], axis=-1)
+        assert np.allclose(length, 1.0, atol=EXACT)
+        assert np.abs((frame.gbuffer.tangent * frame.gbuffer.normal).sum(axis=-1)[fitted]).max() < EXACT
+        assert np.all(frame.gbuffer.lobe_kind[fitted] == LobeKind.GGX)
+        assert frame.gbuffer.specular_albedo[fitted].min() > 0
+        assert np.all(frame.radiance.diffuse[fitted].mean() < frame.radiance.specular[fitted].mean())
+
+    @pytest.mark.parametrize("similarity", ["sg_mixture", "ggx"])
+    def test_it_denoises(self, frame: Frame, similarity: str) -> None:
+        result = denoise(frame, similarity=similarity, radius=3)
+        assert np.isfinite(result.image).all()
+        plate = frame.gbuffer.material == 1 + [table.name for table in frame.lobe_tables].index("mine")
+        assert np.median(result.effective_samples[plate]) > 2.0
+
+    def test_without_fitted_materials_there_is_no_channel(self, make_box_scene: Callable[..., Any]) -> None:
+        from lobewise.render import render_frame
+
+        frame = render_frame(make_box_scene({}, size=4), spp=1, aov_only=True)
+        assert frame.gbuffer.material is None
+        assert frame.lobe_tables == ()
+
+    def test_wrappers_are_opened(self, guide: Guide, lobes: str) -> None:
+        bare = guide({"type": lobes})
+        for name, wrap in WRAPPERS:
+            wrapped = guide(wrap({"type": lobes}))
+            for field in ("alpha_u", "alpha_v", "lobe_kind", "normal", "material"):
+                assert np.allclose(getattr(bare, field), getattr(wrapped, field), atol=1e-3), (name, field)
+
+    def test_all_that_heeds_no_context_is_specular(self, furnace: Furnace, lobes: str) -> None:
+        blend = {"type": "blendbsdf", "weight": 0.5, "a": {"type": lobes}, "b": {"type": "diffuse"}}
+        frame = furnace(blend, spp=256)
+        assert np.allclose(middle(frame.radiance.diffuse), 0.25, atol=NOISE)
+        assert np.allclose(middle(frame.radiance.specular), middle(frame.gbuffer.specular_albedo), atol=FITTED_ALBEDO)
+
+    def test_a_frame_is_fitted_once_and_keeps_no_bsdf(
+        self, mi: Any, lobes: str, make_furnace: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from lobewise.render import fitted
+        from lobewise.render.bsdfs import read_scene_materials
+
+        fits = []
+        monkeypatch.setattr(fitted, "_fits", type(fitted._fits)())
+        monkeypatch.setattr(fitted, "_make_fit", lambda bsdf, make=fitted._make_fit: fits.append(1) or make(bsdf))
+        gc.collect()
+        before = sum(isinstance(item, mi.BSDF) for item in gc.get_objects())
+        for sharp in (50.0, 50.0, 60.0):
+            read_scene_materials(make_furnace({"type": lobes, "sharp": sharp}))
+        assert len(fits) == 2
+        gc.collect()
+        assert sum(isinstance(item, mi.BSDF) for item in gc.get_objects()) <= before
+
+
+class TestOtherPlugins:
+    def test_a_pane_is_a_mirror_that_rays_may_pass(self, mi: Any, furnace: Furnace) -> None:
+        bsdf = {"type": "thindielectric", "specular_reflectance": rgb(0.9, 0.6, 0.3)}
+        found = fit(mi, bsdf)
+        assert (found.kind, found.table, found.can_be_transparent) == (LobeKind.DELTA, None, True)
+        # A sheet reflects 2 r / (1 + r) of the light along the normal, r being that of one side: 0.04 for 1.5.
+        assert np.isclose(found.rows[-1, 0, -1], 1.0 - mean_of_pane(bsdf), atol=0.01)
+        frame = furnace(bsdf, spp=256)
+        assert np.all(frame.gbuffer.depth == 0)
+        assert frame.gbuffer.material is None
+        seen = furnace({**bsdf, "int_ior": 30.0}, spp=256)
+        assert np.all(seen.gbuffer.lobe_kind == LobeKind.DELTA)
+        assert np.allclose(middle(seen.gbuffer.specular_albedo), middle(seen.radiance.specular), atol=NOISE)
+
+    @pytest.mark.parametrize("plugin", ["hair", "principledthin", "pplastic"])
+    def test_albedos_are_the_furnace_radiance(self, furnace: Furnace, plugin: str) -> None:
+        frame = furnace({"type": "mask", "opacity": 1.0, "inner": {"type": plugin}}, spp=512)
+        assert np.all(frame.gbuffer.lobe_kind == LobeKind.GGX)
+        for name in ("diffuse", "specular"):
+            seen, told = middle(getattr(frame.radiance, name)), middle(getattr(frame.gbuffer, f"{name}_albedo"))
+            assert np.allclose(told, seen, atol=FITTED_ALBEDO), name
+
+    def test_what_cannot_be_evaluated_is_named(self, mi: Any) -> None:
+        from lobewise.render.bsdfs import read_material
+
+        mi.register_bsdf("lobewise_test_empty", lambda props: mi.BSDF(props))
+        bsdf = mi.load_dict({"type": "mask", "inner": {"type": "lobewise_test_empty", "id": "my_bsdf"}})
+        with pytest.raises(UnsupportedBsdfError, match=r"my_bsdf.*evaluated and sampled.*pure virtual"):
+            read_material(bsdf)
+
+    def test_without_scipy(self, mi: Any, lobes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setitem(sys.modules, "scipy.optimize", None)
+        with pytest.raises(MissingDependencyError, match=r"lobewise\[fit\]"):
+            fit(mi, {"type": lobes, "sharp": 12.3})
+
+
+def mean_of_pane(bsdf: dict[str, Any]) -> float:
+    """Return how often a ray passes a pane seen from above, where Mitsuba chooses by the untinted reflectance."""
+    side = (0.504 / 2.504) ** 2
+    return 1.0 - 2.0 * side / (1.0 + side)
