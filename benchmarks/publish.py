@@ -12,15 +12,21 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
-COLUMNS = ("noisy", "normal", "band-limited", "sg", "ggx", "oidn")
+COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")
 TITLES = {
     "noisy": "noisy",
     "normal": "normal-aware, tuned",
     "band-limited": "band-limited, tuned",
     "sg": "`sg`",
+    "sg_mixture": "`sg_mixture`",
+    "asg": "`asg`",
     "ggx": "`ggx`",
     "oidn": "Open Image Denoise",
 }
+
+
+TIMED = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", "ggx")
+"""Names in filters.json and paper_table.json."""
 
 
 def make_table(header: list[str], rows: list[list[str]]) -> str:
@@ -60,16 +66,64 @@ def make_ratio_table(quality: dict[str, Any]) -> str:
     return make_table(header, rows)
 
 
+def make_anisotropic_table(quality: dict[str, Any]) -> str:
+    """Return the errors on the anisotropic pixels, and how much lower than `sg` the anisotropic lobes are."""
+    rows = []
+    for scene, by_spp in quality["scenes"].items():
+        for spp, row in by_spp.items():
+            if "rel_mse_anisotropic" not in row["sg"]:
+                continue
+            errors = [row[name]["rel_mse_anisotropic"] for name in ("sg", "sg_mixture", "asg", "ggx")]
+            gains = [f"{100.0 * (1.0 - error / errors[0]):.0f} %" for error in errors[2:]]
+            rows.append([scene, spp, *(f"{error:.4f}" for error in errors), *gains])
+    header = ["scene", "spp", "`sg`", "`sg_mixture`", "`asg`", "`ggx`", "`asg` below `sg`", "`ggx` below `sg`"]
+    return make_table(header, rows)
+
+
+def make_hit_tables(quality: dict[str, Any], hits: dict[str, Any]) -> str:
+    """Return what the hit-distance term does on the four scenes, and on the one made for it."""
+    names = ("sg", "asg", "ggx")
+    rows = []
+    for scene, by_spp in quality["scenes"].items():
+        for spp, row in by_spp.items():
+            ratios = [row[f"{name} with hits"]["rel_mse"] / row[name]["rel_mse"] for name in names]
+            rows.append([scene, spp, *(f"{ratio:.2f}" for ratio in ratios)])
+    header = [f"`{name}` with over without" for name in names]
+    scenes = make_table(["scene", "spp", *header], rows)
+    rows = []
+    for spp, row in hits["samples"].items():
+        for name in names:
+            cells = []
+            for key, tuned in (("rel_mse", "tuned"), ("rel_mse_contacts", "tuned for contacts")):
+                for kind in ("default", tuned):
+                    without, with_hits = row[name][kind][key], row[f"{name} with hits"][kind][key]
+                    cells.append(f"{without:.5f}, {with_hits:.5f}")
+            rows.append([spp, f"`{name}`", *cells])
+    columns = ["image, default", "image, tuned", "contacts, default", "contacts, tuned"]
+    return scenes + "\n\n@\n\n" + make_table(["spp", "similarity", *columns], rows)
+
+
+def make_paper_table(paper: dict[str, Any]) -> str:
+    """Return our times and ratios beside the paper's."""
+    rows = []
+    for row in paper["rows"]:
+        for name, cell in row["similarities"].items():
+            theirs = f"{cell['paper_ratio_to_normal']:.2f}" if "paper_ratio_to_normal" in cell else ""
+            cells = [f"{cell['milliseconds']:.1f} ms", f"{cell['ratio_to_normal']:.2f}", theirs]
+            rows.append([row["form"], str(row["radius"]), f"`{name}`", *cells])
+    return make_table(["form", "radius", "similarity", "time", "ratio to normal", "the paper's ratio"], rows)
+
+
 def make_time_tables(filters: dict[str, Any]) -> str:
     """Return the kernel times and those beside Open Image Denoise."""
     rows = []
     for row in filters["kernels"]:
         cells = [f"{row['width']}x{row['height']}", row["form"], str(row["radius"])]
-        for name in ("normal", "sg", "ggx"):
+        for name in TIMED:
             cells.append(f"{row[name]['milliseconds']:.1f} ms ({row[name]['ratio_to_normal']:.2f})")
         cells.append(f"{row['normal']['ns_per_tap_and_pixel']:.3f}")
         rows.append(cells)
-    kernels = make_table(["size", "form", "radius", "normal", "sg", "ggx", "normal, ns per tap and pixel"], rows)
+    kernels = make_table(["size", "form", "radius", *TIMED, "normal, ns per tap and pixel"], rows)
     rows = [
         [size, name, f"{cell['milliseconds']:.0f} ms", f"{cell['times_faster_than_oidn']:.1f}"]
         for size, cells in filters["oidn"].items()
@@ -101,9 +155,12 @@ Time at 1920x1080 on {describe_run(filters).rsplit(",", 1)[0]}: the separable `s
 figures, other sample counts and how they were made: [docs/results.md](docs/results.md)."""
 
 
-def make_results_page(quality: dict[str, Any], filters: dict[str, Any]) -> str:
+def make_results_page(
+    quality: dict[str, Any], filters: dict[str, Any], paper: dict[str, Any], hits: dict[str, Any]
+) -> str:
     """Return docs/results.md."""
     every = list(next(iter(quality["scenes"].values())))
+    scenes, contacts = make_hit_tables(quality, hits).split("\n\n@\n\n")
     return f"""# Results
 
 Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit.
@@ -126,7 +183,42 @@ The default similarity's error over that of others, below 1 is better:
 
 {make_ratio_table(quality)}
 
+### Anisotropic lobes
+
+On the pixels whose two alphas differ by more than a third:
+
+{make_anisotropic_table(quality)}
+
+### The hit-distance term
+
+Error with the term over the error without it, all by default, on the four scenes:
+
+{scenes}
+
+It is above 1 nearly everywhere: the term narrows the kernel where the reflected thing is near, and the noise that it lets through
+outweighs the blur that it saves. So it is off unless asked for. Tried besides, each on three or four scenes at 4 to 64 samples:
+beta and screen sigma from a quarter to four times, the hit distance filtered by the lobes first, the largest distance of a 5x5
+neighbourhood, and half of the inverse distance. None was below the error without the term on all four scenes.
+
+On a scene made for it, thin posts that stand on satin metal (`benchmarks/hit_distance.py`, {describe_run(hits)};
+{hits["size"]}x{hits["size"]}, reference of {hits["reference_spp"]} samples per pixel; contacts are specular pixels whose hit is nearer than a tenth
+of their depth; tuned is the best of {len(hits["factors"]) ** 2} settings of beta and screen sigma for that column), error without the term and with it:
+
+{contacts}
+
+It pays from some hundred samples per pixel on, where little noise is left.
+
 ## Time
+
+### The paper's table
+
+`benchmarks/paper_table.py`, {describe_run(paper)}. 1024x1024 pixels; the paper's ratios are those of its slide "Denoising
+Performance" (Radeon HD 6990). Its times grow by less than two from radius 8 to 16, so its filter was separable. "3 lobes" have an axis
+each, as fitted materials do; "3 coaxial" are the mixture that stands for GGX.
+
+{make_paper_table(paper)}
+
+### Every size
 
 `benchmarks/filters.py`, {describe_run(filters)}. Best of many runs, in turn within one process; in brackets the ratio to `normal`.
 
@@ -134,8 +226,64 @@ The default similarity's error over that of others, below 1 is better:
 """
 
 
+def make_gallery_page(gallery: dict[str, Any]) -> str:
+    """Return docs/gallery.md."""
+
+    def tell(name: str, *similarities: str) -> str:
+        errors = gallery[name]["errors"]
+        return ", ".join(f"`{each}` {errors[each]['rel_mse']:.4f}" for each in similarities)
+
+    return f"""# Gallery
+
+Written by `benchmarks/publish.py`; the pictures and their errors by `benchmarks/make_gallery.py`, with default settings on frames of
+{gallery["brushed"]["spp"]} samples per pixel. Under each stands the command that makes it; the frames are rendered on first use into the folder after
+`--cache`.
+
+## Brushed metal: a lobe has a direction
+
+![Brushed copper and aluminium: noisy, sg, asg, ggx, reference](images/brushed.png)
+
+From left to right: noisy, `sg`, `asg`, `ggx`, reference. Brushing makes the lobe many times wider across than along, and the highlights into
+streaks. A round lobe of the same area is too wide one way and too narrow the other: it washes the streaks away. Error on the
+anisotropic pixels: {tell("brushed", "sg", "asg", "ggx")}.
+
+```bash
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed
+```
+
+## Plastic: two lobes in one radiance
+
+![Plastic balls: noisy, sg, sg_mixture, reference](images/plastic.png)
+
+From left to right: noisy, `sg`, `sg_mixture`, reference. Here the frame holds one radiance, diffuse and specular together, as files of many
+renderers do. What the balls show is almost all diffuse; a single lobe looks at the narrow gloss, finds every neighbour unlike, and
+leaves the noise. The mixture has both lobes with their true amplitudes, so it knows which one matters; at the rims, where Fresnel
+makes the gloss strong, it is still careful. Error of the whole image: {tell("plastic", "sg", "sg_mixture", "normal")}. Plain normals do well
+here because little depends on the gloss; where a frame has both radiances apart, each is filtered by its own lobe and the
+question does not arise.
+
+```bash
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality plastic
+```
+
+## Measured materials: lobes from a table
+
+![Tabulated materials: noisy, normal, sg_mixture, ggx, reference](images/measured.png)
+
+From left to right: noisy, `normal` (untuned), `sg_mixture`, `ggx`, reference. Three materials tabulated in MERL's layout (a hazy metal with a
+sharp and a wide lobe, a lacquer, a satin paint) through a BSDF that lobewise has no formula for: the renderer fits lobes to each and writes
+them into the frame. The database itself may not be shipped, so these tables are computed; `--material FILE.binary`, given up to three times, takes
+your own. `sg_mixture` uses the lobes of the tables, `ggx` and `asg` their equivalent alphas. Error on the measured pixels:
+{tell("measured", "normal", "sg", "sg_mixture", "asg", "ggx")}.
+
+```bash
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality measured
+```
+"""
+
+
 def main() -> None:
-    """Write both files."""
+    """Write the pages."""
     quality = json.loads((RESULTS / "quality.json").read_text())
     filters = json.loads((RESULTS / "filters.json").read_text())
     readme = ROOT / "README.md"
@@ -143,7 +291,11 @@ def main() -> None:
     head, rest = text.split(START)
     tail = rest.split(END)[1]
     readme.write_text(f"{head}{START}\n{make_readme_figures(quality, filters)}\n{END}{tail}")
-    (ROOT / "docs" / "results.md").write_text(make_results_page(quality, filters))
+    paper = json.loads((RESULTS / "paper_table.json").read_text())
+    hits = json.loads((RESULTS / "hit_distance.json").read_text())
+    gallery = json.loads((RESULTS / "gallery.json").read_text())
+    (ROOT / "docs" / "results.md").write_text(make_results_page(quality, filters, paper, hits))
+    (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
 
 
 if __name__ == "__main__":

@@ -66,14 +66,19 @@ def test_published_figures_come_from_the_results() -> None:
     readme = (ROOT / "README.md").read_text()
     block = readme.split(publisher.START)[1].split(publisher.END)[0].strip()
     assert block == publisher.make_readme_figures(quality, filters).strip()
-    assert (ROOT / "docs" / "results.md").read_text() == publisher.make_results_page(quality, filters)
+    paper = json.loads((results / "paper_table.json").read_text())
+    hits = json.loads((results / "hit_distance.json").read_text())
+    gallery = json.loads((results / "gallery.json").read_text())
+    page = publisher.make_results_page(quality, filters, paper, hits)
+    assert (ROOT / "docs" / "results.md").read_text() == page
+    assert (ROOT / "docs" / "gallery.md").read_text() == publisher.make_gallery_page(gallery)
 
 
 def test_default_similarity_is_the_winner_of_the_comparison() -> None:
     from lobewise.denoising import DEFAULT_SIMILARITY
 
     quality = json.loads((ROOT / "benchmarks" / "results" / "quality.json").read_text())
-    logs = dict.fromkeys(("sg", "ggx"), 0.0)
+    logs = dict.fromkeys(("sg", "sg_mixture", "asg", "ggx"), 0.0)
     for by_spp in quality["scenes"].values():
         for row in by_spp.values():
             for name in logs:

@@ -1,0 +1,128 @@
+"""Write the pictures of docs/gallery.md, each a row of panels, and the errors that stand under them.
+
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed plastic measured
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lobewise
+import merl_bsdf
+from common import describe_machine, write_json
+from lobewise.denoising import denoise
+from lobewise.display import choose_exposure, map_tones
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.io.exr import read_frame, read_image, write_frame, write_image
+from lobewise.io.materials import read_merl
+from lobewise.io.png import encode_png
+from lobewise.metrics import rel_mse
+from lobewise.render import render_frame, render_reference
+from quality import fetch, fetch_reference, find_anisotropic
+
+ROOT = Path(__file__).parents[1]
+RESULT = ROOT / "benchmarks" / "results" / "gallery.json"
+GAP = 6
+SPP = 4
+MEASURED_SIZE = 384
+MEASURED_REFERENCE_SPP = 2048
+
+
+def write_row(name: str, images: list[FloatArray], crop: tuple[slice, slice], zoom: int = 1) -> None:
+    """Write docs/images/NAME.png: crops side by side, the last one is the reference."""
+    exposure = choose_exposure(images[-1])
+    panels = [map_tones(image, exposure)[crop] for image in images]
+    panels = [panel.repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in panels]
+    gap = np.full((panels[0].shape[0], GAP, 3), 255, dtype=np.uint8)
+    row = np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
+    target = ROOT / "docs" / "images" / f"{name}.png"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(encode_png(np.ascontiguousarray(row)))
+    print(f"{target}: {row.shape[1]}x{row.shape[0]}, {target.stat().st_size / 1e3:.0f} kB")
+
+
+def make_brushed(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Brushed metal: noisy, `sg`, `asg`, `ggx`, reference."""
+    frame, reference = fetch(arguments.cache, "brushed", SPP), fetch_reference(arguments.cache, "brushed")
+    brushed = find_anisotropic(frame)
+    images = {name: denoise(frame, similarity=name).image for name in ("sg", "asg", "ggx")}
+    write_row("brushed", [frame.radiance.color, *images.values(), reference], (slice(210, 450), slice(40, 280)))
+    return {name: {"rel_mse": rel_mse(image, reference, brushed)} for name, image in images.items()}
+
+
+def make_plastic(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Plastic in one radiance: noisy, one lobe, mixture of specular and diffuse lobes, reference."""
+    apart, reference = fetch(arguments.cache, "parlour", SPP), fetch_reference(arguments.cache, "parlour")
+    frame = apart.with_changes(radiance=Radiance(color=apart.radiance.color), variance=None)
+    images = {name: denoise(frame, similarity=name).image for name in ("normal", "sg", "sg_mixture")}
+    write_row(
+        "plastic",
+        [frame.radiance.color, images["sg"], images["sg_mixture"], reference],
+        (slice(175, 295), slice(180, 340)),
+        zoom=2,
+    )
+    return {name: {"rel_mse": rel_mse(image, reference)} for name, image in images.items()}
+
+
+def fetch_measured(arguments: argparse.Namespace) -> tuple[Frame, FloatArray]:
+    """Return frame and reference of the measured materials, rendered once."""
+    noisy, clean = arguments.cache / f"measured-{SPP}.exr", arguments.cache / "measured-reference.exr"
+    materials = merl_bsdf.make_materials()
+    if arguments.material:
+        materials = tuple(read_merl(path) for path in arguments.material)
+        noisy, clean = (path.with_stem(path.stem + "-own") for path in (noisy, clean))
+    if not noisy.exists():
+        write_frame(noisy, render_frame(merl_bsdf.make_scene(materials, MEASURED_SIZE), spp=SPP, seed=1))
+    if not clean.exists():
+        scene = merl_bsdf.make_scene(materials, MEASURED_SIZE)
+        write_image(clean, render_reference(scene, spp=MEASURED_REFERENCE_SPP, seed=1000).radiance.color)
+    return read_frame(noisy), read_image(clean)
+
+
+def make_measured(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Tabulated materials: noisy, `normal`, `sg_mixture` by their tables, `ggx` by equivalent alphas, reference."""
+    frame, reference = fetch_measured(arguments)
+    assert frame.gbuffer.material is not None
+    measured = frame.gbuffer.material > 0
+    images = {name: denoise(frame, similarity=name).image for name in ("normal", "sg", "sg_mixture", "asg", "ggx")}
+    write_row(
+        "measured",
+        [frame.radiance.color, images["normal"], images["sg_mixture"], images["ggx"], reference],
+        (slice(70, 350), slice(60, 340)),
+    )
+    return {name: {"rel_mse": rel_mse(image, reference, measured)} for name, image in images.items()}
+
+
+MAKERS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+    "brushed": make_brushed,
+    "plastic": make_plastic,
+    "measured": make_measured,
+}
+
+
+def main() -> None:
+    """Write the pictures that were asked for, and their errors."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("picture", nargs="+", choices=MAKERS, help="which picture to make")
+    parser.add_argument("--cache", type=Path, required=True, help="folder for frames and references")
+    parser.add_argument("--material", type=Path, action="append", help="a MERL file of your own for `measured`")
+    arguments = parser.parse_args()
+    arguments.cache.mkdir(parents=True, exist_ok=True)
+    result = json.loads(RESULT.read_text()) if RESULT.exists() else {}
+    for name in arguments.picture:
+        errors = MAKERS[name](arguments)
+        print(name, {key: round(value["rel_mse"], 5) for key, value in errors.items()})
+        result[name] = {"spp": SPP, "errors": errors, "commit": describe_machine()["commit"]}
+    result["version"] = lobewise.__version__
+    if not arguments.material:
+        write_json(RESULT, result)
+
+
+if __name__ == "__main__":
+    main()
