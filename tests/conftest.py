@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.lobe_table import LobeTable
 
 
 @pytest.fixture
@@ -73,10 +74,31 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
             hit_distance=plane(),
             hit_position=vector(3),
             motion=vector(2),
+            material=np.arange(height * width).reshape(height, width) % 3,
         ),
         camera=Camera(position=(1.0, 2.0, 0.1), forward=(0.0, -0.3, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7, fov_x=0.9),
         half_a=radiance(),
         half_b=radiance(),
         variance=radiance(),
         spp=4,
+        lobe_tables=(_make_lobe_table("first", 1), _make_lobe_table("second", 2)),
+    )
+
+
+def _make_lobe_table(name: str, lobes: int) -> LobeTable:
+    """Return an isotropic table of two views whose lobes lie about the mirror direction."""
+    cosine = np.array([0.4, 1.0])
+    axis = np.stack([-np.sqrt(1.0 - cosine**2), 0.0 * cosine, cosine], axis=-1)
+    return LobeTable(
+        name=name,
+        kind="sg",
+        cosine=cosine,
+        azimuth=[0.0],
+        axis=np.tile(axis[:, None, None], (1, 1, lobes, 1)),
+        sharpness=np.full((2, 1, lobes, 2), 30.0 / lobes),
+        twist=np.zeros((2, 1, lobes)),
+        amplitude=np.full((2, 1, lobes), 0.1),
+        alpha=np.full((2, 1, 2), 0.2),
+        albedo=np.full((2, 1, 3), 0.7),
+        cosine_l2=np.full((2, 1), 0.99),
     )

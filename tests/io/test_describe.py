@@ -13,7 +13,7 @@ from exr_bytes import EXOTIC, inject_attributes
 
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, write_frame
-from lobewise.io.schema import CAMERA, DENOISED, SCHEMA, SLOTS, SPP
+from lobewise.io.schema import CAMERA, DENOISED, LOBES, SCHEMA, SLOTS, SPP
 
 
 def test_a_full_frame(full_frame, tmp_path):
@@ -23,6 +23,7 @@ def test_a_full_frame(full_frame, tmp_path):
     assert found.bytes == path.stat().st_size
     assert (found.image_part, found.spp, found.notes) == (0, 4, ())
     assert found.camera.fov_y == 0.7
+    assert found.materials == ("'first': 1 sg lobe for each of 2 views", "'second': 2 sg lobes for each of 2 views")
     assert all(image.found for image in found.images)
     assert found.similarities == ("normal", "sg", "ggx")
     (part,) = found.parts
@@ -61,7 +62,8 @@ def test_found_images_are_those_that_reading_fills(full_frame, rng, tmp_path):
             full_frame.gbuffer,
             **{item.name: None for item in dataclasses.fields(GBuffer) if rng.random() < 0.5},
         )
-        frame = Frame(full_frame.radiance, gbuffer, variance=full_frame.variance if trial % 2 else None)
+        variance = full_frame.variance if trial % 2 else None
+        frame = Frame(full_frame.radiance, gbuffer, variance=variance, lobe_tables=full_frame.lobe_tables)
         write_frame(tmp_path / "a.exr", frame)
         back = read_frame(tmp_path / "a.exr")
         for slot, image in zip(SLOTS, describe_file(tmp_path / "a.exr").images, strict=True):
@@ -119,5 +121,5 @@ def test_the_documented_channels_are_the_ones_in_use():
     assert documented >= {name for name in used if not name.startswith(copies)}
     assert documented - used == set()
     camera = [CAMERA + name for name in ("position", "forward", "up", "fov_y", "fov_x")]
-    for attribute in (SCHEMA, SPP, DENOISED, *camera):
+    for attribute in (SCHEMA, SPP, DENOISED, LOBES + "1", *camera):
         assert f"`{attribute}`" in page

@@ -13,7 +13,7 @@ from exr_bytes import EXOTIC, inject_attributes, read_attributes
 
 from lobewise.errors import FileError, InputError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, Radiance, Result
-from lobewise.io import read_frame, read_image, write_frame, write_image, write_result
+from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image, write_result
 
 OWNERS = ("radiance", "gbuffer", "half_a", "half_b", "variance")
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))
@@ -77,6 +77,10 @@ class TestRoundTrip:
         for name in ("position", "forward", "up"):
             np.testing.assert_allclose(getattr(back.camera, name), getattr(full_frame.camera, name), rtol=1e-15)
         assert (back.camera.fov_y, back.camera.fov_x) == (0.7, 0.9)
+        assert len(back.lobe_tables) == 2
+        for ours, theirs in zip(full_frame.lobe_tables, back.lobe_tables, strict=True):
+            for item in dataclasses.fields(ours):
+                np.testing.assert_array_equal(getattr(theirs, item.name), getattr(ours, item.name))
 
     def test_names_are_the_documented_ones(self, full_frame, tmp_path):
         write_frame(tmp_path / "a.exr", full_frame, half=False)
@@ -86,6 +90,7 @@ class TestRoundTrip:
             copy + layer + c for copy in ("", "variance.", "half_a.", "half_b.") for layer in colors for c in "RGB"
         ]
         expected += ["depth.Z", "alpha.U", "alpha.V", "lobe_kind.I", "hit_distance.Z", "motion.X", "motion.Y"]
+        expected += ["material.I"]
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent", "hit_position") for c in "XYZ"]
         expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
         assert sorted(channels) == sorted(expected)
@@ -242,6 +247,36 @@ class TestReading:
         self.write(path, rgb, header | {"lobewise/camera/fov_y": "wide"})
         with pytest.raises(InputError, match="got another type"):
             read_frame(path)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda text: text[:-40], r"attribute lobewise/lobes/2: expected JSON"),
+            (lambda text: text.replace("0.99", "1.99"), r"attribute lobewise/lobes/2: lobe table: cosine_l2"),
+            (lambda text: text.replace('"version": 1', '"version": 7'), "got version 7"),
+            (lambda text: np.ones(3), r"attribute lobewise/lobes/2: expected JSON"),
+            (None, "got none with the number 2"),
+        ],
+    )
+    def test_damaged_lobe_tables_are_one_error(self, full_frame, change, words, tmp_path):
+        path = tmp_path / "a.exr"
+        write_frame(path, full_frame)
+        opened = OpenEXR.File(str(path), separate_channels=True)
+        header, channels = dict(opened.header()), {name: item.pixels for name, item in opened.channels().items()}
+        good = header.pop("lobewise/lobes/2")
+        header["lobewise/lobes/2" if change else "lobewise/lobes/3"] = change(good) if change else good
+        self.write(path, channels, {name: value for name, value in header.items() if name != "channels"})
+        with pytest.raises(FileError, match=words) as caught:
+            read_frame(path)
+        assert str(caught.value).startswith(f"input {str(path)!r}: ")
+        assert str(caught.value).count("\n") == 0
+        assert any(words.split(":")[0] in note for note in describe_file(path).notes)
+
+    def test_a_pixel_without_its_lobe_table_is_refused(self, tmp_path):
+        channels = {name: np.ones((2, 2), "f") for name in ("R", "G", "B", "material.I")}
+        self.write(tmp_path / "a.exr", channels)
+        with pytest.raises(InputError, match="material: expected numbers from 0 to 0, the count of lobe tables"):
+            read_frame(tmp_path / "a.exr")
 
     def test_single_precision_cameras_are_read(self, tmp_path):
         values = {"position": [1, 2, 3], "forward": [0, 0, 1], "up": [0, 1, 0]}

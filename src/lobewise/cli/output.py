@@ -151,6 +151,9 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
     console.print(table)
     camera = "in the header" if found.camera else "none in the header"
     console.print(Text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
+    if found.materials:
+        listed = "; ".join(f"{number} {text}" for number, text in enumerate(found.materials, start=1))
+        console.print(Text(f"Fitted materials: {listed}."), soft_wrap=True)
     console.print(Text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
     for note in found.notes:
         console.print(Text(note), soft_wrap=True)

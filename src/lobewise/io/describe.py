@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from lobewise.errors import LobewiseError
 from lobewise.frame import Camera
 from lobewise.io.container import Attribute, Container, Part, Window, read_container, show_name
-from lobewise.io.exr import plan_reading, read_camera, read_spp
+from lobewise.io.exr import plan_reading, read_camera, read_lobe_tables, read_spp
 from lobewise.io.files import PathLike
 from lobewise.io.schema import CAMERA, SLOTS, SPP, find_beauty, find_foreign
+from lobewise.lobe_table import LobeTable
 
 _LAYOUTS = {
     "int": "i", "float": "f", "double": "d", "v2i": "2i", "v2f": "2f", "v2d": "2d", "v3i": "3i", "v3f": "3f",
@@ -72,6 +73,8 @@ class FileDescription:
         From the header.
     spp : int or None
         From the header.
+    materials : tuple of str
+        The lobe tables of the header, in the order of their numbers, each in a few words.
     similarities : tuple of str
         Those that can be computed from this file, the plainest first.
     notes : tuple of str
@@ -85,6 +88,7 @@ class FileDescription:
     images: tuple[ImageDescription, ...]
     camera: Camera | None
     spp: int | None
+    materials: tuple[str, ...]
     similarities: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -103,6 +107,7 @@ def describe_file(path: PathLike) -> FileDescription:
     used: dict[tuple[int, str], str] = {}
     found: set[tuple[str, str]] = set()
     camera: Camera | None = None
+    tables: tuple[LobeTable, ...] = ()
     if beauty is None:
         notes.append("There is no part with channels R, G and B, so there is no image to denoise.")
     else:
@@ -112,6 +117,7 @@ def describe_file(path: PathLike) -> FileDescription:
                     found.add((slot.owner, slot.field))
                     used.update({(part.index, name): f"{slot.owner}.{slot.field}" for name in slot.channels})
             camera = read_camera(beauty)
+            tables = read_lobe_tables(beauty)
         except LobewiseError as problem:
             notes.append(f"Denoising will refuse this file: {problem}")
     gbuffer = {field for owner, field in found if owner == "gbuffer"}
@@ -129,9 +135,16 @@ def describe_file(path: PathLike) -> FileDescription:
         ),
         camera=camera,
         spp=read_spp(beauty) if beauty else None,
+        materials=tuple(map(_describe_table, tables)),
         similarities=similarities,
         notes=tuple(notes),
     )
+
+
+def _describe_table(table: LobeTable) -> str:
+    kind = f"{table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''}"
+    where = f"{table.cosine.size} views" + ("" if table.is_isotropic else f" at {table.azimuth.size} azimuths")
+    return f"{show_name(table.name)!r}: {kind} for each of {where}"
 
 
 def _list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, LobewiseError, MissingChannelError, describe_problem, require_choice
+from lobewise.errors import FileError, InputError, LobewiseError, MissingChannelError, describe_problem, require_choice
 from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
 from lobewise.io.container import Attribute, Container, Part, read_container, show_name
 from lobewise.io.files import PathLike, open_atomic, require_writable
+from lobewise.io.materials import lobe_table_from_json, lobe_table_to_json
 from lobewise.io.pixels import Pixels, decode_part, encode_file, encode_part
 from lobewise.io.schema import (
     BEAUTY,
     CAMERA,
     DENOISED,
+    LOBES,
     SCHEMA,
     SCHEMA_VERSION,
     SLOTS,
@@ -29,6 +31,7 @@ from lobewise.io.schema import (
     find_foreign,
 )
 from lobewise.io.splice import write_container
+from lobewise.lobe_table import LobeTable
 
 MAX_HALF = 65504.0
 # Below this a half loses relative precision.
@@ -44,11 +47,11 @@ def read_frame(path: PathLike) -> Frame:
     Raises
     ------
     FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
+        If the file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is none.
     MissingChannelError
         If there is no R, G and B, or an image has only some of its channels.
     InputError
-        If the camera in the header makes no sense.
+        If the camera in the header makes no sense, or a pixel names a lobe table that is not there.
     """
     container = read_container(path)
     beauty = _require_beauty(container)
@@ -64,7 +67,7 @@ def read_frame(path: PathLike) -> Frame:
         if (owner, "color") not in images and any(who == owner for who, _ in images):
             raise MissingChannelError(_say_incomplete(path, f"{owner}.R/G/B", "none of them beside its other images"))
     try:
-        return build_frame(dict(images), read_camera(beauty), read_spp(beauty))
+        return build_frame(dict(images), read_camera(beauty), read_spp(beauty), read_lobe_tables(beauty))
     except LobewiseError as problem:
         raise type(problem)(f"input {str(path)!r}: {problem}") from None
 
@@ -92,7 +95,7 @@ def write_frame(
     compression: str = "zip",
     attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a frame in lobewise's own channel names, with its camera and sample count in the header.
+    """Write a frame in lobewise's own channel names, with its camera, sample count and lobe tables in the header.
 
     Parameters
     ----------
@@ -132,6 +135,7 @@ def write_frame(
         header[SPP] = frame.spp
     if frame.camera is not None:
         header.update(_describe_camera(frame.camera))
+    header.update({f"{LOBES}{k}": lobe_table_to_json(table) for k, table in enumerate(frame.lobe_tables, start=1)})
     _write(path, encode_file(header, pixels, compression=compression))
 
 
@@ -260,6 +264,33 @@ def read_spp(part: Part) -> int | None:
     """Return the sample count of a part's header, or None."""
     item = part.get(SPP)
     return int(struct.unpack("<i", item.value)[0]) if item and item.type == "int" and len(item.value) == 4 else None
+
+
+def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
+    """Return the lobe tables of a part's header, in the order of their numbers.
+
+    Raises
+    ------
+    FileError
+        If one is missing before the last, or is no lobe table.
+    """
+    found = [item for item in part.attributes if item.name.startswith(LOBES)]
+    tables = []
+    for number in range(1, len(found) + 1):
+        name = f"{LOBES}{number}"
+        item = part.get(name)
+        if item is None:
+            raise FileError(
+                describe_problem(
+                    "lobe tables in the header",
+                    expected=f"{len(found)}, numbered from 1",
+                    got="none with the number " + str(number),
+                    action="number them without gaps",
+                )
+            )
+        text = item.value.decode("utf-8", "replace") if item.type == "string" else ""
+        tables.append(lobe_table_from_json(text, what=f"attribute {name}"))
+    return tuple(tables)
 
 
 def _read_numbers(item: Attribute | None, size: int) -> tuple[float, ...] | None:

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 from lobewise.frame import Camera, Frame, GBuffer, Radiance
 from lobewise.io.container import Part
+from lobewise.lobe_table import LobeTable
 
 SCHEMA_VERSION = 1
 SCHEMA = "lobewise/schema"
 SPP = "lobewise/spp"
 CAMERA = "lobewise/camera/"
 DENOISED = "lobewise/denoised"
+LOBES = "lobewise/lobes/"
+"""Followed by the number of the material, from 1."""
 
 # Attributes that tell a file of another renderer, whose channels of the same name may mean another thing:
 # `diffuse` is lit radiance in one and albedo in the next, `normal` is in world space here and camera space there.
@@ -92,6 +95,7 @@ _GBUFFER = (
      "what is reflected is not compared"),
     ("hit_position", "hit_position", "XYZ", "world position of that hit", "what is reflected is not compared"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
+    ("material", "material", "I", "which of the header's lobe tables, from 1, 0 = none", "lobes are taken from alpha"),
 )  # fmt: skip
 
 
@@ -129,7 +133,12 @@ def find_beauty(parts: Iterable[Part]) -> Part | None:
     return None
 
 
-def build_frame(images: dict[tuple[str, str], object], camera: Camera | None, spp: int | None) -> Frame:
+def build_frame(
+    images: dict[tuple[str, str], object],
+    camera: Camera | None,
+    spp: int | None,
+    lobe_tables: tuple[LobeTable, ...] = (),
+) -> Frame:
     """Return the frame of images that are keyed by (owner, field)."""
 
     def collect(owner: str) -> dict[str, object]:
@@ -144,4 +153,5 @@ def build_frame(images: dict[tuple[str, str], object], camera: Camera | None, sp
         half_b=Radiance(**copies["half_b"]) if copies["half_b"] else None,  # type: ignore[arg-type]  # the same
         variance=Radiance(**copies["variance"]) if copies["variance"] else None,  # type: ignore[arg-type]  # the same
         spp=spp,
+        lobe_tables=lobe_tables,
     )
