@@ -6,8 +6,13 @@ import json
 import os
 import platform
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from lobewise.frame import FloatArray, Frame
+from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 
 
 def describe_machine() -> dict[str, Any]:
@@ -40,3 +45,18 @@ def write_json(path: Path, value: Any) -> None:
     temporary = path.with_suffix(".tmp")
     temporary.write_text(json.dumps(value, indent=1) + "\n")
     temporary.replace(path)
+
+
+def fetch_frame(path: Path, render: Callable[[], Frame]) -> Frame:
+    """Return the frame in ``path``, rendered there on first use."""
+    if not path.exists():
+        write_frame(path, render())
+    return read_frame(path)
+
+
+def fetch_image(path: Path, render: Callable[[], Frame]) -> FloatArray:
+    """Return the radiance in ``path``, rendered there on first use."""
+    if not path.exists():
+        print(f"rendering {path.name}", file=sys.stderr)
+        write_image(path, render().radiance.color)
+    return read_image(path)

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import lobewise
-from common import describe_machine, write_json
+from common import describe_machine, fetch_frame, fetch_image, write_json
 from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.metrics import rel_mse
 from lobewise.render import load_mitsuba, render_frame, render_reference
 
@@ -74,22 +74,6 @@ def make_scene() -> Any:
     )
 
 
-def fetch(cache: Path, spp: int) -> Frame:
-    """Return the noisy frame, rendered once."""
-    path = cache / f"contacts-{spp}.exr"
-    if not path.exists():
-        write_frame(path, render_frame(make_scene(), spp=spp, seed=1))
-    return read_frame(path)
-
-
-def fetch_reference(cache: Path) -> FloatArray:
-    """Return the reference radiance, rendered once."""
-    path = cache / f"contacts-reference-{REFERENCE_SPP}.exr"
-    if not path.exists():
-        write_image(path, render_reference(make_scene(), spp=REFERENCE_SPP, seed=1000).radiance.color)
-    return read_image(path)
-
-
 def measure(frame: Frame, reference: FloatArray, **settings: Any) -> dict[str, float]:
     """Return the errors over the whole image and at the contacts."""
     guides = frame.gbuffer
@@ -108,10 +92,15 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "hit_distance.json")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
-    reference = fetch_reference(arguments.cache)
+    reference = fetch_image(
+        arguments.cache / f"contacts-reference-{REFERENCE_SPP}.exr",
+        lambda: render_reference(make_scene(), spp=REFERENCE_SPP, seed=1000),
+    )
     rows: dict[str, Any] = {}
     for spp in SAMPLES:
-        frame = fetch(arguments.cache, spp)
+        frame = fetch_frame(
+            arguments.cache / f"contacts-{spp}.exr", partial(render_frame, make_scene(), spp=spp, seed=1)
+        )
         usual = resolve_settings(frame, DenoiseSettings())
         assert not isinstance(usual.beta, str)
         assert not isinstance(usual.screen_sigma, str)

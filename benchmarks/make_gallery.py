@@ -15,11 +15,10 @@ import numpy as np
 
 import lobewise
 import merl_bsdf
-from common import describe_machine, write_json
+from common import describe_machine, fetch_frame, fetch_image, write_json
 from lobewise.denoising import denoise
 from lobewise.display import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.io.materials import read_merl
 from lobewise.io.png import encode_png
 from lobewise.metrics import rel_mse
@@ -77,12 +76,12 @@ def fetch_measured(arguments: argparse.Namespace) -> tuple[Frame, FloatArray]:
     if arguments.material:
         materials = tuple(read_merl(path) for path in arguments.material)
         noisy, clean = (path.with_stem(path.stem + "-own") for path in (noisy, clean))
-    if not noisy.exists():
-        write_frame(noisy, render_frame(merl_bsdf.make_scene(materials, MEASURED_SIZE), spp=SPP, seed=1))
-    if not clean.exists():
-        scene = merl_bsdf.make_scene(materials, MEASURED_SIZE)
-        write_image(clean, render_reference(scene, spp=MEASURED_REFERENCE_SPP, seed=1000).radiance.color)
-    return read_frame(noisy), read_image(clean)
+    frame = fetch_frame(noisy, lambda: render_frame(merl_bsdf.make_scene(materials, MEASURED_SIZE), spp=SPP, seed=1))
+    reference = fetch_image(
+        clean,
+        lambda: render_reference(merl_bsdf.make_scene(materials, MEASURED_SIZE), spp=MEASURED_REFERENCE_SPP, seed=1000),
+    )
+    return frame, reference
 
 
 def make_measured(arguments: argparse.Namespace) -> dict[str, Any]:

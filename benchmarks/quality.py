@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,10 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from common import describe_machine, write_json
+from common import describe_machine, fetch_frame, fetch_image, write_json
 from lobewise.denoising import DenoiseSettings, denoise
 from lobewise.frame import FloatArray, Frame
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.metrics import rel_mse, smape
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.render import load_scene, render_frame, render_reference
@@ -48,20 +46,18 @@ BETAS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
 def fetch(cache: Path, scene: str, spp: int) -> Frame:
     """Return the noisy frame, rendered once."""
-    path = cache / f"{scene}-{spp}.exr"
-    if not path.exists():
-        write_frame(path, render_frame(load_scene(scene, width=SIZE, height=SIZE), spp=spp, seed=1))
-    return read_frame(path)
+    return fetch_frame(
+        cache / f"{scene}-{spp}.exr",
+        lambda: render_frame(load_scene(scene, width=SIZE, height=SIZE), spp=spp, seed=1),
+    )
 
 
 def fetch_reference(cache: Path, scene: str) -> FloatArray:
     """Return the reference radiance, rendered once."""
-    path = cache / f"{scene}-reference-{REFERENCE_SPP}.exr"
-    if not path.exists():
-        print(f"rendering {scene} at {REFERENCE_SPP} spp", file=sys.stderr)
-        made = render_reference(load_scene(scene, width=SIZE, height=SIZE), spp=REFERENCE_SPP, seed=1000)
-        write_image(path, made.radiance.color)
-    return read_image(path)
+    return fetch_image(
+        cache / f"{scene}-reference-{REFERENCE_SPP}.exr",
+        lambda: render_reference(load_scene(scene, width=SIZE, height=SIZE), spp=REFERENCE_SPP, seed=1000),
+    )
 
 
 def list_baselines(band_limited: bool) -> Iterator[dict[str, float]]:
