@@ -15,6 +15,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.frame import Camera, Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
+from lobewise.io.materials import read_lobe_table
 from lobewise.metrics import evaluate
 
 
@@ -401,3 +402,72 @@ class TestRender:
 def test_no_color_in_pipes(frame_file, capsys):
     assert run(["inspect", str(frame_file)]) == 0
     assert "\x1b[" not in capsys.readouterr().out
+
+
+SCENE = """<scene version="3.0.0">
+    <bsdf type="twosided" id="brass"><bsdf type="roughconductor" id="inner">
+        <string name="distribution" value="ggx"/><float name="alpha" value="0.2"/>
+    </bsdf></bsdf>
+    <shape type="rectangle" id="plate"><ref id="brass"/></shape>
+    <shape type="sphere" id="ball"><bsdf type="conductor"/></shape>
+    <shape type="sphere" id="rod"><bsdf type="roughconductor" id="brushed">
+        <string name="distribution" value="ggx"/>
+        <float name="alpha_u" value="0.4"/><float name="alpha_v" value="0.15"/>
+    </bsdf></shape>
+</scene>
+"""
+
+
+@pytest.mark.mitsuba
+class TestFitMitsuba:
+    """Materials of scenes; what fitting itself does is tested elsewhere."""
+
+    @pytest.fixture
+    def scene(self, tmp_path):
+        """Return the path of a scene file."""
+        path = tmp_path / "scene.xml"
+        path.write_text(SCENE)
+        return path
+
+    def test_a_bsdf_becomes_lobes(self, scene, tmp_path, capsys):
+        out = tmp_path / "brass.lobes"
+        assert run(["fit", "--mitsuba", f"{scene}#brass", "-o", str(out), "--lobes", "1"]) == 0
+        table = read_lobe_table(out)
+        assert (table.name, table.kind, table.lobe_count, table.is_isotropic) == ("brass", "asg", 1, True)
+        assert table.alpha[-1, 0] == pytest.approx([0.2, 0.2], rel=0.05)
+        assert table.cosine_l2[-1, 0] > 0.98
+        assert (tmp_path / "brass.png").read_bytes()[:4] == b"\x89PNG"
+        assert f"Wrote {out} and" in capsys.readouterr().out
+
+    def test_an_anisotropic_one_by_its_shape(self, scene, tmp_path):
+        out = tmp_path / "rod.lobes"
+        line = ["fit", "--mitsuba", f"{scene}#rod", "-o", str(out), "--lobes", "1", "--kind", "sg", "--no-plot"]
+        assert run(line) == 0
+        table = read_lobe_table(out)
+        assert table.azimuth.size == 8
+        # The first azimuth is that of the BSDF's tangent, the third is across it.
+        assert table.alpha[-2, 0] == pytest.approx([0.4, 0.15], rel=0.1)
+        assert table.alpha[-2, 2] == pytest.approx([0.15, 0.4], rel=0.1)
+
+    @pytest.mark.parametrize(
+        ("reference", "words"),
+        [
+            ("{}#bras", "such as brass,"),
+            ("{}#ball", "expected a glossy lobe"),
+            ("{}", "expected SCENE#ID"),
+            ("{}#", "expected SCENE#ID"),
+            ("#brass", "expected SCENE#ID"),
+            ("{}.xml#brass", "expected a Mitsuba XML file"),
+            ("showrom#plate", "did you mean 'showroom'?"),
+            ("brushed#inner", "name the shape that carries it"),
+        ],
+    )
+    def test_mistakes(self, scene, tmp_path, reference, words, capsys):
+        before = sorted(tmp_path.iterdir())
+        assert words in fail(capsys, "fit", "--mitsuba", reference.format(scene), "-o", tmp_path / "a.lobes")
+        assert sorted(tmp_path.iterdir()) == before
+
+    def test_one_material_and_not_two(self, scene, tmp_path, capsys):
+        assert "got neither" in fail(capsys, "fit", "-o", tmp_path / "a.lobes")
+        both = ["fit", "gold.binary", "--mitsuba", f"{scene}#brass", "-o", tmp_path / "a.lobes"]
+        assert "got both" in fail(capsys, *both)

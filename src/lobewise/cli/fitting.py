@@ -1,9 +1,10 @@
-"""The verb `fit`: a measured material becomes a lobe file, with a table of residuals and a plot of fit against data."""
+"""The verb `fit`: a material becomes a lobe file, with a table of residuals and a plot of fit against data."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,13 +15,21 @@ if TYPE_CHECKING:
 
 
 def fit(
-    material: Annotated[
-        Path,
-        typer.Argument(metavar="MATERIAL.binary", help="A material of the MERL database.", show_default=False),
-    ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE.lobes", help="The file to write.", show_default=False)
     ],
+    material: Annotated[
+        Path | None,
+        typer.Argument(metavar="MATERIAL.binary", help="A material of the MERL database.", show_default=False),
+    ] = None,
+    mitsuba: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE#ID",
+            help="Instead: a BSDF of a Mitsuba scene, by its id or that of a shape.",
+            show_default=False,
+        ),
+    ] = None,
     lobes: Annotated[int, typer.Option(metavar="1-4", help="Lobes for each view.")] = 3,
     kind: Annotated[str, typer.Option(metavar="sg|asg", help="Round or anisotropic lobes.")] = "asg",
     plot: Annotated[
@@ -34,12 +43,28 @@ def fit(
     ] = None,
     no_plot: Annotated[bool, typer.Option("--no-plot", help="Draw nothing.")] = False,
 ) -> None:
-    """Turn a measured material into lobes, and say how near they are."""
-    from lobewise.io.materials import read_merl
-
+    """Turn a measured material, or one of a Mitsuba scene, into lobes, and say how near they are."""
+    if (material is None) == (mitsuba is None):
+        raise InputError(
+            describe_problem(
+                "material",
+                expected="either MATERIAL.binary or --mitsuba SCENE#ID",
+                got="neither" if material is None else "both",
+                action="name one material",
+            )
+        )
     picture = choose_plot(output, plot, wanted=not no_plot)
-    brdf = read_merl(material)
-    fit_material(brdf, name=brdf.name, output=output, lobes=lobes, kind=kind, plot=picture)
+    if material is not None:
+        from lobewise.io.materials import read_merl
+
+        brdf = read_merl(material)
+        fit_material(brdf, name=brdf.name, output=output, lobes=lobes, kind=kind, plot=picture)
+    elif mitsuba is not None:
+        from lobewise.render import open_scene_material
+
+        found = open_scene_material(mitsuba)
+        grid = {"cosines": found.cosines, "azimuths": found.azimuths}
+        fit_material(found.evaluate, name=found.name, output=output, lobes=lobes, kind=kind, plot=picture, grid=grid)
 
 
 def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:
@@ -77,7 +102,16 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
     return picture
 
 
-def fit_material(evaluate: Evaluate, *, name: str, output: Path, lobes: int, kind: str, plot: Path | None) -> None:
+def fit_material(
+    evaluate: Evaluate,
+    *,
+    name: str,
+    output: Path,
+    lobes: int,
+    kind: str,
+    plot: Path | None,
+    grid: Mapping[str, Any] | None = None,
+) -> None:
     """Fit a material, print the residuals, and write its lobe file and plot.
 
     Nothing is written before all is computed.
@@ -94,6 +128,8 @@ def fit_material(evaluate: Evaluate, *, name: str, output: Path, lobes: int, kin
         See `lobewise.lobes.fit.fit_lobes`.
     plot : Path, optional
         The PNG file, if any.
+    grid : mapping, optional
+        ``cosines`` and ``azimuths`` of the views, if not the usual ones.
     """
     from lobewise.cli.commands import show_progress
     from lobewise.cli.output import print_fit, print_line
@@ -107,7 +143,7 @@ def fit_material(evaluate: Evaluate, *, name: str, output: Path, lobes: int, kin
         def progress(done: int, total: int) -> None:
             advance(f"Fitting {name}", done, total)
 
-        table = fit_lobes(evaluate, lobes=lobes, kind=kind, name=name, progress=progress)
+        table = fit_lobes(evaluate, lobes=lobes, kind=kind, name=name, progress=progress, **(grid or {}))
     picture = None if plot is None else draw_fit(table, evaluate)
     write_lobe_table(output, table)
     if plot is not None and picture is not None:

@@ -10,15 +10,25 @@ from lobewise.render.variant import load_mitsuba
 
 if TYPE_CHECKING:
     from lobewise.render.camera import get_camera
+    from lobewise.render.lookup import open_scene_material
     from lobewise.render.renderer import render_frame, render_reference
     from lobewise.render.scenes import list_scenes, load_scene
 
-__all__ = ["get_camera", "list_scenes", "load_mitsuba", "load_scene", "render_frame", "render_reference"]
+__all__ = [
+    "get_camera",
+    "list_scenes",
+    "load_mitsuba",
+    "load_scene",
+    "open_scene_material",
+    "render_frame",
+    "render_reference",
+]
 
 _HOMES = {
     "get_camera": "lobewise.render.camera",
     "list_scenes": "lobewise.render.scenes",
     "load_scene": "lobewise.render.scenes",
+    "open_scene_material": "lobewise.render.lookup",
     "render_frame": "lobewise.render.renderer",
     "render_reference": "lobewise.render.renderer",
 }

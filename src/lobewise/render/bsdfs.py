@@ -148,6 +148,13 @@ def _list_parameters(bsdf: Any) -> tuple[dict[str, Any], set[str]]:
     return collector.objects, collector.numbers
 
 
+def list_nested(bsdf: Any) -> list[Any]:
+    """Return a BSDF object and every one inside it."""
+    objects, _ = _list_parameters(bsdf)
+    inner = [item for _, item in sorted(objects.items()) if isinstance(item, mi.BSDF)]
+    return [bsdf, *(found for item in inner for found in list_nested(item))]
+
+
 def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
     if plugin in ("conductor", "dielectric", "plastic"):
         return LobeKind.DELTA
