@@ -7,14 +7,12 @@ frame of a scene need not be fitted again.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
@@ -23,10 +21,12 @@ from lobewise.lobes.table import get_albedo, get_equivalent_alphas
 from lobewise.lobes.vectors import Array
 from lobewise.render.bridge import dr, mi
 from lobewise.render.probe import (
+    Parts,
     Samples,
     are_same,
+    digest_bsdf,
     evaluate_bsdf,
-    list_flags,
+    find_parts,
     make_context,
     make_evaluate,
     sample_bsdf,
@@ -50,37 +50,6 @@ _TURNS = (0.7, 1.9, 3.3)
 # Ratio of the axes of a lobe seen from above from which on the longer one has a direction.
 _LONG = 1.1
 _MOST_FITS = 64
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Which lobes a BSDF has, and whether they can be evaluated one by one.
-
-    Parameters
-    ----------
-    diffuse, glossy, delta : bool
-        Lobes that it says it has; ``diffuse`` only where they can be told from glossy ones.
-    heeds_context : bool
-        Whether it evaluates the lobes that it is asked for, and no others.
-    behind : bool
-        Whether it reflects when it is seen from behind.
-    """
-
-    diffuse: bool
-    glossy: bool
-    delta: bool
-    heeds_context: bool
-    behind: bool
-
-    @property
-    def diffuse_lobes(self) -> Any:
-        """What to ask for to evaluate the diffuse part."""
-        return mi.BSDFFlags.Diffuse if self.glossy else None
-
-    @property
-    def glossy_lobes(self) -> Any:
-        """What to ask for to evaluate the glossy part."""
-        return mi.BSDFFlags.Glossy if self.diffuse else None
 
 
 @dataclass(frozen=True)
@@ -136,7 +105,7 @@ def fit_bsdf(bsdf: Any) -> Fit:
     MissingDependencyError
         If SciPy is not installed.
     """
-    key = _interview(bsdf)
+    key = digest_bsdf(bsdf)
     if key not in _fits:
         _fits[key] = _make_fit(bsdf)
         if len(_fits) > _MOST_FITS:
@@ -144,25 +113,6 @@ def fit_bsdf(bsdf: Any) -> Fit:
     _fits.move_to_end(key)
     fit = _fits[key]
     return fit if fit.table is None else replace(fit, table=replace(fit.table, name=str(bsdf.id())))
-
-
-def find_parts(bsdf: Any) -> Parts:
-    """Return which lobes a BSDF has and can be asked for.
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If it cannot be evaluated.
-    """
-    diffuse, glossy, delta = list_flags(bsdf)
-    view, light = _make_questions()
-    whole = evaluate_bsdf(bsdf, view, light)
-    some = [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)]
-    heeds = are_same(some[0] + some[1], whole)
-    flip = np.asarray([1.0, 1.0, -1.0])
-    behind = bool(np.any(evaluate_bsdf(bsdf, view * flip, light * flip) > 0.0))
-    behind = behind or bool(np.any(sample_bsdf(bsdf, view[:8] * flip, 32).weight > 0.0))
-    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind)
 
 
 def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0) -> Evaluate | None:
@@ -314,7 +264,8 @@ def _find_long_axis(evaluate: Evaluate) -> float:
 
 def _evaluate_luminance(evaluate: Evaluate, view: Array, light: Array) -> Array:
     """Return the luminance of BRDF times cosine; 0 where the BRDF is not a number."""
-    values = np.asarray(evaluate(view, light)) @ np.asarray(LUMINANCE)
+    values = np.asarray(evaluate(view, light))
+    values = values @ np.asarray(LUMINANCE) if values.ndim == 2 else values
     return np.where(np.isfinite(values) & (values > 0.0), values, 0.0) * np.abs(light[:, 2])
 
 
@@ -349,38 +300,6 @@ def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
     sine = np.sqrt(1.0 - cosines**2)[:, None]
     parts = np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), cosines[:, None])
     return np.stack(parts, axis=-1).reshape(-1, 3)
-
-
-def _make_questions() -> tuple[Array, Array]:
-    """Return views above the horizon, and lights all around and ever nearer to the mirror direction."""
-    view = _spread_directions(64)
-    view[:, 2] = np.abs(view[:, 2])
-    half = np.asarray([0.0, 0.0, 1.0]) + np.geomspace(1e-3, 1.0, 8)[:, None, None] * _spread_directions(128)[::2]
-    half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    mirrored = 2.0 * np.sum(view * half, axis=-1, keepdims=True) * half - view
-    around = np.roll(_spread_directions(64), 17, axis=0)
-    light = np.concatenate([mirrored.reshape(-1, 3), around])
-    return np.tile(view, (9, 1)), light
-
-
-def _spread_directions(count: int) -> Array:
-    """Return unit vectors on a golden spiral, shape (count, 3)."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    turn = np.arange(count) * (math.pi * (3.0 - math.sqrt(5.0)))
-    sine = np.sqrt(1.0 - z * z)
-    return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
-
-
-def _interview(bsdf: Any) -> str:
-    """Return a digest of what a BSDF answers to fixed questions, the same for BSDFs that are the same."""
-    view, light = _make_questions()
-    answers: list[NDArray[Any]] = [np.asarray(list_flags(bsdf))]
-    answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]
-    flip = np.asarray([1.0, 1.0, -1.0])
-    answers.append(evaluate_bsdf(bsdf, view * flip, light * flip))
-    samples = sample_bsdf(bsdf, view[:8], 32)
-    answers += [samples.weight, samples.light, samples.null, samples.delta]
-    return hashlib.sha256(b"".join(np.ascontiguousarray(answer).tobytes() for answer in answers)).hexdigest()
 
 
 class FittedLobes:

@@ -13,13 +13,13 @@ from lobewise.lobes.fit import COSINES, Evaluate
 from lobewise.lobes.vectors import Array
 from lobewise.render.bsdfs import list_nested
 from lobewise.render.fitted import (
-    find_parts,
     is_isotropic,
     list_fitted_views,
     make_azimuths,
     make_specular_evaluate,
     make_views,
 )
+from lobewise.render.probe import find_parts
 from lobewise.render.scenes import load_scene
 
 _MOST_SHOWN = 5

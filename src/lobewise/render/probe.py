@@ -6,6 +6,8 @@ Directions are local: z is the normal, x the tangent. Textures are seen at the m
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +21,7 @@ from lobewise.render.bridge import dr, mi
 
 # Mitsuba's values are times the cosine; below this one they are of no account and the division would raise noise.
 _LEAST_COSINE = 1e-6
-# How far two evaluations that should be equal may differ, relative to the larger in the mean square.
+# How far two evaluations that should be equal may differ, in the mean square.
 _SAME = 0.02
 
 
@@ -58,7 +60,7 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None) -> Ar
     """
 
     def run() -> Any:
-        return bsdf.eval(make_context(lobes), make_hits(view), _to_vectors(light), mi.Bool(True))
+        return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view), _to_vectors(light), mi.Bool(True)))
 
     cosine = np.maximum(np.abs(light[:, 2:]), _LEAST_COSINE)
     return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
@@ -125,24 +127,95 @@ def sample_bsdf(bsdf: Any, view: Array, count: int) -> Samples:
     def run() -> Any:
         square = mi.Point2f(np.ascontiguousarray(points[:, 1:].T))
         hits = make_hits(np.repeat(view, count, axis=0))
-        return bsdf.sample(make_context(importance=True), hits, mi.Float(points[:, 0]), square, mi.Bool(True))
+        choice = mi.Float(points[:, 0])
+        found, weight = bsdf.sample(make_context(importance=True), hits, choice, square, mi.Bool(True))
+        return mi.UInt32(found.sampled_type), mi.Vector3f(found.wo), mi.Color3f(weight)
 
     total = len(view) * count
-    found, weight = _try(bsdf, run)
-    kind = np.broadcast_to(np.array(found.sampled_type).astype(np.int64), (total,)).reshape(len(view), count)
+    flags, light, weight = _try(bsdf, run)
+    kind = np.broadcast_to(np.array(flags).astype(np.int64), (total,)).reshape(len(view), count)
     values = _to_colors(weight, total).reshape(len(view), count, 3)
     alive = np.asarray(np.isfinite(values).all(axis=-1))
     return Samples(
-        light=_to_colors(found.wo, total).reshape(len(view), count, 3),
+        light=_to_colors(light, total).reshape(len(view), count, 3),
         weight=np.where(alive[..., None], values, 0.0),
         null=(kind & int(mi.BSDFFlags.Null)) != 0,
         delta=(kind & int(mi.BSDFFlags.Delta)) != 0,
     )
 
 
-def are_same(one: Array, two: Array, scale: Array | None = None) -> bool:
-    """Return whether two sets of values agree within 2 % in the mean square, relative to ``scale`` or the larger."""
-    norm = max(float(np.linalg.norm(one)), float(np.linalg.norm(two))) if scale is None else np.linalg.norm(scale)
+@dataclass(frozen=True)
+class Parts:
+    """Which lobes a BSDF has, and whether they can be evaluated one by one.
+
+    Parameters
+    ----------
+    diffuse, glossy, delta : bool
+        Lobes that it says it has; ``diffuse`` only where they can be told from glossy ones.
+    heeds_context : bool
+        Whether it evaluates the lobes that it is asked for, and no others.
+    behind : bool
+        Whether it reflects when it is seen from behind.
+    """
+
+    diffuse: bool
+    glossy: bool
+    delta: bool
+    heeds_context: bool
+    behind: bool
+
+    @property
+    def diffuse_lobes(self) -> Any:
+        """What to ask for to evaluate the diffuse part."""
+        return mi.BSDFFlags.Diffuse if self.glossy else None
+
+    @property
+    def glossy_lobes(self) -> Any:
+        """What to ask for to evaluate the glossy part."""
+        return mi.BSDFFlags.Glossy if self.diffuse else None
+
+
+def find_parts(bsdf: Any) -> Parts:
+    """Return which lobes a BSDF has and can be asked for.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If it cannot be evaluated.
+    """
+    diffuse, glossy, delta = list_flags(bsdf)
+    view, light = _make_questions()
+    asked = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
+    whole, *some = (evaluate_bsdf(bsdf, view, light, lobes) for lobes in asked)
+    good = np.isfinite(whole)
+    heeds = are_same((some[0] + some[1])[good], whole[good])
+    flip = np.asarray([1.0, 1.0, -1.0])
+    behind = bool(np.any(evaluate_bsdf(bsdf, view * flip, light * flip) > 0.0))
+    behind = behind or bool(np.any(sample_bsdf(bsdf, view[:8] * flip, 32).weight > 0.0))
+    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind)
+
+
+def digest_bsdf(bsdf: Any) -> str:
+    """Return a digest of what a BSDF answers to some hundred questions: BSDFs that answer alike are taken for the same.
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If it cannot be evaluated or sampled.
+    """
+    view, light = _make_questions()
+    answers: list[NDArray[Any]] = [np.asarray(list_flags(bsdf))]
+    answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]
+    flip = np.asarray([1.0, 1.0, -1.0])
+    answers.append(evaluate_bsdf(bsdf, view * flip, light * flip))
+    samples = sample_bsdf(bsdf, view[:8], 32)
+    answers += [samples.weight, samples.light, samples.null, samples.delta]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(answer).tobytes() for answer in answers)).hexdigest()
+
+
+def are_same(one: Array, two: Array) -> bool:
+    """Return whether two sets of values agree within 2 % in the mean square, relative to the larger."""
+    norm = max(float(np.linalg.norm(one)), float(np.linalg.norm(two)))
     return bool(np.linalg.norm(one - two) <= _SAME * norm)
 
 
@@ -158,7 +231,7 @@ def list_flags(bsdf: Any) -> tuple[bool, bool, bool]:
     return diffuse, glossy, mirror or clear
 
 
-def name_bsdf(bsdf: Any) -> str:
+def _name(bsdf: Any) -> str:
     """Return how errors name a BSDF."""
     return f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id"
 
@@ -171,7 +244,7 @@ def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UnsupportedBsdfError(
             describe_problem(
-                name_bsdf(bsdf),
+                _name(bsdf),
                 expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
                 got=f"{bsdf.class_name()}: {reason}",
                 action="mend or replace it in the scene",
@@ -187,3 +260,23 @@ def _to_vectors(directions: Array) -> Any:
 def _to_colors(value: Any, count: int) -> Array:
     """Return three numbers per lane, shape (count, 3): a value that is equal everywhere has a width of 1."""
     return np.array(np.broadcast_to(np.array(value, dtype=np.float64).reshape(3, -1).T, (count, 3)))
+
+
+def _make_questions() -> tuple[Array, Array]:
+    """Return views above the horizon, and lights all around and ever nearer to the mirror direction."""
+    view = _spread_directions(64)
+    view[:, 2] = np.abs(view[:, 2])
+    half = np.asarray([0.0, 0.0, 1.0]) + np.geomspace(1e-3, 1.0, 8)[:, None, None] * _spread_directions(128)[::2]
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    mirrored = 2.0 * np.sum(view * half, axis=-1, keepdims=True) * half - view
+    around = np.roll(_spread_directions(64), 17, axis=0)
+    light = np.concatenate([mirrored.reshape(-1, 3), around])
+    return np.tile(view, (9, 1)), light
+
+
+def _spread_directions(count: int) -> Array:
+    """Return unit vectors on a golden spiral, shape (count, 3)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.arange(count) * (math.pi * (3.0 - math.sqrt(5.0)))
+    sine = np.sqrt(1.0 - z * z)
+    return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=-1)
