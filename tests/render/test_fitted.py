@@ -140,6 +140,31 @@ class TestAgainstFormulas:
         assert np.allclose(np.array(surface.diffuse_albedo), 0.1 + 0.8 * u, atol=1e-3)
         assert np.all(np.array(surface.lobe_kind) == LobeKind.NONE)
 
+    def test_rows_are_looked_up_between_views_and_azimuths(self, mi: Any, rng: np.random.Generator) -> None:
+        import drjit as dr
+
+        from lobewise.render.fitted import Fit, FittedLobes
+        from lobewise.render.probe import Parts
+
+        # The corners of cells, and points between, also between the last azimuth and the first.
+        view, azimuth = np.array([0.0, 2.25, 4.75, 3.5, 1.0]), np.array([0.0, 3.0, 7.5, 5.25, 2.0])
+        cosine = (np.sqrt(0.05) + (1.0 - np.sqrt(0.05)) * view / 5.0) ** 2
+        turn = 0.4 + 2.0 * np.pi * azimuth / 8.0
+        sine = np.sqrt(1.0 - cosine**2)
+        si = dr.zeros(mi.SurfaceInteraction3f, 5)
+        for columns in (8, 1):
+            rows = rng.random((6, columns, 9)).astype(np.float32)
+            fit = Fit(Parts(False, True, False, True, False), LobeKind.GGX, None, 0.4 if columns > 1 else 0.0, rows)
+            si.wi = mi.Vector3f(np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine]).astype(np.float32))
+            found = np.array([np.array(value) for value in FittedLobes(fit).look_up(si, mi.Bool(True))])
+            low, left = view.astype(int), azimuth.astype(int)
+            share, part = (view - low)[:, None], (azimuth - left)[:, None]
+            high = np.minimum(low + 1, 5)
+            ends = [(rows[low, k % columns], rows[high, k % columns]) for k in (left, left + 1)]
+            one, two = (below + share * (above - below) for below, above in ends)
+            assert np.allclose(found.T[1:], (one + part * (two - one))[1:], atol=1e-4), columns
+            assert np.allclose(found.T[0], one[0], atol=1e-4)
+
     def test_questions_of_a_reflection(self) -> None:
         from lobewise.render.fitted import is_isotropic, list_fitted_views
 

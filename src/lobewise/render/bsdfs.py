@@ -18,7 +18,7 @@ import numpy as np
 from lobewise.frame import LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
-from lobewise.render.fitted import Fit, FittedLobes
+from lobewise.render.fitted import Fit, FittedLobes, fit_bsdf
 from lobewise.render.probe import make_context
 
 PLUGIN_OF_CLASS = {
@@ -199,8 +199,7 @@ def make_diffuse_context() -> Any:
 
 
 def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
-    fitted = FittedLobes(bsdf)
-    fit = fitted.fit
+    fit = fit_bsdf(bsdf)
     number = 0
     if fit.table is not None:
         # A material that answers alike has the rows of another, which are one object.
@@ -208,7 +207,7 @@ def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
         if not known:
             fits.append(fit)
         number = known[0] + 1 if known else len(fits)
-    return Material(bsdf=bsdf, plugin=FITTED, lobe_kind=fit.kind, fitted=fitted, number=number)
+    return Material(bsdf=bsdf, plugin=FITTED, lobe_kind=fit.kind, fitted=FittedLobes(fit), number=number)
 
 
 def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:

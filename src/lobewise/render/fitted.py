@@ -307,12 +307,12 @@ class FittedLobes:
 
     Parameters
     ----------
-    bsdf : mitsuba.BSDF
-        What to fit; see `fit_bsdf` for the errors.
+    fit : Fit
+        What to look up.
     """
 
-    def __init__(self, bsdf: Any) -> None:
-        self.fit = fit_bsdf(bsdf)
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
         self._rows = mi.Float(self.fit.rows.ravel())
         dr.eval(self._rows)
 
