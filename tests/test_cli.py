@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.frame import Camera, Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
-from lobewise.io.materials import read_lobe_table
+from lobewise.io.materials import read_lobe_table, write_lobe_table
 from lobewise.metrics import evaluate
 
 
@@ -162,6 +163,24 @@ class TestDenoise:
         attributes = {name: value for name, _, value in describe_file(out).parts[0].attributes}
         assert f'"form": "{form}"' in attributes["lobewise/denoised"]
         assert np.isfinite(read_image(out)).all()
+
+    def test_materials_replace_those_of_the_file(self, frame_file, full_frame, tmp_path):
+        from lobewise import denoise
+
+        frame = read_frame(frame_file)
+        material = np.resize([1, 2, 2, 0], frame.shape)
+        gbuffer = replace(frame.gbuffer, material=material)
+        frame = frame.with_changes(gbuffer=gbuffer, lobe_tables=full_frame.lobe_tables)
+        write_frame(frame_file, frame, half=False)
+        sharp = [replace(table, sharpness=9.0 * table.sharpness) for table in frame.lobe_tables]
+        line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr"), "--similarity", "sg_mixture"]
+        for k, table in enumerate(sharp):
+            write_lobe_table(tmp_path / f"{k}.lobes", table)
+            line += ["--material", str(tmp_path / f"{k}.lobes")]
+        assert run(line) == 0
+        expected = denoise(frame.with_changes(lobe_tables=sharp), similarity="sg_mixture").image
+        np.testing.assert_allclose(read_image(tmp_path / "out.exr"), expected, rtol=1e-5)
+        assert not np.allclose(expected, denoise(frame, similarity="sg_mixture").image, rtol=1e-3)
 
     def test_bad_pixels_are_counted(self, frame_file, tmp_path, capsys):
         frame = read_frame(frame_file)

@@ -140,6 +140,14 @@ def denoise(
             show_default="auto",
         ),
     ] = None,
+    material: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.lobes",
+            help="With sg_mixture: the lobes of material 1 (again for 2, ...) of channel material.I.",
+            show_default="those in the file",
+        ),
+    ] = None,
     device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
 ) -> None:
     """Denoise an EXR file; its other parts, channels and attributes are kept."""
@@ -147,9 +155,11 @@ def denoise(
     from lobewise.denoising import denoise as run_denoise
     from lobewise.io import read_frame, write_result
     from lobewise.io.files import require_writable
+    from lobewise.io.materials import read_lobe_table
 
     require_writable(output)
-    frame = read_frame(source)
+    tables = [read_lobe_table(path) for path in material] if material else None
+    frame = read_frame(source, lobe_tables=tables)
     try:
         result = run_denoise(
             frame,

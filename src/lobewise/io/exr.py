@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,11 +38,18 @@ MAX_HALF = 65504.0
 MIN_NORMAL_HALF = 2.0**-14
 
 
-def read_frame(path: PathLike) -> Frame:
+def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
     """Return the frame of an EXR file in lobewise's own channel names (``docs/conventions.md``).
 
     Pixels that are NaN, infinite or negative come through as they are. Of a multi-part file the first part with
     channels R, G and B is the image; further channels may stand in it or in other parts with the same data window.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    lobe_tables : sequence of LobeTable, optional
+        What the channel ``material.I`` counts, in place of the tables in the file's header.
 
     Raises
     ------
@@ -67,7 +74,8 @@ def read_frame(path: PathLike) -> Frame:
         if (owner, "color") not in images and any(who == owner for who, _ in images):
             raise MissingChannelError(_say_incomplete(path, f"{owner}.R/G/B", "none of them beside its other images"))
     try:
-        return build_frame(dict(images), read_camera(beauty), read_spp(beauty), read_lobe_tables(beauty))
+        tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
+        return build_frame(dict(images), read_camera(beauty), read_spp(beauty), tables)
     except LobewiseError as problem:
         raise type(problem)(f"input {str(path)!r}: {problem}") from None
 
