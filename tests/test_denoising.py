@@ -96,7 +96,7 @@ def test_combined_radiance_is_compared_by_diffuse_and_specular_lobe() -> None:
     frame = make_frame(apart=False, alpha_u=alpha, alpha_v=alpha, diffuse_albedo=bright, specular_albedo=dim)
     support = {name: denoise(frame, similarity=name).weight_sum for name in ("sg", "sg_mixture")}
     assert np.median(support["sg_mixture"] / support["sg"]) < 0.8
-    with pytest.raises(InputError, match="lobes of a mixture.*1 to 3"):
+    with pytest.raises(InputError, match=r"lobes of a mixture.*1 to 3"):
         denoise(frame, similarity="sg_mixture", lobes=4)
 
 
