@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,12 @@ from lobewise import denoise
 from lobewise.errors import MissingDependencyError, UnsupportedBsdfError
 from lobewise.frame import Frame, GBuffer, LobeKind
 from lobewise.lobes.brdf import ggx_brdf
+from lobewise.lobes.fit import LUMINANCE
+from lobewise.lobes.table import evaluate_lobes, evaluate_table
+from tests.render.measured_file import write_measured
 from tests.render.python_bsdf import register_lobes
 from tests.render.test_bsdfs import COPPER, WRAPPERS, flat_normals, middle, ramp_texture, rgb
-from tests.render.tolerances import EXACT, FITTED_ALBEDO, FITTED_ALPHA, NOISE
+from tests.render.tolerances import EXACT, FITTED_ALBEDO, FITTED_ALPHA, FITTED_LOBES, NOISE
 
 pytestmark = pytest.mark.mitsuba
 
@@ -106,6 +110,32 @@ class TestAgainstFormulas:
         assert np.abs(np.sin(told - turn)).max() < 0.05
         ratio = gbuffer.alpha_u / gbuffer.alpha_v
         assert np.allclose(ratio, 4.0, rtol=0.1)
+
+    @pytest.mark.parametrize("bsdf", [{"stretch": 1.6, "turn": 0.6}, {}], ids=["brushed", "isotropic"])
+    def test_guides_and_table_give_the_lobes_of_a_hit(self, mi: Any, lobes: str, bsdf: dict[str, float]) -> None:
+        """What filters make of a pixel, from its normal, view and tangent in the world, against the BSDF there."""
+        from lobewise.render.bsdfs import read_material
+        from lobewise.render.surface import describe_material
+
+        turn = mi.ScalarTransform4f().rotate([0.36, 0.8, -0.48], 40)
+        inner = {"type": lobes, "sharp": 15.0, "wide": 6.0, **bsdf}
+        shape = {"type": "rectangle", "to_world": turn, "bsdf": {"type": "twosided", "inner": inner}}
+        scene = mi.load_dict({"type": "scene", "square": shape})
+        plate = scene.shapes()[0].bsdf()
+        material = read_material(plate)
+        table = material.nested[0].fitted.fit.table
+        light = np.random.default_rng(1).normal(size=(20000, 3))
+        light /= np.linalg.norm(light, axis=1, keepdims=True)
+        # Half way between the azimuths of the table, where lobes that changed places would meet.
+        for azimuth in 0.6 + (np.arange(8) + 0.5) * np.pi / 4:
+            toward = np.array(turn.matrix)[:3, :3] @ [0.5 * np.cos(azimuth), 0.5 * np.sin(azimuth), np.sqrt(0.75)]
+            si = scene.ray_intersect(mi.Ray3f(mi.Point3f((5.0 * toward).tolist()), mi.Vector3f((-toward).tolist())))
+            surface = describe_material(material, si, mi.Bool(True))
+            normal, tangent = (np.array(getattr(surface, name)).ravel() for name in ("normal", "tangent"))
+            told = evaluate_lobes(evaluate_table(table, normal, toward, tangent), light, table.kind)
+            out = si.to_local(mi.Vector3f(np.ascontiguousarray(light.T, dtype=np.float32)))
+            seen = np.array(plate.eval(mi.BSDFContext(), si, out)).T @ np.array(LUMINANCE)
+            assert told @ seen / np.linalg.norm(told) / np.linalg.norm(seen) > FITTED_LOBES
 
     @pytest.mark.parametrize("turn", [0.3, 1.2, 3.0])
     def test_brushed_alphas_at_every_azimuth(self, mi: Any, fit_all: None, turn: float) -> None:
@@ -261,6 +291,16 @@ class TestOtherPlugins:
         seen = furnace({**bsdf, "int_ior": 30.0}, spp=256)
         assert np.all(seen.gbuffer.lobe_kind == LobeKind.DELTA)
         assert np.allclose(middle(seen.gbuffer.specular_albedo), middle(seen.radiance.specular), atol=NOISE)
+
+    def test_measured_file(self, mi: Any, tmp_path: Path) -> None:
+        write_measured(tmp_path / "paint.bsdf", 0.2, (0.8, 0.4, 0.2))
+        found = fit(mi, {"type": "measured", "filename": str(tmp_path / "paint.bsdf"), "id": "paint"})
+        assert (found.kind, found.table.name, found.is_isotropic) == (LobeKind.GGX, "paint", True)
+        # Without masking and Fresnel it is no GGX: seen from aslant the nearest one is narrower.
+        assert np.allclose(found.rows[6:, 0, :2], 0.2, rtol=FITTED_ALPHA)
+        # Seen from above light at t has its half vector at t / 2, and the integral of D(half) / 4 is near that of
+        # D(half) cos(half) over half vectors, which is 1.
+        assert np.allclose(found.rows[-1, 0, 2:5], [0.8, 0.4, 0.2], rtol=0.05)
 
     @pytest.mark.parametrize("plugin", ["hair", "principledthin", "pplastic"])
     def test_albedos_are_the_furnace_radiance(self, furnace: Furnace, plugin: str) -> None:

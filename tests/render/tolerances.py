@@ -21,6 +21,9 @@ FITTED_ALPHA = 0.1
 FITTED_ALBEDO = 0.02
 """Linear interpolation over at most 12 views, and the noise of 4096 samples where light is transmitted."""
 
+FITTED_LOBES = 0.97
+"""L2 cosine of three round lobes with a reflection 2.6 times as long as it is wide; 0.98 to 0.99 were seen."""
+
 PEAK_SHAPE = 0.05
 """Shape of a lobe near its peak, where Fresnel and masking vary by some per cent."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -175,12 +176,39 @@ def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> Lo
     Most anisotropic reflections look the same after half a turn; then half of the azimuths are fitted.
     """
     cosines = list_fitted_views(evaluate, cosines)
-    if azimuths is None or not all(_is_same_turned(evaluate, turn, turn + math.pi) for turn in _TURNS):
-        return fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines, azimuths=azimuths)
-    half = fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines, azimuths=azimuths[: AZIMUTHS // 2])
+    if azimuths is None:
+        return fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines)
+    repeats = 2 if all(_is_same_turned(evaluate, turn, turn + math.pi) for turn in _TURNS) else 1
+    part = fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines, azimuths=azimuths[: AZIMUTHS // repeats])
     names = ("axis", "sharpness", "twist", "amplitude", "alpha", "albedo", "cosine_l2")
-    twice: dict[str, Any] = {name: np.concatenate([getattr(half, name)] * 2, axis=1) for name in names}
-    return replace(half, azimuth=azimuths.astype(np.float32), **twice)
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name)] * repeats, axis=1) for name in names}
+    return _order_lobes(replace(part, azimuth=azimuths.astype(np.float32), **whole))
+
+
+def _order_lobes(table: LobeTable) -> LobeTable:
+    """Return a table whose lobes are in the order of those at the azimuth before, so that they can be interpolated.
+
+    The fit keeps the order over n.v. Over the azimuth it is told by the highest view: seen from above, every azimuth
+    shows the same lobes, turned.
+    """
+    names = ("axis", "sharpness", "twist", "amplitude")
+    arrays: dict[str, Any] = {name: np.array(getattr(table, name)) for name in names}
+    top = arrays["axis"][-1].astype(np.float64)
+    width = np.log(arrays["sharpness"][-1, ..., 0].astype(np.float64))
+    for column in range(1, table.azimuth.size):
+        turn = float(table.azimuth[column] - table.azimuth[column - 1])
+        x, y, z = np.moveaxis(top[column - 1], -1, 0)
+        ahead, side = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
+        gap = ((np.stack([ahead, side, z], axis=-1)[:, None] - top[column]) ** 2).sum(axis=-1)
+        before, here = width[column - 1][:, None], width[column]
+        cost = gap * np.exp(0.5 * (before + here)) + (before - here) ** 2
+        rows = np.arange(table.lobe_count)
+        orders = np.array(list(permutations(rows)))
+        best = orders[np.argmin(cost[rows, orders].sum(axis=1))]
+        for values in arrays.values():
+            values[:, column] = values[:, column, best]
+        top[column], width[column] = top[column, best], width[column, best]
+    return replace(table, **arrays)
 
 
 def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
