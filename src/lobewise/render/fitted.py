@@ -32,6 +32,7 @@ from lobewise.render.probe import (
     make_evaluate,
     sample_bsdf,
 )
+from lobewise.render.tints import find_tints
 
 LOBES = 3
 """Lobes of a view; beside them the diffuse one finds room in a mixture."""
@@ -44,8 +45,9 @@ _FIRST = 0.05
 _VIEWS = {True: 12, False: 6}
 """How many, for isotropic and for anisotropic materials."""
 _SAMPLES = {True: 4096, False: 1024}
-# Columns of a row.
-_ALPHA, _SPECULAR, _SPREAD, _OPACITY, _COLUMNS = slice(0, 2), slice(2, 5), slice(5, 8), 8, 9
+OPACITY = 8
+"""The column of a row that holds the opacity."""
+_ALPHA, _SPECULAR, _SPREAD, _TINT, _COLUMNS = slice(0, 2), slice(2, 5), slice(5, 8), slice(9, 11), 11
 # Azimuths at which evaluations are compared, in no simple ratio to a turn.
 _TURNS = (0.7, 1.9, 3.3)
 # Ratio of the axes of a lobe seen from above from which on the longer one has a direction.
@@ -68,10 +70,11 @@ class Fit:
     turn : float
         Angle from the BSDF's tangent to that of the table, radians: an anisotropic table's lies along the longer
         axis of the lobe seen from above.
-    rows : (V, P, 9)
+    rows : (V, P, 11)
         For n.v in equal steps of its square root and azimuths of the viewer in equal steps of a turn: alpha along
         and across the tangent (for isotropic materials, in and across the plane of incidence), specular albedo,
-        diffuse albedo over the diffuse value for light along the normal, and opacity.
+        diffuse albedo over the diffuse value for light along the normal, opacity, and of a textured one the factors
+        of `lobewise.render.tints`.
     """
 
     parts: Parts
@@ -88,7 +91,7 @@ class Fit:
     @property
     def can_be_transparent(self) -> bool:
         """Whether a ray may pass through without noticing."""
-        return bool(self.rows[..., _OPACITY].min() < 1.0)
+        return bool(self.rows[..., OPACITY].min() < 1.0)
 
 
 _fits: OrderedDict[str, Fit] = OrderedDict()
@@ -239,9 +242,11 @@ def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count:
     # A path that passes unnoticed adds to no albedo, so the others must add more.
     flat[:, _SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
     flat[:, _SPECULAR] = np.clip(flat[:, _SPECULAR], 0.0, 1.0)
-    flat[:, _OPACITY] = opacity
+    flat[:, OPACITY] = opacity
     if parts.diffuse:
         flat[:, _SPREAD] = _find_spreads(bsdf, parts, views)
+    if parts.textured and parts.glossy:
+        flat[:, _TINT] = find_tints(bsdf, parts, views) / np.maximum(opacity, 1e-6)[:, None]
 
 
 def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples) -> Array:
@@ -378,10 +383,17 @@ class FittedLobes:
         scale = dr.select(length > 1e-6, dr.rcp(length), 0.0)
         return mi.Vector3f(dr.select(length > 1e-6, si.wi.x * scale, 1.0), si.wi.y * scale, 0.0)
 
-    def evaluate_diffuse(self, bsdf: Any, si: Any, active: Any) -> Any:
-        """Return the value of the diffuse lobes for light along the normal, on the viewer's side."""
-        if not self.fit.parts.diffuse:
-            return mi.Color3f(0)
-        context = make_context(self.fit.parts.diffuse_lobes)
+    def find_albedos(self, bsdf: Any, si: Any, row: list[Any], active: Any) -> tuple[Any, Any]:
+        """Return the (diffuse, specular) albedo from the columns of `look_up`; textures are read at the hits."""
+        parts = self.fit.parts
         upward = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        return mi.Color3f(bsdf.eval(context, si, upward, active))
+        diffuse, specular = mi.Color3f(0), mi.Color3f(*row[_SPECULAR])
+        if parts.diffuse:
+            value = bsdf.eval(make_context(parts.diffuse_lobes), si, upward, active)
+            diffuse = mi.Color3f(*row[_SPREAD]) * mi.Color3f(value)
+        if parts.textured and parts.glossy:
+            mirrored = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
+            context = make_context(parts.glossy_lobes)
+            values = [mi.Color3f(bsdf.eval(context, si, light, active)) for light in (upward, mirrored)]
+            specular = sum(value * factor for value, factor in zip(values, row[_TINT], strict=True))
+        return dr.clip(diffuse, 0.0, 1.0), dr.clip(specular, 0.0, 1.0)

@@ -1,7 +1,7 @@
 """Evaluate and sample a lone BSDF object, without a scene: what an unknown reflection tells of itself.
 
-Directions are local: z is the normal, x the tangent. Textures are seen at the middle of the texture square, uv = (0.5,
-0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0.
+Directions are local: z is the normal, x the tangent. Unless told otherwise textures are seen at the middle of their
+square, uv = (0.5, 0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
     return context
 
 
-def make_hits(view: Array) -> Any:
-    """Return hits on a flat surface whose viewers are in the local directions ``view`` (n, 3)."""
+def make_hits(view: Array, uv: Array | None = None) -> Any:
+    """Return hits on a flat surface, at ``uv`` (n, 2), whose viewers are in the local directions ``view`` (n, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(view))
     si.t = 1.0
     si.n = mi.Normal3f(0, 0, 1)
     si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
     si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
-    si.uv = mi.Point2f(0.5, 0.5)
+    si.uv = mi.Point2f(0.5, 0.5) if uv is None else mi.Point2f(np.ascontiguousarray(uv.T, dtype=np.float32))
     si.wi = _to_vectors(view)
     return si
 
 
-def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None) -> Array:
-    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3): shape (n, 3), 1/sr.
+def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv: Array | None = None) -> Array:
+    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3), at ``uv`` (n, 2): (n, 3), 1/sr.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None) -> Ar
     """
 
     def run() -> Any:
-        return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view), _to_vectors(light), mi.Bool(True)))
+        return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view, uv), _to_vectors(light), mi.Bool(True)))
 
     cosine = np.maximum(np.abs(light[:, 2:]), _LEAST_COSINE)
     return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
@@ -109,8 +109,10 @@ class Samples:
     delta: NDArray[np.bool_]
 
 
-def sample_bsdf(bsdf: Any, view: Array, count: int) -> Samples:
+def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) -> Samples:
     """Return ``count`` samples of the BSDF for each of the local directions ``view`` (V, 3), the same every time.
+
+    Textures are seen at ``uv`` (V, 2).
 
     Refracted weights are not scaled by the square of the index.
 
@@ -119,14 +121,11 @@ def sample_bsdf(bsdf: Any, view: Array, count: int) -> Samples:
     UnsupportedBsdfError
         If the BSDF cannot be sampled.
     """
-    # The additive recurrence of Roberts 2018 in three dimensions: evenly spread, without a random generator.
-    root = 1.2207440846057596
-    points = np.mod(0.5 + np.outer(np.arange(count), [1.0 / root, root**-2, root**-3]), 1.0)
-    points = np.tile(points, (len(view), 1)).astype(np.float32)
+    points = np.tile(spread_points(count, 3), (len(view), 1)).astype(np.float32)
 
     def run() -> Any:
         square = mi.Point2f(np.ascontiguousarray(points[:, 1:].T))
-        hits = make_hits(np.repeat(view, count, axis=0))
+        hits = make_hits(np.repeat(view, count, axis=0), None if uv is None else np.repeat(uv, count, axis=0))
         choice = mi.Float(points[:, 0])
         found, weight = bsdf.sample(make_context(importance=True), hits, choice, square, mi.Bool(True))
         return mi.UInt32(found.sampled_type), mi.Vector3f(found.wo), mi.Color3f(weight)
@@ -156,6 +155,8 @@ class Parts:
         Whether it evaluates the lobes that it is asked for, and no others.
     behind : bool
         Whether it reflects when it is seen from behind.
+    textured : bool
+        Whether it depends on uv.
     """
 
     diffuse: bool
@@ -163,6 +164,7 @@ class Parts:
     delta: bool
     heeds_context: bool
     behind: bool
+    textured: bool
 
     @property
     def diffuse_lobes(self) -> Any:
@@ -192,7 +194,10 @@ def find_parts(bsdf: Any) -> Parts:
     flip = np.asarray([1.0, 1.0, -1.0])
     behind = bool(np.any(evaluate_bsdf(bsdf, view * flip, light * flip) > 0.0))
     behind = behind or bool(np.any(sample_bsdf(bsdf, view[:8] * flip, 32).weight > 0.0))
-    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind)
+    elsewhere = evaluate_bsdf(bsdf, view, light, uv=spread_points(len(view), 2))
+    good = np.isfinite(whole) & np.isfinite(elsewhere)
+    textured = not are_same(elsewhere[good], whole[good])
+    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind, textured)
 
 
 def digest_bsdf(bsdf: Any) -> str:
@@ -208,6 +213,7 @@ def digest_bsdf(bsdf: Any) -> str:
     answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]
     flip = np.asarray([1.0, 1.0, -1.0])
     answers.append(evaluate_bsdf(bsdf, view * flip, light * flip))
+    answers.append(evaluate_bsdf(bsdf, view, light, uv=spread_points(len(view), 2)))
     samples = sample_bsdf(bsdf, view[:8], 32)
     answers += [samples.weight, samples.light, samples.null, samples.delta]
     return hashlib.sha256(b"".join(np.ascontiguousarray(answer).tobytes() for answer in answers)).hexdigest()
@@ -272,6 +278,15 @@ def _make_questions() -> tuple[Array, Array]:
     around = np.roll(_spread_directions(64), 17, axis=0)
     light = np.concatenate([mirrored.reshape(-1, 3), around])
     return np.tile(view, (9, 1)), light
+
+
+def spread_points(count: int, dimensions: int) -> Array:
+    """Return points of the unit square or cube, evenly spread, shape (count, dimensions): the same every time.
+
+    Source: Roberts 2018, "The unreasonable effectiveness of quasirandom sequences", the additive recurrence R_d.
+    """
+    root = {2: 1.324717957244746, 3: 1.2207440846057596}[dimensions]
+    return np.mod(0.5 + np.outer(np.arange(count), root ** -np.arange(1.0, dimensions + 1.0)), 1.0)
 
 
 def _spread_directions(count: int) -> Array:

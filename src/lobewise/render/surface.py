@@ -10,6 +10,7 @@ from lobewise.frame import LobeKind
 from lobewise.lobes.brdf import ggx_directional_albedo
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import FITTED, Material, make_diffuse_context
+from lobewise.render.fitted import OPACITY
 
 
 @dataclass
@@ -228,20 +229,20 @@ def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) 
 def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     fitted = material.fitted
     assert fitted is not None
-    alpha_u, alpha_v, *colors, opacity = fitted.look_up(si, active)
+    row = fitted.look_up(si, active)
+    diffuse, specular = fitted.find_albedos(material.bsdf, si, row, active)
     # A side that answers is taken for the front: lobes are fitted once.
     seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
-    upward = fitted.evaluate_diffuse(material.bsdf, si, active)
     return _make_surface(
         material,
         si,
         frame,
         tangent=frame.to_world(fitted.find_tangent(si)),
-        alpha_u=alpha_u,
-        alpha_v=alpha_v,
-        specular_albedo=mi.Color3f(*colors[:3]) & seen,
-        diffuse_albedo=dr.clip(mi.Color3f(*colors[3:]) * upward, 0.0, 1.0) & seen,
-        opacity=opacity,
+        alpha_u=row[0],
+        alpha_v=row[1],
+        specular_albedo=specular & seen,
+        diffuse_albedo=diffuse & seen,
+        opacity=row[OPACITY],
         material=mi.Float(material.number),
     )
 
