@@ -322,6 +322,16 @@ def test_same_bits_with_one_and_two_threads_and_twice() -> None:
     assert lines == run(1)
 
 
+def test_very_dim_frames_are_not_nothing() -> None:
+    frame = make_frame()
+    scale = np.float32(1e-26)
+    parts = {name: getattr(frame.radiance, name) * scale for name in ("color", "diffuse", "specular")}
+    noise = Radiance(color=np.full((*SHAPE, 3), 1e-53))
+    dim = frame.with_changes(radiance=Radiance(**parts), variance=noise)
+    assert np.isfinite(estimate_spp(dim))
+    assert np.isfinite(denoise(dim).image).all()
+
+
 def test_position_may_come_from_depth_and_camera() -> None:
     known = denoise(make_frame(), similarity="ggx")
     rebuilt = denoise(make_frame(position=None), similarity="ggx")

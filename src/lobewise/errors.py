@@ -31,7 +31,7 @@ class DeviceError(LobewiseError):
 
 
 class UnsupportedBsdfError(LobewiseError):
-    """A scene uses a BSDF whose reflection lobe is unknown."""
+    """A scene uses a BSDF that cannot be evaluated."""
 
 
 def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:

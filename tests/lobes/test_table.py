@@ -9,7 +9,14 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.table import TableLobes, evaluate_lobes, evaluate_table, get_albedo, get_equivalent_alphas
+from lobewise.lobes.table import (
+    TableLobes,
+    evaluate_lobes,
+    evaluate_table,
+    get_albedo,
+    get_equivalent_alphas,
+    order_lobes,
+)
 
 UP = np.asarray([0.0, 0.0, 1.0])
 EAST = np.asarray([1.0, 0.0, 0.0])
@@ -185,3 +192,29 @@ class TestValues:
             for a, z, e in zip(amplitude, axis, x, strict=True)
         )
         assert math.isclose(evaluate_lobes(wide, direction, "asg"), expected, rel_tol=1e-12)
+
+
+def test_lobes_are_put_in_the_order_of_the_azimuth_before():
+    # three lobes about the normal that differ in width and place, fixed to the surface while the viewer walks round it
+    azimuth = np.arange(8) * (math.pi / 4.0)
+    fixed = np.asarray([[0.0, 0.0, 1.0], [0.3, 0.1, 0.9], [-0.2, 0.25, 0.9]])
+    fixed /= np.linalg.norm(fixed, axis=-1, keepdims=True)
+    cosine, sine = np.cos(azimuth)[:, None], np.sin(azimuth)[:, None]
+    turned = np.stack([cosine * fixed[:, 0] + sine * fixed[:, 1], cosine * fixed[:, 1] - sine * fixed[:, 0]], axis=-1)
+    axis = np.concatenate([turned, np.broadcast_to(fixed[:, 2:], (8, 3, 1))], axis=-1)[None]
+    sharpness = np.broadcast_to(np.asarray([200.0, 30.0, 32.0])[:, None], (1, 8, 3, 2))
+    arrays = {
+        "axis": axis,
+        "sharpness": sharpness,
+        "twist": np.zeros((1, 8, 3)),
+        "amplitude": np.broadcast_to([1.0, 2.0, 3.0], (1, 8, 3)),
+    }
+    ordered = make_table(0.0, [1.0], azimuth, "sg", **arrays)
+    rng = np.random.default_rng(4)
+    orders = np.stack([rng.permutation(3) for _ in azimuth])
+    orders[0] = [0, 1, 2]
+    assert len(np.unique(orders, axis=0)) > 2
+    mixed = {name: np.stack([value[:, p, orders[p]] for p in range(8)], axis=1) for name, value in arrays.items()}
+    restored = order_lobes(make_table(0.0, [1.0], azimuth, "sg", **mixed))
+    for name in arrays:
+        np.testing.assert_array_equal(getattr(restored, name), getattr(ordered, name))

@@ -134,7 +134,8 @@ def estimate_spp(frame: Frame) -> float:
     spp = float(frame.spp) if frame.spp is not None else None
     if frame.variance is None:
         return spp or 4.0
-    mean, variance = frame.radiance.color.mean(axis=-1), frame.variance.color.mean(axis=-1)
+    # The square of a very dim mean underflows in float32.
+    mean, variance = (image.color.mean(axis=-1, dtype=np.float64) for image in (frame.radiance, frame.variance))
     lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
     if not lit.any():
         return spp or 4.0

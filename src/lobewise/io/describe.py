@@ -151,7 +151,7 @@ def _list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, .
     if "normal" not in gbuffer:
         return ()
     lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
-    return ("normal", "sg", "ggx") if lobes else ("normal",)
+    return ("normal", "sg", "sg_mixture", "asg", "ggx") if lobes else ("normal",)
 
 
 def _note_what_lacks(

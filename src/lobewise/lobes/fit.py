@@ -21,6 +21,7 @@ from lobewise.errors import InputError, MissingDependencyError, describe_problem
 from lobewise.lobe_table import KINDS, MAX_LOBES, LobeTable
 from lobewise.lobes.brdf import ggx_brdf
 from lobewise.lobes.fit_shapes import LobeFamily
+from lobewise.lobes.table import order_lobes
 from lobewise.lobes.vectors import Array
 
 Evaluate = Callable[[Array, Array], Any]
@@ -182,7 +183,7 @@ def fit_lobes(
         return np.stack([[getattr(found[v, p], field) for p in range(columns)] for v in range(views)])
 
     axis, sharpness, twist = family.to_frames(collect("shapes"))
-    return LobeTable(
+    table = LobeTable(
         name=name,
         kind=kind,
         cosine=np.asarray(grid, dtype=np.float32),
@@ -195,6 +196,7 @@ def fit_lobes(
         albedo=collect("albedo"),
         cosine_l2=collect("cosine_l2"),
     )
+    return order_lobes(table)
 
 
 @dataclass(frozen=True)

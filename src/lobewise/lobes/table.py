@@ -7,6 +7,8 @@ view: between the table's views the lobes follow the mirror exactly.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -140,6 +142,32 @@ def get_equivalent_alphas(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLik
 def get_albedo(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLike = 0.0) -> Array:
     """Return the directional albedo, shape (..., 3), linear RGB; parameters as of `get_equivalent_alphas`."""
     return _look_up(table, table.albedo, cosine, azimuth)
+
+
+def order_lobes(table: LobeTable) -> LobeTable:
+    """Return a table whose lobes are in the order of those at the azimuth before, so that they can be interpolated.
+
+    The fit keeps the order over n.v. Over the azimuth it is told by the highest view: seen from above, every azimuth
+    shows the same lobes, turned.
+    """
+    names = ("axis", "sharpness", "twist", "amplitude")
+    arrays: dict[str, Any] = {name: np.array(getattr(table, name)) for name in names}
+    top = arrays["axis"][-1].astype(np.float64)
+    width = np.log(arrays["sharpness"][-1, ..., 0].astype(np.float64))
+    for column in range(1, table.azimuth.size):
+        turn = float(table.azimuth[column] - table.azimuth[column - 1])
+        x, y, z = np.moveaxis(top[column - 1], -1, 0)
+        ahead, side = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
+        gap = ((np.stack([ahead, side, z], axis=-1)[:, None] - top[column]) ** 2).sum(axis=-1)
+        before, here = width[column - 1][:, None], width[column]
+        cost = gap * np.exp(0.5 * (before + here)) + (before - here) ** 2
+        rows = np.arange(table.lobe_count)
+        orders = np.array(list(permutations(rows)))
+        best = orders[np.argmin(cost[rows, orders].sum(axis=1))]
+        for values in arrays.values():
+            values[:, column] = values[:, column, best]
+        top[column], width[column] = top[column, best], width[column, best]
+    return replace(table, **arrays)
 
 
 def _look_up(table: LobeTable, values: Array, cosine: ArrayLike, azimuth: ArrayLike) -> Array:

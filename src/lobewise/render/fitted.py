@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.fit import LUMINANCE, Evaluate, fit_lobes, make_nodes
-from lobewise.lobes.table import get_albedo, get_equivalent_alphas
+from lobewise.lobes.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.lobes.vectors import Array
 from lobewise.render.bridge import dr, mi
 from lobewise.render.probe import (
@@ -185,33 +184,7 @@ def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> Lo
     part = fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines, azimuths=azimuths[: AZIMUTHS // repeats])
     names = ("axis", "sharpness", "twist", "amplitude", "alpha", "albedo", "cosine_l2")
     whole: dict[str, Any] = {name: np.concatenate([getattr(part, name)] * repeats, axis=1) for name in names}
-    return _order_lobes(replace(part, azimuth=azimuths.astype(np.float32), **whole))
-
-
-def _order_lobes(table: LobeTable) -> LobeTable:
-    """Return a table whose lobes are in the order of those at the azimuth before, so that they can be interpolated.
-
-    The fit keeps the order over n.v. Over the azimuth it is told by the highest view: seen from above, every azimuth
-    shows the same lobes, turned.
-    """
-    names = ("axis", "sharpness", "twist", "amplitude")
-    arrays: dict[str, Any] = {name: np.array(getattr(table, name)) for name in names}
-    top = arrays["axis"][-1].astype(np.float64)
-    width = np.log(arrays["sharpness"][-1, ..., 0].astype(np.float64))
-    for column in range(1, table.azimuth.size):
-        turn = float(table.azimuth[column] - table.azimuth[column - 1])
-        x, y, z = np.moveaxis(top[column - 1], -1, 0)
-        ahead, side = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
-        gap = ((np.stack([ahead, side, z], axis=-1)[:, None] - top[column]) ** 2).sum(axis=-1)
-        before, here = width[column - 1][:, None], width[column]
-        cost = gap * np.exp(0.5 * (before + here)) + (before - here) ** 2
-        rows = np.arange(table.lobe_count)
-        orders = np.array(list(permutations(rows)))
-        best = orders[np.argmin(cost[rows, orders].sum(axis=1))]
-        for values in arrays.values():
-            values[:, column] = values[:, column, best]
-        top[column], width[column] = top[column, best], width[column, best]
-    return replace(table, **arrays)
+    return order_lobes(replace(part, azimuth=azimuths.astype(np.float32), **whole))
 
 
 def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
