@@ -146,7 +146,7 @@ def make_readme_figures(quality: dict[str, Any], filters: dict[str, Any]) -> str
     recipe = wide["denoise(ggx, separable, radius 8): diffuse and specular"]
     oidn = wide["oidn, default quality"]
     return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of the four built-in scenes, {quality["size"]}x{quality["size"]}, 4 samples per pixel. The two
-baselines were tuned on each frame by grid search against its reference, `sg` and `ggx` ran with their defaults:
+baselines were tuned on each frame by grid search against its reference, ours ran with their defaults:
 
 {table}
 
@@ -170,7 +170,7 @@ Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit
 `benchmarks/quality.py`, {describe_run(quality)}. {quality["size"]}x{quality["size"]} pixels, full form, radius 8, references of
 {quality["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
 baselines were tuned on each frame against its reference ({len(quality["grid"]["normal_exponent"])} exponents times
-{len(quality["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(quality["grid"]["band_limited_normal_exponent"])} times {len(quality["grid"]["band_limited_screen_sigma"])} times {len(quality["grid"]["band_limit"])} band-limits); `sg`, `ggx` and Open Image Denoise
+{len(quality["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(quality["grid"]["band_limited_normal_exponent"])} times {len(quality["grid"]["band_limited_screen_sigma"])} times {len(quality["grid"]["band_limit"])} band-limits); ours and Open Image Denoise
 (default quality, noise-free albedo and normal) ran with their defaults.
 
 {make_error_table(quality, "rel_mse", every)}

@@ -11,8 +11,8 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     """Rows in parallel, columns in vectors, the log-similarity of one row of taps at a time in cache.
 
     Measured (benchmarks/results/filters.json: EPYC with AVX-512, 2 threads), full form, radius 8, 512x512: ``normal``
-    18.0 ms, ``sg`` 21.2 ms, ``ggx`` 33.7 ms, that is 0.24, 0.28 and 0.45 ns per tap and pixel; separable, radius 8,
-    1920x1080: 58 ms for ``sg``.
+    31.3 ms, ``sg`` 38.8 ms, ``ggx`` 67.9 ms, that is 0.41, 0.51 and 0.90 ns per tap and pixel; separable, radius 8,
+    1920x1080: 94 ms for ``sg``.
 
     What it rests on: every stage of the log-similarity has a loop of its own over a row of taps, whose results stay in
     the first-level cache, so that neither loop runs out of vector registers; planes of a strip lie row by row beside
