@@ -356,8 +356,16 @@ class TestInspect:
         assert run(["inspect", str(frame_file), "--attributes"]) == 0
         out, err = capsys.readouterr()
         assert err == ""
-        for words in ("16x12", "normal.X", "gbuffer.normal", "Camera: in the header. Samples per pixel: 4.",
-                      "normal, sg, ggx", "lobewise/camera/fov_y", "missing: not needed for one frame"):  # fmt: skip
+        expected = (
+            "16x12",
+            "normal.X",
+            "gbuffer.normal",
+            "Camera: in the header. Samples per pixel: 4.",
+            "normal, sg, sg_mixture, asg, ggx",
+            "lobewise/camera/fov_y",
+            "missing: not needed for one frame",
+        )
+        for words in expected:
             assert words in out
 
     def test_json(self, frame_file, capsys):

@@ -65,7 +65,9 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
-@pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+@pytest.mark.parametrize(
+    "form", ["full", *(pytest.param(form, marks=pytest.mark.slow) for form in ("separable", "atrous"))]
+)
 @pytest.mark.parametrize("similarity", ["sg", "sg_mixture", "asg", "ggx"])
 def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart: bool) -> None:
     frame, clean = make_frame(apart=apart), get_clean()
@@ -308,6 +310,7 @@ for form, similarity in (("full", "ggx"), ("separable", "ggx"), ("atrous", "ggx"
 """
 
 
+@pytest.mark.slow
 def test_same_bits_with_one_and_two_threads_and_twice() -> None:
     def run(threads: int) -> list[str]:
         environment = {**os.environ, "HL_NUM_THREADS": str(threads)}

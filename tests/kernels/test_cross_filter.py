@@ -14,6 +14,11 @@ from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, m
 # and the diffuse overlap is a fit to 1.3e-3, which matters where it is small.
 RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
+# Kinds whose code is mostly that of another one run among the slow tests: each compiles six kernels.
+EVERY_KIND = [
+    pytest.param(kind, marks=pytest.mark.slow) if kind in ("depth", "coaxial") or kind.endswith("_hits") else kind
+    for kind in KINDS
+]
 # One radius for all: each other one would compile every kernel again.
 RADIUS = 3
 
@@ -24,7 +29,7 @@ def get_tolerance(kind: str, form: str) -> float:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY_KIND)
 @pytest.mark.parametrize("shape", SIZES, ids=str)
 def test_image_and_weight_sum_agree_with_oracle(kind: str, form: str, shape: tuple[int, int]) -> None:
     features = [make_feature(kind, shape)]
@@ -38,7 +43,7 @@ def test_image_and_weight_sum_agree_with_oracle(kind: str, form: str, shape: tup
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY_KIND)
 @pytest.mark.parametrize("shape", SIZES, ids=str)
 def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, int]) -> None:
     features = [make_feature(kind, shape)]
@@ -56,7 +61,7 @@ def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, 
         )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY_KIND)
 def test_full_weights_are_symmetric(kind: str) -> None:
     shape = (9, 11)
     features = [make_feature(kind, shape)]
@@ -73,7 +78,7 @@ def test_full_weights_are_symmetric(kind: str) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY_KIND)
 def test_constant_in_constant_out(kind: str, form: str) -> None:
     shape = (33, 20)
     radiance = np.full((*shape, 3), 0.37, np.float32)
