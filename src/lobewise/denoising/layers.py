@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import MissingChannelError, describe_problem
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.field import LobeField, build_lobe_field
 from lobewise.lobes.hits import HitField
 from lobewise.lobes.mixture_field import build_mixture_field
+from lobewise.sparse_frame import AnyFrame
 
 NEAREST_HIT = 2.0
 """Hits count as no nearer than this many pixel footprints."""
@@ -45,7 +46,7 @@ def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSetti
     return value
 
 
-def _find_places(frame: Frame) -> tuple[FloatArray, FloatArray]:
+def _find_places(frame: AnyFrame) -> tuple[FloatArray, FloatArray]:
     """Return the surface points (height, width, 3) and their depths, whichever of the two the frame has."""
     guides = frame.gbuffer
     assert frame.camera is not None
@@ -58,7 +59,7 @@ def _find_places(frame: Frame) -> tuple[FloatArray, FloatArray]:
     return guides.position, depth
 
 
-def _make_position_features(frame: Frame, settings: DenoiseSettings) -> list[Feature]:
+def make_position_features(frame: AnyFrame, settings: DenoiseSettings) -> list[Feature]:
     assert not isinstance(settings.screen_sigma, str)
     features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
     guides = frame.gbuffer
@@ -69,7 +70,7 @@ def _make_position_features(frame: Frame, settings: DenoiseSettings) -> list[Fea
     return features
 
 
-def _make_normal_features(frame: Frame, settings: DenoiseSettings, lobes: LobeField | None) -> list[Feature]:
+def _make_normal_features(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeField | None) -> list[Feature]:
     normal = _require_channel(frame.gbuffer.normal, "normal", settings)
     features: list[Feature] = [NormalFeature(normal, settings.normal_exponent)]
     if settings.band_limit is not None:
@@ -85,7 +86,7 @@ def _make_normal_features(frame: Frame, settings: DenoiseSettings, lobes: LobeFi
     return features
 
 
-def _make_hits(frame: Frame, settings: DenoiseSettings) -> HitField | None:
+def _make_hits(frame: AnyFrame, settings: DenoiseSettings) -> HitField | None:
     """Return the hits, no nearer than `NEAREST_HIT` footprints, so that contacts do not close the kernel."""
     if not settings.hit_distance:
         return None
@@ -98,7 +99,7 @@ def _make_hits(frame: Frame, settings: DenoiseSettings) -> HitField | None:
     return HitField(place, np.nan_to_num(inverse, posinf=0.0).astype(np.float32))
 
 
-def _make_lobe_feature(frame: Frame, settings: DenoiseSettings, lobes: LobeField) -> Feature:
+def _make_lobe_feature(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeField) -> Feature:
     assert not isinstance(settings.beta, str)
     hits = _make_hits(frame, settings)
     if settings.similarity == "sg":
@@ -110,7 +111,7 @@ def _make_lobe_feature(frame: Frame, settings: DenoiseSettings, lobes: LobeField
 
 
 def _make_specular(
-    frame: Frame, settings: DenoiseSettings, surface: NDArray[np.bool_], apart: bool
+    frame: AnyFrame, settings: DenoiseSettings, surface: NDArray[np.bool_], apart: bool
 ) -> tuple[list[Feature], NDArray[np.bool_]]:
     """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
     if settings.similarity == "normal" and settings.band_limit is None:
@@ -148,7 +149,7 @@ def _make_specular(
     return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
 
 
-def _find_surface(frame: Frame) -> NDArray[np.bool_]:
+def _find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
     """Return where a pixel sees a surface with finite guides."""
     surface = np.ones(frame.shape, dtype=bool)
     guides = frame.gbuffer
@@ -167,14 +168,14 @@ def _find_surface(frame: Frame) -> NDArray[np.bool_]:
     return surface
 
 
-def make_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
+def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
     """Return the layers of a frame; ``extra`` features count in all of them."""
     guides, radiance = frame.gbuffer, frame.radiance
     normal = _require_channel(guides.normal, "normal", settings)
     apart = radiance.diffuse is not None and radiance.specular is not None
     assert not isinstance(settings.diffuse_beta, str)
     surface = _find_surface(frame)
-    shared = [*_make_position_features(frame, settings), *extra]
+    shared = [*make_position_features(frame, settings), *extra]
     specular, specular_mask = _make_specular(frame, settings, surface, apart)
     if not apart:
         albedo = None

@@ -18,7 +18,7 @@ from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
 
 
-def _find_good(image: FloatArray) -> NDArray[np.bool_]:
+def find_good(image: FloatArray) -> NDArray[np.bool_]:
     """Return where all three channels are finite and not negative.
 
     Channel by channel: NumPy's reductions over an axis of three are several times slower.
@@ -34,11 +34,11 @@ def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     bad = np.zeros(frame.shape, dtype=bool)
     for image in (frame.radiance.color, frame.radiance.diffuse, frame.radiance.specular):
         if image is not None:
-            bad |= ~_find_good(image)
+            bad |= ~find_good(image)
     return bad
 
 
-def _refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
+def refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
     """Return ``image`` with the pixels of ``holes`` replaced by the mean of the nearest others on the screen."""
     everywhere = np.ones(holes.shape, dtype=bool)
     source = np.where(holes[..., None], np.float32(np.nan), image)
@@ -128,9 +128,9 @@ def denoise(
     parts = [_keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
     image = _compose(frame, parts)
     untouched = np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs])
-    holes = ~_find_good(image) | (bad & untouched)
+    holes = ~find_good(image) | (bad & untouched)
     if holes.any():
-        image = _refill(image, holes, chosen)
+        image = refill(image, holes, chosen)
     apart = len(parts) == 2
     decisive = outputs[-1]
     return Result(
@@ -150,7 +150,7 @@ def _keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
     lost = output.weight_sum <= 0.0
     if not lost.any():
         return output.image
-    kept = np.where(_find_good(layer.radiance)[..., None], layer.radiance, np.float32(np.nan))
+    kept = np.where(find_good(layer.radiance)[..., None], layer.radiance, np.float32(np.nan))
     return np.where(lost[..., None], kept, output.image)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Frame
 from lobewise.kernels.engine import FORMS, choose_device
 from lobewise.kernels.mixture_features import MOST_LOBES
 from lobewise.lobes.field import default_tau
+from lobewise.sparse_frame import AnyFrame
 
 SIMILARITIES = ("auto", "normal", "sg", "sg_mixture", "asg", "ggx")
 DEFAULT_SIMILARITY = "ggx"
@@ -113,7 +113,7 @@ def _require_positive(name: str, value: Any, expected: str) -> None:
         raise InputError(describe_problem(name, expected=expected, got=repr(value), action="leave it out if unsure"))
 
 
-def choose_similarity(frame: Frame, similarity: str) -> str:
+def choose_similarity(frame: AnyFrame, similarity: str) -> str:
     """Return the similarity that "auto" stands for on this frame; others are returned as they are."""
     if similarity != "auto":
         return similarity
@@ -123,7 +123,7 @@ def choose_similarity(frame: Frame, similarity: str) -> str:
     return DEFAULT_SIMILARITY if has_lobes else "normal"
 
 
-def estimate_spp(frame: Frame) -> float:
+def estimate_spp(frame: AnyFrame) -> float:
     """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
 
     Where the frame has its variance, the median relative variance of the mean is compared with what the built-in
@@ -172,14 +172,14 @@ def choose_tau(spp: float, pixel_tau: float) -> float:
     return max(0.03 * math.sqrt(4.0 / max(spp, 1.0)), pixel_tau)
 
 
-def can_use_hits(frame: Frame) -> bool:
+def can_use_hits(frame: AnyFrame) -> bool:
     """Return whether the frame tells where its surfaces are and how far away is what they reflect."""
     guides = frame.gbuffer
     placed = guides.position is not None or guides.depth is not None
     return guides.hit_distance is not None and placed and frame.camera is not None
 
 
-def resolve_settings(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
+def resolve_settings(frame: AnyFrame, settings: DenoiseSettings) -> DenoiseSettings:
     """Return ``settings`` with every "auto" replaced by what it stands for on this frame."""
     spp = estimate_spp(frame)
     beta = choose_beta(spp)

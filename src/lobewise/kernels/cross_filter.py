@@ -58,6 +58,8 @@ class PassKey:
     """Writes radiance, weight sum and effective samples; otherwise undivided sums."""
     demodulate: bool
     """Divides by an albedo on the way in, multiplies by it on the way out."""
+    paired: bool = False
+    """Taps come from another grid than the centres, ``scale`` times as coarse, with its own mask, albedo and guides."""
 
 
 @dataclass
@@ -71,6 +73,9 @@ class PassFuncs:
     guide_count: int
     planes: hl.Func | None
     plane_count: int
+    centre_guides: hl.Func | None
+    """As ``guides`` and ``planes``, of the centres, where those are not the same pixels; else None."""
+    centre_planes: hl.Func | None
     stages: list[hl.Func]
     taps: hl.RDom
     x: hl.Var
@@ -104,12 +109,71 @@ def _stack(name: str, values: Sequence[hl.Expr], x: hl.Var, c: hl.Var, y: hl.Var
     return func
 
 
+@dataclass
+class _Side:
+    """The guides and planes of one grid of pixels, and the parameters that hold its arrays."""
+
+    arrays: list[hl.ImageParam]
+    guides: hl.Func | None
+    guide_count: int
+    planes: hl.Func | None
+    plane_count: int
+    slices: list[slice]
+
+    def read(self, part: slice, x: hl.Expr, y: hl.Expr) -> Pixel:
+        """Return the planes ``part`` of a pixel."""
+        assert self.planes is not None or part.start == part.stop
+        return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
+
+
+def _make_side(
+    name: str,
+    mask: hl.ImageParam,
+    features: Sequence[Feature],
+    scalars: Sequence[Sequence[hl.Expr]],
+    variables: tuple[hl.Var, hl.Var, hl.Var],
+) -> _Side:
+    """Return the planes of every feature on the grid of ``mask``."""
+    x, y, c = variables
+    clamped = hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1)
+
+    # Guides: the input channels of every feature side by side, harmless where a pixel has no meaning.
+    arrays: list[hl.ImageParam] = []
+    channels: list[hl.Expr] = []
+    for number, feature in enumerate(features):
+        neutral = iter(feature.neutral)
+        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+            deep = array.ndim == 3
+            param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"{name}{number}_{slot}")
+            arrays.append(param)
+            for k in range(count):
+                value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
+                channels.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
+    guides = _stack(f"{name}_guides", channels, x, c, y)
+
+    # Planes: what the taps read of every feature.
+    values: list[hl.Expr] = []
+    slices: list[slice] = []
+    given = 0
+    for feature, own in zip(features, scalars, strict=True):
+        count = sum(_count_channels(feature))
+        prepared: list[hl.Expr] = []
+        if guides is not None and count:
+            prepared = feature.prepare([guides[x, k, y] for k in range(given, given + count)], own)
+        given += count
+        slices.append(slice(len(values), len(values) + len(prepared)))
+        values.extend(prepared)
+    return _Side(arrays, guides, len(channels), _stack(f"{name}_planes", values, x, c, y), len(values), slices)
+
+
 def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     """Return the algorithm of one pass.
 
     The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
     albedo (c, x, y) where demodulated; mask (x, y) uint8, 1 where a pixel may give and take; the arrays of every
-    feature; step (int32); the parameters of every feature.
+    feature; step (int32); the parameters of every feature. A paired pass has, after these, the albedo, mask and arrays
+    of the centres, and scale (float32), shift_x and shift_y (float32): tap (u, v) of centre (x, y) lies
+    ``scale (u, v) + shift`` pixels of the centres' full grid away from it.
     """
     x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
     source = hl.ImageParam(hl.Float(32), 3, "source")
@@ -140,36 +204,16 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     else:
         image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
 
-    # Guides: the input channels of every feature side by side, harmless where a pixel has no meaning.
-    arrays: list[hl.ImageParam] = []
-    channels: list[hl.Expr] = []
-    for number, feature in enumerate(features):
-        neutral = iter(feature.neutral)
-        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
-            deep = array.ndim == 3
-            param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"f{number}_{slot}")
-            arrays.append(param)
-            for k in range(count):
-                value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
-                channels.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
-    guides = _stack("guides", channels, x, c, y)
-
-    # Planes: what the taps read of every feature.
-    parameters: list[hl.Param] = []
-    values: list[hl.Expr] = []
-    slices: list[tuple[Feature, slice, list[hl.Param]]] = []
-    given = 0
-    for number, feature in enumerate(features):
-        scalars = [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
-        parameters.extend(scalars)
-        count = sum(_count_channels(feature))
-        prepared: list[hl.Expr] = []
-        if guides is not None and count:
-            prepared = feature.prepare([guides[x, k, y] for k in range(given, given + count)], scalars)
-        given += count
-        slices.append((feature, slice(len(values), len(values) + len(prepared)), scalars))
-        values.extend(prepared)
-    planes = _stack("planes", values, x, c, y)
+    scalars = [
+        [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
+        for number, feature in enumerate(features)
+    ]
+    side = _make_side("tap", mask, features, scalars, (x, y, c))
+    centre, own_mask, own_albedo = side, mask, albedo
+    if key.paired:
+        own_mask = hl.ImageParam(hl.UInt(8), 2, "own_mask")
+        own_albedo = hl.ImageParam(hl.Float(32), 3, "own_albedo")
+        centre = _make_side("centre", own_mask, features, scalars, (x, y, c))
 
     # Taps.
     r = key.radius
@@ -183,6 +227,10 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     u, v = hl.Var("u"), hl.Var("v")
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
+    placing = [hl.Param(hl.Float(32), name) for name in ("scale", "shift_x", "shift_y")] if key.paired else []
+    if placing:
+        scale, shift_x, shift_y = placing
+        offset = scale * offset[0] + shift_x, scale * offset[1] + shift_y
     stages: list[hl.Func] = []
 
     def stage(value: hl.Expr) -> hl.Expr:
@@ -191,16 +239,12 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         stages.append(func)
         return func[x, y, u, v]
 
-    def read_planes(part: slice, px: hl.Expr, py: hl.Expr) -> Pixel:
-        assert planes is not None or part.start == part.stop
-        return [planes[px, k, py] for k in range(part.start, part.stop)] if planes is not None else []
-
     exponent: hl.Expr = hl.f32(0.0)
     if key.taps is Taps.ATROUS:
         exponent = _tap_profile(u) + _tap_profile(v)
-    for feature, part, scalars in slices:
-        centre, tap = read_planes(part, x, y), read_planes(part, x + u * spread, y + v * spread)
-        exponent = exponent + feature.log2_similarity(centre, tap, scalars, offset, stage)
+    for feature, part, own in zip(features, side.slices, scalars, strict=True):
+        i, j = centre.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
+        exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
@@ -215,15 +259,40 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     out = hl.Func("out")
     if key.last:
         total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
-        alive = (mask[x, y] != 0) & (total > hl.f32(0.0))
+        alive = (own_mask[x, y] != 0) & (total > hl.f32(0.0))
         mean = [sums[x, y][k] / total for k in range(3)]
         if key.demodulate:
-            tints = [albedo[k, x, y] for k in range(3)]
+            tints = [own_albedo[k, x, y] for k in range(3)]
             mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
         # The squares underflow before the sum does: then one far tap decides, which is one sample.
         effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
         out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, effective]), hl.f32(0.0))
     else:
         out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(SUM_CHANNELS)])
-    arguments = [source, *([albedo] if key.demodulate else []), mask, *arrays, step, *parameters]
-    return PassFuncs(out, sums, image, guides, len(channels), planes, len(values), stages, taps, x, y, c, arguments)
+    arguments = [
+        source,
+        *([albedo] if key.demodulate else []),
+        mask,
+        *side.arrays,
+        step,
+        *(p for own in scalars for p in own),
+    ]
+    if key.paired:
+        arguments += [*([own_albedo] if key.demodulate else []), own_mask, *centre.arrays, *placing]
+    return PassFuncs(
+        out=out,
+        sums=sums,
+        image=image,
+        guides=side.guides,
+        guide_count=side.guide_count,
+        planes=side.planes,
+        plane_count=side.plane_count,
+        centre_guides=centre.guides if key.paired else None,
+        centre_planes=centre.planes if key.paired else None,
+        stages=stages,
+        taps=taps,
+        x=x,
+        y=y,
+        c=c,
+        arguments=arguments,
+    )

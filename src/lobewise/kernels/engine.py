@@ -200,3 +200,97 @@ def run_filter(
         np.ascontiguousarray(source[..., 3]),
         np.ascontiguousarray(source[..., 4]),
     )
+
+
+def run_upsampling(
+    radiance: FloatArray,
+    mask: NDArray[np.bool_],
+    features: Sequence[Feature],
+    *,
+    scale: int,
+    place: tuple[int, int] = (0, 0),
+    radius: int,
+    albedo: FloatArray | None = None,
+    device: str = "cpu",
+) -> FilterOutput:
+    """Bring radiance that was shaded at every ``scale``-th pixel to every pixel, by what the pixels have in common.
+
+    A shaded sample at (row Y, column X) stands for the full-resolution pixel (Y scale + place[0], X scale + place[1]);
+    its weight for another pixel is the product of the features' similarities between these two pixels. With scale 1
+    this is the full form of `run_filter`.
+
+    Parameters
+    ----------
+    radiance : array, shape (rows, columns, 3)
+        Shaded samples, ``rows = ceil((height - place[0]) / scale)`` and so for columns. Bad ones get weight 0.
+    mask : bool array, shape (height, width)
+        False where a pixel has no meaning for these features: it neither gives nor takes.
+    features : sequence of Feature
+        On the full grid.
+    scale : int
+        Pixels from sample to sample, >= 1.
+    place : (int, int)
+        Row and column of the shaded pixel within each block of ``scale`` times ``scale``.
+    radius : int
+        Samples from the centre to the edge of the kernel, >= 0: (2 radius + 1)^2 of them are looked at.
+    albedo : array, shape (height, width, 3), optional
+        Divides the radiance on the way in, at the shaded pixels, and multiplies it on the way out.
+    device : str
+        A name from `list_devices`.
+
+    Returns
+    -------
+    FilterOutput
+        Of shape (height, width).
+
+    Raises
+    ------
+    InputError
+        If the samples are not as many as the grid has.
+    """
+    height, width = mask.shape
+    shaded = slice(place[0], None, scale), slice(place[1], None, scale)
+    size = mask[shaded].shape
+    if radiance.shape != (*size, 3):
+        raise InputError(
+            describe_problem(
+                "shaded radiance",
+                expected=f"shape {(*size, 3)}, every {scale}th of {width}x{height} pixels from row {place[0]}, "
+                f"column {place[1]}",
+                got=f"shape {radiance.shape}",
+                action="check scale and place",
+            )
+        )
+    structure = tuple(describe_structure(feature) for feature in features)
+    key = PassKey(Taps.SQUARE, radius, structure, True, True, albedo is not None, paired=True)
+    kernel = _cache.get(device, key, features)
+    arrays = [_take_array(feature, array, (height, width)) for feature in features for array in feature.get_arrays()]
+    parameters = [value for feature in features for value in feature.get_parameters()]
+    bits = np.ascontiguousarray(mask).view(np.uint8)
+    tints = [] if albedo is None else [np.ascontiguousarray(albedo, dtype=np.float32)]
+
+    def cut(part: tuple[slice, slice]) -> tuple[list[NDArray[Any]], NDArray[Any], list[NDArray[Any]]]:
+        """Return albedo, mask and arrays of one pixel of every block, each contiguous."""
+        own_tints, own_bits = [np.ascontiguousarray(tint[part]) for tint in tints], np.ascontiguousarray(bits[part])
+        return own_tints, own_bits, [np.ascontiguousarray(array[part]) for array in arrays]
+
+    def lend(array: NDArray[Any]) -> Any:
+        return hl.Buffer(_borrow(array))
+
+    # Every array is held in a local name until the last call has returned: Halide keeps no reference.
+    source = np.ascontiguousarray(radiance, dtype=np.float32)
+    tap_tints, tap_bits, tap_arrays = cut(shaded)
+    taps = [lend(source), *map(lend, tap_tints), lend(tap_bits), *map(lend, tap_arrays), 1, *parameters]
+    whole = np.empty((height, width, SUM_CHANNELS), dtype=np.float32)
+    for row, column in np.ndindex(min(scale, height), min(scale, width)):
+        part = slice(row, None, scale), slice(column, None, scale)
+        own_tints, own_bits, own_arrays = cut(part)
+        target = np.empty((*own_bits.shape, SUM_CHANNELS), dtype=np.float32)
+        shift = float(scale), float(place[1] - column), float(place[0] - row)
+        kernel(*taps, *map(lend, own_tints), lend(own_bits), *map(lend, own_arrays), *shift, lend(target))
+        whole[part] = target
+    return FilterOutput(
+        np.ascontiguousarray(whole[..., :3]),
+        np.ascontiguousarray(whole[..., 3]),
+        np.ascontiguousarray(whole[..., 4]),
+    )

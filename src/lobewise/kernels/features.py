@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
+from lobewise.kernels import expressions
 
 LOG2_E = math.log2(math.e)
 
@@ -144,6 +145,39 @@ class ScreenFeature(Feature):
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
         return np.exp(-get_screen_distance_squared(i, j) / (2.0 * self.sigma**2))
+
+
+class TentFeature(Feature):
+    """Tent over the distance on the screen, ``(1 - |x| / width) (1 - |y| / width)``: bilinear interpolation.
+
+    Parameters
+    ----------
+    width : float
+        Pixels from sample to sample, > 0; the tent is 0 from there on.
+    """
+
+    name = "tent"
+
+    def __init__(self, width: float) -> None:
+        self.width = require_positive("tent width", width)
+
+    def get_arrays(self) -> tuple[FloatArray, ...]:
+        return ()
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (1.0 / self.width,)
+
+    def log2_similarity(
+        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+    ) -> hl.Expr:
+        sides = [hl.max(hl.f32(1.0) - hl.abs(step) * parameters[0], hl.f32(0.0)) for step in offset]
+        return expressions.log2(hl.max(sides[0] * sides[1], hl.f32(1e-38)))
+
+    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
+        sides = [
+            np.maximum(1.0 - np.abs(p.astype(np.float64) - q) / self.width, 0.0) for p, q in zip(i, j, strict=True)
+        ]
+        return np.asarray(sides[0] * sides[1])
 
 
 class PositionFeature(Feature):

@@ -37,13 +37,17 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     for stage in funcs.stages:
         stage.compute_at(sums, funcs.taps.y).vectorize(x, lanes)
 
-    for func, channels in ((funcs.image, SUM_CHANNELS), (funcs.planes, funcs.plane_count)):
+    sides = ((funcs.guides, funcs.planes), (funcs.centre_guides, funcs.centre_planes))
+    counts = ((funcs.image, SUM_CHANNELS), *((planes, funcs.plane_count) for _, planes in sides))
+    for func, channels in counts:
         if func is None:
             continue
         func.bound(c, 0, channels)
         func.compute_at(out, ys).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
         func.vectorize(x, lanes).unroll(c).never_partition_all()
-    if funcs.guides is not None:
+    for guides, planes in sides:
+        if guides is None:
+            continue
         # Channels of a pixel lie together in memory; a row of them is taken apart once, and not once per plane.
-        funcs.guides.compute_at(funcs.planes, y).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
-        funcs.guides.bound(c, 0, funcs.guide_count).vectorize(x, lanes).unroll(c).never_partition_all()
+        guides.compute_at(planes, y).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
+        guides.bound(c, 0, funcs.guide_count).vectorize(x, lanes).unroll(c).never_partition_all()

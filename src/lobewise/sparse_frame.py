@@ -1,0 +1,147 @@
+"""SparseFrame: radiance at one pixel of every block, guides at all of them: what upsampling takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.lobe_table import LobeTable
+
+MOST_SCALE = 16
+
+
+@dataclass(frozen=True)
+class SparseFrame:
+    """A frame that was shaded at every ``scale``-th pixel only.
+
+    Parameters
+    ----------
+    radiance : Radiance
+        Of shape (rows, columns): sample (Y, X) was shaded at pixel (Y scale + place[0], X scale + place[1]) of the
+        full image, so ``rows = ceil((height - place[0]) / scale)``, and so for columns.
+    gbuffer : GBuffer
+        The first surface of every pixel of the full image, (height, width).
+    scale : int
+        Pixels from sample to sample, 1 to 16.
+    place : (int, int)
+        Row and column of the shaded pixel within each block, 0 to ``scale - 1``.
+    camera : Camera, optional
+        Of the full image; needed by every similarity that looks at reflection lobes.
+    variance : Radiance, optional
+        Variance of the mean of ``radiance``.
+    spp : int, optional
+        Samples of a shaded pixel, >= 1.
+    lobe_tables : tuple of LobeTable
+        Fitted lobes of the materials that ``gbuffer.material`` names.
+
+    Raises
+    ------
+    InputError
+        If scale or place is out of range, or the radiance has not as many samples as the grid.
+    """
+
+    radiance: Radiance
+    gbuffer: GBuffer
+    scale: int
+    place: tuple[int, int] = (0, 0)
+    camera: Camera | None = None
+    variance: Radiance | None = None
+    spp: int | None = None
+    lobe_tables: tuple[LobeTable, ...] = ()
+
+    def __post_init__(self) -> None:
+        size = self.gbuffer.shape
+        if size is None:
+            raise InputError(
+                describe_problem(
+                    "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
+                )
+            )
+        if isinstance(self.scale, bool) or not isinstance(self.scale, int) or not 1 <= self.scale <= MOST_SCALE:
+            raise InputError(
+                describe_problem(
+                    "scale",
+                    expected=f"an integer from 1 to {MOST_SCALE}",
+                    got=repr(self.scale),
+                    action="2 or 4 is usual",
+                )
+            )
+        row, column = self.place
+        if not (0 <= row < min(self.scale, size[0]) and 0 <= column < min(self.scale, size[1])):
+            raise InputError(
+                describe_problem(
+                    "place",
+                    expected=f"row and column from 0 to {self.scale - 1}",
+                    got=repr(self.place),
+                    action="say which pixel of each block was shaded",
+                )
+            )
+        # The frame of the samples alone checks what any frame must hold.
+        samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
+        grid = -(-(size[0] - row) // self.scale), -(-(size[1] - column) // self.scale)
+        if samples.shape != grid:
+            raise InputError(
+                describe_problem(
+                    "radiance",
+                    expected=f"{grid[1]}x{grid[0]} samples, one for each block of {self.scale}x{self.scale} pixels",
+                    got=f"{samples.width}x{samples.height}",
+                    action="check scale and place",
+                )
+            )
+        object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the full image."""
+        assert self.gbuffer.shape is not None
+        return self.gbuffer.shape
+
+    @property
+    def height(self) -> int:
+        """Rows of the full image."""
+        return self.shape[0]
+
+    @property
+    def width(self) -> int:
+        """Columns of the full image."""
+        return self.shape[1]
+
+    @property
+    def shaded(self) -> tuple[slice, slice]:
+        """The shaded pixels, as an index into images of the full size."""
+        return slice(self.place[0], None, self.scale), slice(self.place[1], None, self.scale)
+
+
+AnyFrame = Frame | SparseFrame
+"""What has guides and a camera, whatever pixels were shaded."""
+
+
+def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> SparseFrame:
+    """Return what is left of a whole frame when one pixel of every block keeps its radiance.
+
+    Its radiance counts as shaded; guides stay whole. Raises as `SparseFrame`.
+    """
+
+    def pick(part: Radiance | None) -> Radiance | None:
+        if part is None:
+            return None
+        shaded = slice(place[0], None, scale), slice(place[1], None, scale)
+        images: dict[str, FloatArray | None] = {
+            name: None if image is None else image[shaded]
+            for name, image in ((name, getattr(part, name)) for name in Radiance.__dataclass_fields__)
+        }
+        return Radiance(**images)  # type: ignore[arg-type]  # colour is always there
+
+    radiance = pick(frame.radiance)
+    assert radiance is not None
+    return SparseFrame(
+        radiance,
+        frame.gbuffer,
+        scale,
+        place,
+        camera=frame.camera,
+        variance=pick(frame.variance),
+        spp=frame.spp,
+        lobe_tables=frame.lobe_tables,
+    )

@@ -1,0 +1,144 @@
+"""The recipe that brings sparsely shaded radiance to every pixel."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.layers import Layer, make_layers, make_position_features
+from lobewise.denoising.recipe import find_bad_pixels, find_good, refill
+from lobewise.denoising.settings import DenoiseSettings, resolve_settings
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import Frame, Result
+from lobewise.kernels.engine import FilterOutput, run_upsampling
+from lobewise.kernels.features import Feature, TentFeature
+from lobewise.sparse_frame import SparseFrame
+
+DEFAULT_RADIUS = 3
+"""Samples from the centre to the edge of the kernel."""
+
+
+def upsample(
+    frame: SparseFrame,
+    settings: DenoiseSettings | None = None,
+    *,
+    bilinear: bool = False,
+    features: Sequence[Feature] = (),
+    **changes: Any,
+) -> Result:
+    """Bring sparsely shaded radiance to every pixel, by averaging the samples whose pixels reflect like it.
+
+    The weight of a sample is the similarity between the pixel and the pixel *that was shaded*: both have guides, so an
+    edge between two materials stays where the guides have it. Diffuse and specular radiance are treated apart where
+    the frame has both. Source: Tokuyoshi 2015, slide "Spatio-Temporal Upsampling", its spatial part.
+
+    Parameters
+    ----------
+    frame : SparseFrame
+        Radiance at every ``scale``-th pixel, guides at all.
+    settings : DenoiseSettings, optional
+        As `lobewise.denoise`, with two differences: ``radius`` counts samples, 3 by default, and ``form`` is "full".
+    bilinear : bool
+        Interpolate on the screen alone instead; the baseline that looks at nothing.
+    features : sequence of Feature
+        More distributions that pixel and sample must share.
+    **changes
+        Single parameters, by name, that replace those of ``settings``.
+
+    Returns
+    -------
+    Result
+        Of the full size. Where no sample has any weight, the weight sum is 0 and the pixel is filled from the screen.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range or unknown, or no sample is usable.
+    MissingChannelError
+        If the frame lacks what the similarity compares.
+    DeviceError
+        If the device cannot run here.
+    """
+    start = time.perf_counter()
+    for name in changes:
+        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
+    asked = replace(settings or DenoiseSettings(radius=DEFAULT_RADIUS), **changes)
+    if asked.form != "full":
+        raise InputError(
+            describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
+        )
+    chosen = resolve_settings(frame, asked)
+    bad = find_bad_pixels(Frame(frame.radiance))
+    if bad.all():
+        raise InputError(
+            describe_problem(
+                "radiance",
+                expected="at least one sample that is finite and not negative",
+                got=f"{bad.size} bad samples of {bad.size}",
+                action="check the render or the channel mapping",
+            )
+        )
+    if bilinear:
+        everywhere = np.ones(frame.shape, dtype=bool)
+        tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)
+        layers, reach = [Layer(frame.radiance.color, None, everywhere, tent)], 1
+    else:
+        layers, reach = [*make_layers(frame, chosen, features), *_make_rest(frame, chosen, features)], chosen.radius
+    outputs = [_run(frame, layer, reach, chosen) for layer in layers]
+    image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
+    apart = not bilinear and frame.radiance.diffuse is not None and frame.radiance.specular is not None
+    decisive = outputs[1 if apart else 0]
+    supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
+    holes = ~supported | ~find_good(image)
+    if holes.any():
+        image = refill(image, holes, chosen)
+    return Result(
+        image=image,
+        diffuse=outputs[0].image if apart else None,
+        specular=outputs[1].image if apart else None,
+        weight_sum=decisive.weight_sum,
+        effective_samples=decisive.effective_samples,
+        bad_pixels=_spread(frame, bad),
+        settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _run(frame: SparseFrame, layer: Layer, radius: int, settings: DenoiseSettings) -> FilterOutput:
+    return run_upsampling(
+        layer.radiance,
+        layer.mask,
+        layer.features,
+        scale=frame.scale,
+        place=frame.place,
+        radius=radius,
+        albedo=layer.albedo,
+        device=settings.device,
+    )
+
+
+def _make_rest(frame: SparseFrame, settings: DenoiseSettings, features: Sequence[Feature]) -> list[Layer]:
+    """Return what no lobe scattered, emission and background, as a layer that is compared by place alone."""
+    radiance = frame.radiance
+    if radiance.diffuse is None or radiance.specular is None:
+        return []
+    with np.errstate(invalid="ignore", over="ignore"):
+        rest = radiance.color - radiance.diffuse - radiance.specular
+    # Rounding leaves a little of a scattered sample behind.
+    rest = np.where(rest > 1e-4 * radiance.color, rest, np.float32(0.0))
+    if not (rest > 0.0).any():
+        return []
+    everywhere = np.ones(frame.shape, dtype=bool)
+    return [Layer(rest, None, everywhere, (*make_position_features(frame, settings), *features))]
+
+
+def _spread(frame: SparseFrame, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the bad samples as a mask of the full size."""
+    whole = np.zeros(frame.shape, dtype=bool)
+    whole[frame.shaded] = bad
+    return whole

@@ -1,0 +1,111 @@
+"""The upsampling kernel against a float64 loop over pairs of pixels, and its laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray
+from lobewise.kernels.engine import run_filter, run_upsampling
+from lobewise.kernels.features import Feature, TentFeature
+from tests.kernels.frames import make_feature, make_mask, make_radiance
+
+RADIUS = 2
+SHAPES = [(1, 1), (3, 17), (21, 26)]
+CASES = [(2, (1, 0)), (3, (0, 2)), (4, (3, 1)), (8, (5, 6))]
+# As in test_cross_filter: the logarithm of the kernels, times beta, and the GGX kernel's own rounding.
+TOLERANCE = 2e-3
+
+
+def upsample_slowly(
+    low: FloatArray,
+    mask: np.ndarray,
+    features: list[Feature],
+    scale: int,
+    place: tuple[int, int],
+    albedo: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return image and weight sum, sample by sample, from the definition."""
+    height, width = mask.shape
+    total, weights = np.zeros((height, width, 3)), np.zeros((height, width))
+    for y, x in np.ndindex(height, width):
+        for row in range(max(0, y // scale - RADIUS), min(low.shape[0], y // scale + RADIUS + 1)):
+            for column in range(max(0, x // scale - RADIUS), min(low.shape[1], x // scale + RADIUS + 1)):
+                j = row * scale + place[0], column * scale + place[1]
+                if not (mask[y, x] and mask[j]):
+                    continue
+                pair = (np.array([y]), np.array([x])), (np.array([j[0]]), np.array([j[1]]))
+                weight = float(np.prod([feature.get_similarity(*pair)[0] for feature in features]))
+                total[y, x] += weight * low[row, column] / albedo[j]
+                weights[y, x] += weight
+    image = np.where(weights[..., None] > 0.0, total / np.maximum(weights, 1e-30)[..., None], 0.0) * albedo
+    return image, weights
+
+
+def fit_place(place: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+    """Return a place that the first block of an image of ``shape`` has."""
+    return min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize(("scale", "place"), CASES)
+def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng([scale, *shape])
+    place = fit_place(place, shape)
+    features = [make_feature(kind, shape) for kind in ("screen", "position", "ggx")]
+    mask = rng.random(shape) > 0.1
+    albedo = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
+    low = make_radiance(shape)[place[0] :: scale, place[1] :: scale]
+    out = run_upsampling(low, mask, features, scale=scale, place=place, radius=RADIUS, albedo=albedo)
+    image, weights = upsample_slowly(low, mask, features, scale, place, albedo)
+    np.testing.assert_allclose(out.weight_sum, weights, rtol=TOLERANCE, atol=1e-6)
+    np.testing.assert_allclose(out.image, image, rtol=2.0 * TOLERANCE, atol=1e-6)
+
+
+def test_upsampling_by_one_is_filtering() -> None:
+    shape = (33, 29)
+    features = [make_feature(kind, shape) for kind in ("screen", "position", "ggx")]
+    radiance, mask = make_radiance(shape), make_mask(shape)
+    same = run_upsampling(radiance, mask, features, scale=1, radius=3, albedo=None)
+    plain = run_filter(radiance, mask, features, form="full", radius=3)
+    for name in ("image", "weight_sum", "effective_samples"):
+        np.testing.assert_allclose(getattr(same, name), getattr(plain, name), rtol=1e-5)
+
+
+@pytest.mark.parametrize("scale", [2, 4])
+def test_constant_in_constant_out(scale: int) -> None:
+    shape = (30, 41)
+    low = np.full((*make_mask(shape)[1::scale, 1::scale].shape, 3), 0.37, np.float32)
+    features = [make_feature("screen", shape), make_feature("ggx", shape)]
+    out = run_upsampling(low, make_mask(shape), features, scale=scale, place=(1, 1), radius=RADIUS)
+    np.testing.assert_allclose(out.image[out.weight_sum > 0.0], 0.37, rtol=3e-6)
+    assert (out.weight_sum > 0.0).all()
+
+
+@pytest.mark.parametrize("scale", [2, 4, 5])
+def test_tent_is_bilinear_interpolation(scale: int) -> None:
+    # a plane over the image is its own interpolation between the samples
+    shape = (6 * scale, 7 * scale)
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
+    plane = np.stack([1.0 + 0.1 * x, 2.0 + 0.05 * y, 1.0 + 0.02 * x + 0.03 * y], axis=-1).astype(np.float32)
+    out = run_upsampling(
+        plane[::scale, ::scale], make_mask(shape), [TentFeature(float(scale))], scale=scale, place=(0, 0), radius=1
+    )
+    inner = slice(0, -scale + 1), slice(0, -scale + 1)
+    np.testing.assert_allclose(out.image[inner], plane[inner], rtol=1e-4)
+    np.testing.assert_allclose(out.weight_sum[inner], 1.0, rtol=1e-4)
+
+
+def test_bad_samples_weigh_nothing() -> None:
+    shape = (16, 20)
+    low = make_radiance(shape)[::2, ::2].copy()
+    low[3, 4, 1], low[5, 5] = np.nan, -1.0
+    out = run_upsampling(low, make_mask(shape), [make_feature("screen", shape)], scale=2, radius=RADIUS)
+    assert np.isfinite(out.image).all()
+    assert (out.image >= 0.0).all()
+
+
+def test_number_of_samples_is_checked() -> None:
+    with pytest.raises(InputError, match=r"shaded radiance: expected shape \(8, 10, 3\).*got shape \(8, 9, 3\)"):
+        run_upsampling(np.ones((8, 9, 3), np.float32), make_mask((16, 20)), [], scale=2, radius=1)

@@ -1,0 +1,106 @@
+"""The upsampling recipe: edges stay where the guides have them, everything else as in denoising."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.frame import GBuffer, Radiance
+from lobewise.metrics import rel_mse
+from lobewise.sparse_frame import SparseFrame, make_sparse
+from lobewise.upsampling import upsample
+from tests.test_denoising import SHAPE, make_frame
+
+
+def make_clean_frame() -> Any:
+    """Return the glossy and the rough half of `make_frame` without noise, and what they look like."""
+    frame = make_frame()
+    left = np.arange(SHAPE[1]) < SHAPE[1] // 2
+    truth = np.broadcast_to(np.where(left, 1.0, 0.25)[None, :, None], (*SHAPE, 3)).astype(np.float32)
+    dark = np.zeros_like(truth)
+    return frame.with_changes(radiance=Radiance(color=truth, diffuse=dark, specular=truth)), truth
+
+
+@pytest.mark.parametrize("similarity", ["sg", "sg_mixture", "asg", "ggx"])
+@pytest.mark.parametrize(("scale", "place"), [(2, (0, 1)), (4, (2, 1))])
+def test_edge_of_gloss_stays_where_the_guides_have_it(similarity: str, scale: int, place: tuple[int, int]) -> None:
+    frame, truth = make_clean_frame()
+    sparse = make_sparse(frame, scale, place)
+    lobes = rel_mse(upsample(sparse, similarity=similarity, beta=16.0).image, truth)
+    normals = rel_mse(upsample(sparse, similarity="normal").image, truth)
+    screen = rel_mse(upsample(sparse, bilinear=True).image, truth)
+    assert lobes < 0.05 * normals
+    assert lobes < 0.05 * screen
+
+
+def test_every_pixel_shaded_is_filtering() -> None:
+    from lobewise.denoising import denoise
+
+    frame = make_frame()
+    same = upsample(make_sparse(frame, 1), radius=4)
+    np.testing.assert_allclose(same.image, denoise(frame, radius=4).image, rtol=1e-3, atol=1e-5)
+
+
+def test_emission_and_background_come_along() -> None:
+    frame, truth = make_clean_frame()
+    depth, normal = frame.gbuffer.depth.copy(), frame.gbuffer.normal.copy()
+    depth[:12], normal[:12] = 0.0, 0.0
+    position = frame.gbuffer.position.copy()
+    position[:12] = 0.0
+    names = GBuffer.__dataclass_fields__
+    guides = {name: getattr(frame.gbuffer, name) for name in names}
+    guides.update(depth=depth, normal=normal, position=position)
+    color, specular = truth.copy(), truth.copy()
+    color[:12], specular[:12] = 0.125, 0.0
+    radiance = Radiance(color=color, diffuse=np.zeros_like(color), specular=specular)
+    sky = frame.with_changes(gbuffer=GBuffer(**guides), radiance=radiance)
+    image = upsample(make_sparse(sky, 4, (1, 2)), beta=16.0).image
+    np.testing.assert_allclose(image[:12], 0.125, rtol=1e-3)
+    assert rel_mse(image[12:], truth[12:]) < 1e-3
+
+
+def test_result_describes_itself() -> None:
+    sparse = make_sparse(make_frame(), 4, (3, 0))
+    result = upsample(sparse)
+    assert result.image.shape == (*SHAPE, 3)
+    assert result.weight_sum.shape == SHAPE
+    assert (result.settings["scale"], result.settings["place"]) == (4, (3, 0))
+    assert result.settings["radius"] == 3
+    assert np.isfinite(result.image).all()
+
+
+def test_bad_samples_are_counted_at_their_pixels() -> None:
+    sparse = make_sparse(make_frame(), 2, (1, 0))
+    color = sparse.radiance.color.copy()
+    color[4, 7] = np.nan
+    radiance = Radiance(color=color, diffuse=sparse.radiance.diffuse, specular=sparse.radiance.specular)
+    broken = SparseFrame(radiance, sparse.gbuffer, 2, (1, 0), camera=sparse.camera, spp=4)
+    result = upsample(broken)
+    assert result.bad_pixel_count == 1
+    assert result.bad_pixels[9, 14]
+    assert np.isfinite(result.image).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scale": 0}, "scale: expected an integer from 1 to 16, got 0"),
+        ({"scale": 2.0}, "scale"),
+        ({"place": (0, 4)}, r"place: expected row and column from 0 to 3"),
+        ({"scale": 3, "place": (0, 0)}, r"radiance: expected 17x14 samples"),
+        ({"gbuffer": GBuffer()}, "gbuffer: expected the guides"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change: dict[str, Any], words: str) -> None:
+    sparse = make_sparse(make_frame(), 4, (1, 1))
+    values = {"radiance": sparse.radiance, "gbuffer": sparse.gbuffer, "scale": 4, "place": (1, 1), **change}
+    with pytest.raises(InputError, match=words):
+        SparseFrame(**values)
+
+
+def test_other_forms_are_refused() -> None:
+    with pytest.raises(InputError, match="form: expected 'full'"):
+        upsample(make_sparse(make_frame(), 2), form="atrous")
