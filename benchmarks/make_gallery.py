@@ -1,6 +1,6 @@
 """Write the pictures of docs/gallery.md, each a row of panels, and the errors that stand under them.
 
-python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed plastic measured
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed plastic measured upsampling
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from lobewise.io.materials import read_merl
 from lobewise.io.png import encode_png
 from lobewise.metrics import rel_mse
 from lobewise.render import render_frame, render_reference
+from lobewise.sparse_frame import make_sparse
+from lobewise.upsampling import upsample
 from quality import fetch, fetch_reference, find_anisotropic
 
 ROOT = Path(__file__).parents[1]
@@ -31,6 +33,7 @@ GAP = 6
 SPP = 4
 MEASURED_SIZE = 384
 MEASURED_SPP = 16
+UPSAMPLING_SPP = 16
 MEASURED_REFERENCE_SPP = 2048
 
 
@@ -101,11 +104,26 @@ def make_measured(arguments: argparse.Namespace) -> dict[str, Any]:
     return {name: {"rel_mse": rel_mse(image, reference, measured)} for name, image in images.items()}
 
 
+def make_upsampling(arguments: argparse.Namespace) -> dict[str, Any]:
+    """One of 4x4 pixels shaded: bilinear, `normal`, default, reference."""
+    frame, reference = fetch(arguments.cache, "showroom", UPSAMPLING_SPP), fetch_reference(arguments.cache, "showroom")
+    sparse = make_sparse(frame, 4, (1, 2))
+    images = {
+        "bilinear": upsample(sparse, bilinear=True).image,
+        "normal": upsample(sparse, similarity="normal").image,
+        "ggx": upsample(sparse).image,
+    }
+    write_row("upsampling", [*images.values(), reference], (slice(140, 440), slice(190, 490)))
+    return {name: {"rel_mse": rel_mse(image, reference)} for name, image in images.items()}
+
+
 MAKERS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
     "brushed": make_brushed,
     "plastic": make_plastic,
     "measured": make_measured,
+    "upsampling": make_upsampling,
 }
+SAMPLES = {"measured": MEASURED_SPP, "upsampling": UPSAMPLING_SPP}
 
 
 def main() -> None:
@@ -121,7 +139,7 @@ def main() -> None:
         errors = MAKERS[name](arguments)
         print(name, {key: round(value["rel_mse"], 5) for key, value in errors.items()})
         result[name] = {
-            "spp": MEASURED_SPP if name == "measured" else SPP,
+            "spp": SAMPLES.get(name, SPP),
             "errors": errors,
             "commit": describe_machine()["commit"],
         }

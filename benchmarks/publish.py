@@ -236,7 +236,7 @@ def make_gallery_page(gallery: dict[str, Any]) -> str:
     return f"""# Gallery
 
 Written by `benchmarks/publish.py`; the pictures and their errors by `benchmarks/make_gallery.py`, with default settings on frames of
-{gallery["brushed"]["spp"]} samples per pixel ({gallery["measured"]["spp"]} for the measured materials). Under each stands the command that makes it; the frames are rendered on first use into the folder after
+{gallery["brushed"]["spp"]} samples per pixel ({gallery["measured"]["spp"]} for the measured materials and the upsampling). Under each stands the command that makes it; the frames are rendered on first use into the folder after
 `--cache`.
 
 ## Brushed metal: a lobe has a direction
@@ -280,6 +280,18 @@ lies in the paint below, and in a measured material the two cannot be told apart
 
 ```bash
 python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality measured
+```
+
+## Upsampling: one of sixteen pixels shaded
+
+![Upsampled by 4x4: bilinear, normal, ggx, reference](images/upsampling.png)
+
+From left to right: bilinear, `normal`, the default (`ggx`), reference. Shaded was one pixel of every 4x4, the guides are there for all. Depth and
+normal say nothing of the floor's inlays or of the patches on the sphere; the lobes put them where they are. Sharp reflections have no more
+detail than there are samples, which shows as steps. Error: {tell("upsampling", "bilinear", "normal", "ggx")}.
+
+```bash
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality upsampling
 ```
 """
 

@@ -193,6 +193,33 @@ class TestDenoise:
         assert np.isfinite(read_image(tmp_path / "out.exr")).all()
 
 
+class TestUpsample:
+    def test_it_does_what_the_function_does(self, frame_file, tmp_path, capsys):
+        from lobewise import make_sparse, upsample
+
+        out = tmp_path / "out.exr"
+        line = ["upsample", str(frame_file), "-o", str(out), "--scale", "2", "--place", "1,0", "--radius", "2"]
+        assert run(line) == 0
+        expected = upsample(make_sparse(read_frame(frame_file), 2, (1, 0)), radius=2)
+        np.testing.assert_allclose(read_image(out), expected.image, rtol=2e-3)
+        assert read_frame(out).gbuffer.normal is not None
+        assert capsys.readouterr().out.startswith(f"Wrote {out}: 16x12 pixels, similarity ")
+
+    @pytest.mark.parametrize(
+        ("words", "told"),
+        [
+            ([], "expected the attribute lobewise/sparse"),
+            (["--scale", "99"], "scale: expected an integer from 1 to 16"),
+            (["--scale", "2", "--place", "1"], "--place: expected ROW,COLUMN"),
+            (["--scale", "2", "--place", "0,2"], "place: expected row and column from 0 to 1"),
+        ],
+    )
+    def test_mistakes(self, words, told, frame_file, tmp_path, capsys):
+        assert run(["upsample", str(frame_file), "-o", str(tmp_path / "out.exr"), *words]) == 2
+        assert told in capsys.readouterr().err
+        assert not (tmp_path / "out.exr").exists()
+
+
 class TestMistakes:
     """Each one sentence, exit code 2, and nothing written."""
 

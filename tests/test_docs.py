@@ -8,6 +8,7 @@ import re
 import shutil
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +39,14 @@ def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     before, after = lobewise.read_frame("frame.exr"), lobewise.read_frame("clean.exr")
     assert after.shape == before.shape
     assert not np.array_equal(after.radiance.color, before.radiance.color)
+
+
+def test_upsampling_page_runs() -> None:
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "upsampling.md").read_text(), flags=re.S):
+        exec(compile(block, "upsampling.md", "exec"), names)
+    assert names["image"].shape == (64, 80, 3)
+    np.testing.assert_allclose(names["image"], 0.5, rtol=1e-5)
 
 
 def test_readme_commands_exist() -> None:

@@ -68,7 +68,7 @@ def test_result_describes_itself() -> None:
     assert result.image.shape == (*SHAPE, 3)
     assert result.weight_sum.shape == SHAPE
     assert (result.settings["scale"], result.settings["place"]) == (4, (3, 0))
-    assert result.settings["radius"] == 3
+    assert result.settings["radius"] == 5
     assert np.isfinite(result.image).all()
 
 

@@ -11,7 +11,10 @@ from lobewise.lobe_table import LobeTable
 if TYPE_CHECKING:
     from lobewise.denoising import DenoiseSettings, denoise
     from lobewise.io.exr import read_frame, write_frame, write_result
+    from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.kernels.features import Feature
+    from lobewise.sparse_frame import SparseFrame, make_sparse
+    from lobewise.upsampling import upsample
 
 __version__ = "0.1.0"
 
@@ -26,21 +29,31 @@ __all__ = [
     "LobewiseError",
     "Radiance",
     "Result",
+    "SparseFrame",
     "__version__",
     "denoise",
+    "make_sparse",
     "read_frame",
+    "read_sparse_frame",
+    "upsample",
     "write_frame",
     "write_result",
+    "write_sparse_frame",
 ]
 
 # Halide and OpenEXR load on first use, so that importing the package stays cheap.
 _LAZY = {
     "DenoiseSettings": "lobewise.denoising",
     "Feature": "lobewise.kernels.features",
+    "SparseFrame": "lobewise.sparse_frame",
     "denoise": "lobewise.denoising",
+    "make_sparse": "lobewise.sparse_frame",
     "read_frame": "lobewise.io.exr",
+    "read_sparse_frame": "lobewise.io.sparse",
+    "upsample": "lobewise.upsampling",
     "write_frame": "lobewise.io.exr",
     "write_result": "lobewise.io.exr",
+    "write_sparse_frame": "lobewise.io.sparse",
 }
 
 

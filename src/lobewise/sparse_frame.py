@@ -11,6 +11,28 @@ from lobewise.lobe_table import LobeTable
 MOST_SCALE = 16
 
 
+def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
+    """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
+    if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MOST_SCALE:
+        raise InputError(
+            describe_problem(
+                "scale",
+                expected=f"an integer from 1 to {MOST_SCALE}",
+                got=repr(scale),
+                action="2 or 4 is usual",
+            )
+        )
+    if not (0 <= place[0] < min(scale, size[0]) and 0 <= place[1] < min(scale, size[1])):
+        raise InputError(
+            describe_problem(
+                "place",
+                expected=f"row and column from 0 to {scale - 1}",
+                got=repr(place),
+                action="say which pixel of each block was shaded",
+            )
+        )
+
+
 @dataclass(frozen=True)
 class SparseFrame:
     """A frame that was shaded at every ``scale``-th pixel only.
@@ -58,25 +80,8 @@ class SparseFrame:
                     "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
                 )
             )
-        if isinstance(self.scale, bool) or not isinstance(self.scale, int) or not 1 <= self.scale <= MOST_SCALE:
-            raise InputError(
-                describe_problem(
-                    "scale",
-                    expected=f"an integer from 1 to {MOST_SCALE}",
-                    got=repr(self.scale),
-                    action="2 or 4 is usual",
-                )
-            )
+        _check_blocks(size, self.scale, self.place)
         row, column = self.place
-        if not (0 <= row < min(self.scale, size[0]) and 0 <= column < min(self.scale, size[1])):
-            raise InputError(
-                describe_problem(
-                    "place",
-                    expected=f"row and column from 0 to {self.scale - 1}",
-                    got=repr(self.place),
-                    action="say which pixel of each block was shaded",
-                )
-            )
         # The frame of the samples alone checks what any frame must hold.
         samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
         grid = -(-(size[0] - row) // self.scale), -(-(size[1] - column) // self.scale)
@@ -122,6 +127,8 @@ def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> Sp
 
     Its radiance counts as shaded; guides stay whole. Raises as `SparseFrame`.
     """
+
+    _check_blocks(frame.shape, scale, place)
 
     def pick(part: Radiance | None) -> Radiance | None:
         if part is None:

@@ -19,7 +19,7 @@ from lobewise.kernels.engine import FilterOutput, run_upsampling
 from lobewise.kernels.features import Feature, TentFeature
 from lobewise.sparse_frame import SparseFrame
 
-DEFAULT_RADIUS = 3
+DEFAULT_RADIUS = 5
 """Samples from the centre to the edge of the kernel."""
 
 
@@ -42,7 +42,7 @@ def upsample(
     frame : SparseFrame
         Radiance at every ``scale``-th pixel, guides at all.
     settings : DenoiseSettings, optional
-        As `lobewise.denoise`, with two differences: ``radius`` counts samples, 3 by default, and ``form`` is "full".
+        As `lobewise.denoise`, with two differences: ``radius`` counts samples, 5 by default, and ``form`` is "full".
     bilinear : bool
         Interpolate on the screen alone instead; the baseline that looks at nothing.
     features : sequence of Feature
@@ -72,7 +72,7 @@ def upsample(
         raise InputError(
             describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
         )
-    chosen = resolve_settings(frame, asked)
+    chosen = resolve_settings(frame, asked, frame.scale)
     bad = find_bad_pixels(Frame(frame.radiance))
     if bad.all():
         raise InputError(

@@ -88,9 +88,22 @@ def render(
     max_depth: Annotated[int, typer.Option(metavar="N", help="Longest path, in vertices after the camera.")] = 8,
     aov_only: Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False,
     reference: Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")] = False,
+    scale: Annotated[
+        int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")
+    ] = 1,
+    place: Annotated[str, typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.")] = "0,0",
     exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
 ) -> None:
     """Render a scene with Mitsuba, with all that denoising needs, in one EXR file."""
+    if scale != 1 and (aov_only or reference):
+        raise InputError(
+            describe_problem(
+                "--scale",
+                expected="no --aov-only and no --reference beside it",
+                got="both",
+                action="leave one of them out",
+            )
+        )
     if aov_only and reference:
         raise InputError(
             describe_problem(
@@ -98,10 +111,11 @@ def render(
             )
         )
     from lobewise.cli.output import print_line
-    from lobewise.io import write_frame
+    from lobewise.io import write_frame, write_sparse_frame
     from lobewise.io.files import require_writable
-    from lobewise.render import load_scene, render_frame, render_reference
+    from lobewise.render import load_scene, render_frame, render_reference, render_sparse_frame
 
+    shaded = _parse_place(place)
     require_writable(output)
     loaded = load_scene(scene, width=width, height=height)
     with show_progress() as advance:
@@ -110,6 +124,12 @@ def render(
             advance(f"Rendering {scene}", done, total)
 
         common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "progress": progress}
+        if scale != 1:
+            sparse = render_sparse_frame(loaded, scale=scale, place=shaded, **common)
+            write_sparse_frame(output, sparse, half=not exact)
+            share = f"one of {scale}x{scale} pixels shaded"
+            print_line(f"Wrote {output}: {sparse.width}x{sparse.height} pixels, {share}, {spp} spp.")
+            return
         frame = render_reference(loaded, **common) if reference else render_frame(loaded, aov_only=aov_only, **common)
     write_frame(output, frame, half=not exact, attributes={"lobewise/scene": scene})
     print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {spp} spp.")
@@ -174,6 +194,47 @@ def denoise(
     except LobewiseError as problem:
         raise type(problem)(f"{source}: {problem}") from problem
     write_result(output, result, source=source)
+    print_line(f"Wrote {output}: {describe_result(result)}.")
+
+
+@app.command()
+def upsample(
+    source: Input,
+    output: Output,
+    scale: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Pixels from shaded pixel to shaded pixel.", show_default="the file's"),
+    ] = None,
+    place: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COLUMN", help="The shaded pixel of each block.", show_default="the file's, or 0,0"),
+    ] = None,
+    similarity: Annotated[
+        str, typer.Option(metavar="auto|normal|sg|sg_mixture|asg|ggx", help="What pixel and sample must share.")
+    ] = "auto",
+    bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
+    radius: Annotated[int, typer.Option(metavar="N", help="Samples from the centre to the edge of the kernel.")] = 5,
+    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+) -> None:
+    """Bring sparsely shaded radiance to every pixel; the guides are kept."""
+    from lobewise.cli.output import describe_result, print_line
+    from lobewise.frame import Frame, Radiance
+    from lobewise.io import read_sparse_frame, write_frame
+    from lobewise.io.files import require_writable
+    from lobewise.upsampling import upsample as run_upsample
+
+    require_writable(output)
+    frame = read_sparse_frame(source, scale=scale, place=None if place is None else _parse_place(place))
+    try:
+        result = run_upsample(
+            frame, bilinear=bilinear, similarity=similarity, radius=radius, beta=_parse_beta(beta), device=device
+        )
+    except LobewiseError as problem:
+        raise type(problem)(f"{source}: {problem}") from problem
+    radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
+    whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
+    write_frame(output, whole)
     print_line(f"Wrote {output}: {describe_result(result)}.")
 
 
@@ -279,6 +340,16 @@ def show_progress() -> Iterator[Callable[[str, int, int], None]]:
             bar.update(tasks[what], completed=done, total=total)
 
         yield advance
+
+
+def _parse_place(text: str) -> tuple[int, int]:
+    """Return row and column of ``ROW,COLUMN``."""
+    words = text.split(",")
+    if len(words) == 2 and all(word.strip().isdecimal() for word in words):
+        return int(words[0]), int(words[1])
+    raise InputError(
+        describe_problem("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
+    )
 
 
 def _parse_beta(text: str) -> str | float:

@@ -169,7 +169,7 @@ def choose_tau(spp: float, pixel_tau: float) -> float:
     A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does, and
     mirrors become sharp as their noise goes. The factor was fitted on the built-in scenes.
     """
-    return max(0.03 * math.sqrt(4.0 / max(spp, 1.0)), pixel_tau)
+    return max(0.03 * math.sqrt(4.0 / max(spp, 0.25)), pixel_tau)
 
 
 def can_use_hits(frame: AnyFrame) -> bool:
@@ -179,17 +179,23 @@ def can_use_hits(frame: AnyFrame) -> bool:
     return guides.hit_distance is not None and placed and frame.camera is not None
 
 
-def resolve_settings(frame: AnyFrame, settings: DenoiseSettings) -> DenoiseSettings:
-    """Return ``settings`` with every "auto" replaced by what it stands for on this frame."""
+def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1) -> DenoiseSettings:
+    """Return ``settings`` with every "auto" replaced by what it stands for on this frame.
+
+    With one of ``scale`` times ``scale`` pixels shaded there are fewer samples for the same area, so the screen sigma
+    and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
+    samples of another material are as near as those of the own one (fitted on the built-in scenes at scale 4).
+    """
     spp = estimate_spp(frame)
-    beta = choose_beta(spp)
+    density = 1.0 / scale**2
+    beta = choose_beta(spp) * math.pow(density, -0.15)
     sigma, tau = settings.screen_sigma, settings.tau
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     return replace(
         settings,
         # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
-        tau=choose_tau(math.sqrt(spp * (frame.spp or spp)), pixel_tau) if tau == "auto" else float(tau),
-        screen_sigma=choose_screen_sigma(spp, settings.radius) if sigma == "auto" else float(sigma),
+        tau=choose_tau(density * math.sqrt(spp * (frame.spp or spp)), pixel_tau) if tau == "auto" else float(tau),
+        screen_sigma=choose_screen_sigma(density * spp, settings.radius * scale) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),
         hit_distance=USE_HITS and can_use_hits(frame) if settings.hit_distance == "auto" else settings.hit_distance,
         beta=beta if settings.beta == "auto" else float(settings.beta),

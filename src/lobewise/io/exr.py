@@ -24,6 +24,7 @@ from lobewise.io.schema import (
     SCHEMA,
     SCHEMA_VERSION,
     SLOTS,
+    SPARSE,
     SPP,
     Slot,
     build_frame,
@@ -61,7 +62,21 @@ def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None
         If the camera in the header makes no sense, or a pixel names a lobe table that is not there.
     """
     container = read_container(path)
-    beauty = _require_beauty(container)
+    if require_beauty(container).get(SPARSE) is not None:
+        raise InputError(
+            describe_problem(
+                f"input {str(path)!r}",
+                expected="radiance at every pixel",
+                got="a frame that was shaded sparsely",
+                action="upsample it (lobewise upsample)",
+            )
+        )
+    return read_whole(path, container, lobe_tables)
+
+
+def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
+    """Return every pixel of a file, shaded or not; see `read_frame`."""
+    beauty = require_beauty(container)
     images: dict[tuple[str, str], FloatArray] = {}
     for part, slots in plan_reading(container, beauty):
         pixels = decode_part(container, part)
@@ -91,7 +106,7 @@ def read_image(path: PathLike) -> FloatArray:
         If there is no R, G and B.
     """
     container = read_container(path)
-    pixels = decode_part(container, _require_beauty(container))
+    pixels = decode_part(container, require_beauty(container))
     return _join([pixels[name].astype(np.float32) for name in BEAUTY.channels])
 
 
@@ -179,7 +194,7 @@ def write_result(path: PathLike, result: Result, *, source: PathLike) -> None:
     """
     require_writable(path)
     container = read_container(source)
-    beauty = _require_beauty(container)
+    beauty = require_beauty(container)
     window = beauty.data_window
     images: dict[str, FloatArray | None] = {"color": result.image}
     if find_foreign(container.parts) is None:
@@ -321,7 +336,8 @@ def _describe_camera(camera: Camera) -> dict[str, Any]:
     return out
 
 
-def _require_beauty(container: Container) -> Part:
+def require_beauty(container: Container) -> Part:
+    """Return the part that holds the image; raise MissingChannelError where none has R, G and B."""
     part = find_beauty(container.parts)
     if part is not None:
         return part

@@ -12,6 +12,8 @@ from lobewise.lobe_table import LobeTable
 SCHEMA_VERSION = 1
 SCHEMA = "lobewise/schema"
 SPP = "lobewise/spp"
+SPARSE = "lobewise/sparse"
+"""Text, "scale row column": radiance stands at that pixel of every block of scale times scale."""
 CAMERA = "lobewise/camera/"
 DENOISED = "lobewise/denoised"
 LOBES = "lobewise/lobes/"

@@ -11,7 +11,7 @@ from lobewise.render.variant import load_mitsuba
 if TYPE_CHECKING:
     from lobewise.render.camera import get_camera
     from lobewise.render.lookup import open_scene_material
-    from lobewise.render.renderer import render_frame, render_reference
+    from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
     from lobewise.render.scenes import list_scenes, load_scene
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "open_scene_material",
     "render_frame",
     "render_reference",
+    "render_sparse_frame",
 ]
 
 _HOMES = {
@@ -31,6 +32,7 @@ _HOMES = {
     "open_scene_material": "lobewise.render.lookup",
     "render_frame": "lobewise.render.renderer",
     "render_reference": "lobewise.render.renderer",
+    "render_sparse_frame": "lobewise.render.renderer",
 }
 
 

@@ -303,6 +303,8 @@ def add_samples(
     samples: tuple[int, int],
     seed: int,
     settings: PathSettings,
+    scale: int = 1,
+    place: tuple[int, int] = (0, 0),
 ) -> Sums:
     """Return ``sums`` with the samples ``samples[0]`` to ``samples[1] - 1`` of a run of pixels added, evaluated.
 
@@ -312,13 +314,20 @@ def add_samples(
         First pixel (row-major) and how many.
     size : (int, int)
         Width and height of the image.
+    scale : int
+        Count every ``scale``-th pixel of a row and every ``scale``-th row only. A pixel's samples are the same bits.
+    place : (int, int)
+        Row and column of the first pixel that counts.
     """
     sensor = scene.sensors()[0]
     # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
-    pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
-    column, row = pixel % width, pixel // width
+    counted = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
+    step, first_row, first_column = (dr.opaque(mi.UInt32, number) for number in (scale, *place))
+    columns = (width - first_column + step - 1) // step
+    column, row = first_column + step * (counted % columns), first_row + step * (counted // columns)
+    pixel = row * width + column
     end = dr.opaque(mi.UInt32, samples[1])
     seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
 

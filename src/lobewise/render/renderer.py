@@ -15,6 +15,7 @@ from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.gbuffer import finish_hits, make_gbuffer, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
 from lobewise.render.variant import VARIANTS
+from lobewise.sparse_frame import MOST_SCALE, SparseFrame
 
 Progress = Callable[[int, int], None]
 
@@ -69,11 +70,12 @@ def _render_tile(
     seed: int,
     settings: PathSettings,
     advance: Callable[[int], None],
+    **sparse: Any,
 ) -> Sums:
     sums = make_sums(pixels[1], settings.guides)
     for samples in _plan_chunks(spp, pixels[1]):
         sums = add_samples(
-            scene, materials, sums, pixels=pixels, size=size, samples=samples, seed=seed, settings=settings
+            scene, materials, sums, pixels=pixels, size=size, samples=samples, seed=seed, settings=settings, **sparse
         )
         dr.sync_thread()
         advance(pixels[1] * (samples[1] - samples[0]))
@@ -94,14 +96,20 @@ def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None
     return advance
 
 
-def _finish_tile(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
-    """Return every image of a tile by its path in `Frame`, pixels first."""
-    even = [to_image(value) for value in sums.halves[:3]]
-    odd = [to_image(value) for value in sums.halves[3:]]
+def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
+    """Return the guides of a tile by their path in `Frame`, pixels first."""
     images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if not name.startswith("mirror_")}
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums, guides)
     for i, name in enumerate(("diffuse_albedo", "specular_albedo")):
         images[f"gbuffer.{name}"] = np.clip(to_image(sums.totals[2 + i]) / np.float32(spp), 0.0, 1.0)
+    return images
+
+
+def _finish_radiance(sums: Sums, spp: int) -> dict[str, FloatArray]:
+    """Return radiance, halves and variance of a tile by their path in `Frame`, pixels first."""
+    even = [to_image(value) for value in sums.halves[:3]]
+    odd = [to_image(value) for value in sums.halves[3:]]
+    images: dict[str, FloatArray] = {}
 
     def add_parts(prefix: str, parts: list[FloatArray], count: int) -> None:
         scale = np.float32(1.0 / count)
@@ -190,7 +198,7 @@ def render_frame(
         for pixels in _plan_tiles(*size):
             guides = trace_guides(scene, materials, camera, pixels=pixels, size=size)
             sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
-            tiles.append(_finish_tile(sums, guides, spp))
+            tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp)})
     images = _join(tiles, *size)
     tables = list_lobe_tables(materials)
     if not tables:
@@ -205,6 +213,82 @@ def render_frame(
         variance=Radiance(**_select(images, "variance")) if has_halves else None,
         spp=spp,
         lobe_tables=tables,
+    )
+
+
+def render_sparse_frame(
+    scene: Any,
+    *,
+    spp: int,
+    scale: int,
+    place: tuple[int, int] = (0, 0),
+    guide_spp: int = 4,
+    seed: int = 0,
+    max_depth: int = 8,
+    previous_camera: Camera | None = None,
+    progress: Progress | None = None,
+) -> SparseFrame:
+    """Render the radiance of one pixel of every block, and the guides of all, for `lobewise.upsample`.
+
+    The radiance is that of `render_frame` at the shaded pixels, bit for bit.
+
+    Parameters
+    ----------
+    scene, seed, max_depth, previous_camera
+        See `render_frame`.
+    spp : int
+        Samples of a shaded pixel.
+    scale : int
+        Pixels from shaded pixel to shaded pixel, 1 to 16.
+    place : (int, int)
+        Row and column of the shaded pixel within each block.
+    guide_spp : int
+        Samples of every pixel for the guides that are averages: albedos and hits. They follow no light.
+    progress : callable, optional
+        Called with ``(done, total)`` samples that carry light.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or the sensor is not a plain perspective camera.
+    UnsupportedBsdfError
+        If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
+    MissingDependencyError
+        If a BSDF must be fitted and SciPy is not installed.
+    """
+    spp = _check_count("spp", spp, 1, 1 << 24)
+    scale = _check_count("scale", scale, 1, MOST_SCALE)
+    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
+    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    _check_scene(scene)
+    size = get_image_size(scene)
+    first = tuple(
+        _check_count(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((size[1], size[0]))
+    )
+    guides = render_frame(
+        scene, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, previous_camera=previous_camera
+    )
+    materials = read_scene_materials(scene)
+    columns, rows = -(-(size[0] - first[1]) // scale), -(-(size[1] - first[0]) // scale)
+    settings = PathSettings(max_depth=max_depth)
+    advance = _make_advance(progress, columns * rows * spp)
+    tiles = []
+    with dr.suspend_grad():
+        for pixels in _plan_tiles(columns, rows):
+            sums = _render_tile(
+                scene, materials, pixels, size, spp, seed, settings, advance, scale=scale, place=(first[0], first[1])
+            )
+            tiles.append(_finish_radiance(sums, spp))
+    images = _join(tiles, columns, rows)
+    return SparseFrame(
+        radiance=Radiance(**_select(images, "radiance")),
+        gbuffer=guides.gbuffer,
+        scale=scale,
+        place=(first[0], first[1]),
+        camera=guides.camera,
+        variance=Radiance(**_select(images, "variance")) if spp > 1 else None,
+        spp=spp,
+        lobe_tables=guides.lobe_tables,
     )
 
 

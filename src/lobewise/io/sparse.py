@@ -1,0 +1,83 @@
+"""Sparsely shaded frames as OpenEXR files: whole images whose radiance is 0 wherever nothing was shaded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.io.container import read_container
+from lobewise.io.exr import read_whole, require_beauty, write_frame
+from lobewise.io.files import PathLike
+from lobewise.io.schema import SPARSE
+from lobewise.sparse_frame import SparseFrame, make_sparse
+
+
+def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[int, int] | None = None) -> SparseFrame:
+    """Return a sparsely shaded frame, as `write_sparse_frame` and ``lobewise render --scale`` write it.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    scale, place : int and (int, int), optional
+        Which pixels were shaded, in place of what the header says; then any frame will do, and what it holds at other
+        pixels is not looked at.
+
+    Raises
+    ------
+    FileError, MissingChannelError
+        As `read_frame`.
+    InputError
+        As `read_frame`, or if nothing says which pixels were shaded.
+    """
+    container = read_container(path)
+    item = require_beauty(container).get(SPARSE)
+    words = [] if item is None or item.type != "string" else item.value.decode("ascii", "replace").split()
+    if scale is None and not (len(words) == 3 and all(word.isdecimal() for word in words)):
+        raise InputError(
+            describe_problem(
+                f"input {str(path)!r}",
+                expected=f"the attribute {SPARSE} with scale, row and column",
+                got="no such attribute" if item is None else repr(item.value[:40]),
+                action="say the scale, or render with lobewise render --scale",
+            )
+        )
+    if scale is None:
+        scale, place = int(words[0]), place or (int(words[1]), int(words[2]))
+    frame = read_whole(path, container)
+    try:
+        return make_sparse(frame, scale, place or (0, 0))
+    except LobewiseError as problem:
+        raise type(problem)(f"input {str(path)!r}: {problem}") from None
+
+
+def write_sparse_frame(path: PathLike, frame: SparseFrame, *, half: bool = True, compression: str = "zip") -> None:
+    """Write a sparsely shaded frame: an image of the full size whose radiance is 0 at pixels that were not shaded.
+
+    Parameters and errors are those of `write_frame`.
+    """
+
+    def spread(part: Radiance | None) -> Radiance | None:
+        if part is None:
+            return None
+        images: dict[str, FloatArray] = {}
+        for name in Radiance.__dataclass_fields__:
+            image = getattr(part, name)
+            if image is not None:
+                images[name] = np.zeros((*frame.shape, 3), np.float32)
+                images[name][frame.shaded] = image
+        return Radiance(**images)
+
+    radiance = spread(frame.radiance)
+    assert radiance is not None
+    whole = Frame(
+        radiance,
+        frame.gbuffer,
+        frame.camera,
+        variance=spread(frame.variance),
+        spp=frame.spp,
+        lobe_tables=frame.lobe_tables,
+    )
+    sparse = {SPARSE: " ".join(map(str, (frame.scale, *frame.place)))}
+    write_frame(path, whole, half=half, compression=compression, attributes=sparse)

@@ -1,0 +1,47 @@
+"""Sparse rendering: the shaded pixels have the bits of the whole frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.render import load_scene, render_frame, render_sparse_frame
+
+pytestmark = pytest.mark.mitsuba
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("showroom", width=37, height=29)
+
+
+@pytest.fixture(scope="module")
+def whole(scene):
+    return render_frame(scene, spp=2, seed=3)
+
+
+@pytest.mark.parametrize(("scale", "place"), [(4, (1, 2)), (3, (0, 0))])
+def test_radiance_is_that_of_the_whole_frame(scene, whole, scale, place):
+    sparse = render_sparse_frame(scene, spp=2, scale=scale, place=place, guide_spp=2, seed=3)
+    assert sparse.shape == whole.shape
+    for part in ("radiance", "variance"):
+        for name in ("color", "diffuse", "specular"):
+            expected = getattr(getattr(whole, part), name)[sparse.shaded]
+            np.testing.assert_array_equal(getattr(getattr(sparse, part), name), expected)
+    for name in ("normal", "depth", "alpha_u", "lobe_kind"):
+        np.testing.assert_array_equal(getattr(sparse.gbuffer, name), getattr(whole.gbuffer, name))
+    assert (sparse.scale, sparse.place, sparse.spp) == (scale, place, 2)
+
+
+def test_progress_counts_shaded_samples(scene):
+    seen = []
+    render_sparse_frame(scene, spp=1, scale=8, guide_spp=1, progress=lambda done, total: seen.append((done, total)))
+    assert seen[0] == (0, 5 * 4)
+    assert seen[-1] == (5 * 4, 5 * 4)
+
+
+@pytest.mark.parametrize(("change", "words"), [({"scale": 0}, "scale"), ({"place": (4, 0)}, r"place\[0\]")])
+def test_numbers_are_checked(scene, change, words):
+    with pytest.raises(InputError, match=words):
+        render_sparse_frame(scene, **{"spp": 1, "scale": 4, **change})
