@@ -20,6 +20,7 @@ ROOMS = [
     "kernels",
     "denoising",
     "upsampling",
+    "adaptive",
     "io",
     "render",
     "peers",

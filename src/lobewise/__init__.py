@@ -9,6 +9,7 @@ from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance, Result
 from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
+    from lobewise.adaptive import find_unsupported, recompute
     from lobewise.denoising import DenoiseSettings, denoise
     from lobewise.io.exr import read_frame, write_frame, write_result
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
@@ -32,9 +33,11 @@ __all__ = [
     "SparseFrame",
     "__version__",
     "denoise",
+    "find_unsupported",
     "make_sparse",
     "read_frame",
     "read_sparse_frame",
+    "recompute",
     "upsample",
     "write_frame",
     "write_result",
@@ -47,9 +50,11 @@ _LAZY = {
     "Feature": "lobewise.kernels.features",
     "SparseFrame": "lobewise.sparse_frame",
     "denoise": "lobewise.denoising",
+    "find_unsupported": "lobewise.adaptive",
     "make_sparse": "lobewise.sparse_frame",
     "read_frame": "lobewise.io.exr",
     "read_sparse_frame": "lobewise.io.sparse",
+    "recompute": "lobewise.adaptive",
     "upsample": "lobewise.upsampling",
     "write_frame": "lobewise.io.exr",
     "write_result": "lobewise.io.exr",

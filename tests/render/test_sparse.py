@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.render import load_scene, render_frame, render_sparse_frame
+from lobewise.render import load_scene, render_frame, render_pixels, render_sparse_frame
 
 pytestmark = pytest.mark.mitsuba
 
@@ -45,3 +45,16 @@ def test_progress_counts_shaded_samples(scene):
 def test_numbers_are_checked(scene, change, words):
     with pytest.raises(InputError, match=words):
         render_sparse_frame(scene, **{"spp": 1, "scale": 4, **change})
+
+
+def test_single_pixels_have_the_bits_of_the_whole_frame(scene, whole):
+    rows, columns = np.array([0, 28, 13, 13]), np.array([36, 0, 5, 5])
+    some = render_pixels(scene, rows, columns, spp=2, seed=3)
+    for name in ("color", "diffuse", "specular", "direct", "indirect"):
+        np.testing.assert_array_equal(getattr(some, name)[:, 0], getattr(whole.radiance, name)[rows, columns])
+
+
+@pytest.mark.parametrize(("rows", "columns"), [([29], [0]), ([0], [-1]), ([], []), ([1, 2], [1]), ([0.5], [1.0])])
+def test_pixels_outside_are_refused(scene, rows, columns):
+    with pytest.raises(InputError, match="rows and columns"):
+        render_pixels(scene, rows, columns, spp=1)

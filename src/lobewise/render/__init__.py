@@ -11,7 +11,7 @@ from lobewise.render.variant import load_mitsuba
 if TYPE_CHECKING:
     from lobewise.render.camera import get_camera
     from lobewise.render.lookup import open_scene_material
-    from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
+    from lobewise.render.renderer import render_frame, render_pixels, render_reference, render_sparse_frame
     from lobewise.render.scenes import list_scenes, load_scene
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "load_scene",
     "open_scene_material",
     "render_frame",
+    "render_pixels",
     "render_reference",
     "render_sparse_frame",
 ]
@@ -31,6 +32,7 @@ _HOMES = {
     "load_scene": "lobewise.render.scenes",
     "open_scene_material": "lobewise.render.lookup",
     "render_frame": "lobewise.render.renderer",
+    "render_pixels": "lobewise.render.renderer",
     "render_reference": "lobewise.render.renderer",
     "render_sparse_frame": "lobewise.render.renderer",
 }

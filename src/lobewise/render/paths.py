@@ -305,6 +305,7 @@ def add_samples(
     settings: PathSettings,
     scale: int = 1,
     place: tuple[int, int] = (0, 0),
+    listed: Any = None,
 ) -> Sums:
     """Return ``sums`` with the samples ``samples[0]`` to ``samples[1] - 1`` of a run of pixels added, evaluated.
 
@@ -318,16 +319,36 @@ def add_samples(
         Count every ``scale``-th pixel of a row and every ``scale``-th row only. A pixel's samples are the same bits.
     place : (int, int)
         Row and column of the first pixel that counts.
+    listed : mitsuba.UInt32, optional
+        The pixels themselves (row-major, of the whole image) that ``pixels`` counts, in place of a regular grid.
     """
-    sensor = scene.sensors()[0]
     # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
-    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     counted = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
+    if listed is not None:
+        pixel = dr.gather(mi.UInt32, listed, counted)
+        return _add_samples(scene, materials, sums, pixel, (width, height), samples, seed, settings)
     step, first_row, first_column = (dr.opaque(mi.UInt32, number) for number in (scale, *place))
     columns = (width - first_column + step - 1) // step
-    column, row = first_column + step * (counted % columns), first_row + step * (counted // columns)
-    pixel = row * width + column
+    pixel = (first_row + step * (counted // columns)) * width + first_column + step * (counted % columns)
+    return _add_samples(scene, materials, sums, pixel, (width, height), samples, seed, settings)
+
+
+def _add_samples(
+    scene: Any,
+    materials: dict[int, Material],
+    sums: Sums,
+    pixel: Any,
+    size: tuple[Any, Any],
+    samples: tuple[int, int],
+    seed: int,
+    settings: PathSettings,
+) -> Sums:
+    """Return ``sums`` with samples of the pixels ``pixel`` added, evaluated; ``size`` is opaque."""
+    sensor = scene.sensors()[0]
+    width, height = size
+    column, row = pixel % width, pixel // width
+    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     end = dr.opaque(mi.UInt32, samples[1])
     seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
 

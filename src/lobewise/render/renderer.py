@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, FloatArray, Frame, Radiance
@@ -290,6 +291,63 @@ def render_sparse_frame(
         spp=spp,
         lobe_tables=guides.lobe_tables,
     )
+
+
+def render_pixels(
+    scene: Any, rows: ArrayLike, columns: ArrayLike, *, spp: int, seed: int = 0, max_depth: int = 8
+) -> Radiance:
+    """Render the radiance of single pixels, for `lobewise.recompute`.
+
+    Parameters
+    ----------
+    scene, seed, max_depth
+        See `render_frame`; the same seed gives the same bits as there.
+    rows, columns : array_like of int, shape (count,)
+        The pixels, at least one.
+    spp : int
+        Samples of each.
+
+    Returns
+    -------
+    Radiance
+        Of shape (count, 1): color, diffuse, specular, direct, indirect of each pixel in turn.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or a pixel lies outside the image.
+    """
+    spp = _check_count("spp", spp, 1, 1 << 24)
+    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
+    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    _check_scene(scene)
+    width, height = get_image_size(scene)
+    where = np.asarray(rows), np.asarray(columns)
+    whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
+    if not whole or where[0].size != where[1].size:
+        shapes = f"{where[0].dtype} of shape {where[0].shape} and {where[1].dtype} of shape {where[1].shape}"
+        raise InputError(
+            describe_problem("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
+        )
+    if not ((where[0] >= 0) & (where[0] < height) & (where[1] >= 0) & (where[1] < width)).all():
+        raise InputError(
+            describe_problem(
+                "rows and columns",
+                expected=f"pixels of an image of {width}x{height}",
+                got=f"rows {where[0].min()} to {where[0].max()}, columns {where[1].min()} to {where[1].max()}",
+                action="count both from 0",
+            )
+        )
+    materials = read_scene_materials(scene)
+    listed = mi.UInt32((where[0] * width + where[1]).astype(np.uint32))
+    settings = PathSettings(max_depth=max_depth)
+    advance = _make_advance(None, 0)
+    tiles = []
+    with dr.suspend_grad():
+        for pixels in _plan_tiles(where[0].size, 1):
+            sums = _render_tile(scene, materials, pixels, (width, height), spp, seed, settings, advance, listed=listed)
+            tiles.append(_finish_radiance(sums, spp))
+    return Radiance(**_select(_join(tiles, 1, where[0].size), "radiance"))
 
 
 def render_reference(

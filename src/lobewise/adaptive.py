@@ -1,0 +1,149 @@
+"""Adaptive re-computation: the pixels that no neighbour supports are shaded again, exactly these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import FloatArray, Radiance, Result
+
+Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
+"""Takes rows and columns of pixels and returns their radiance, of shape (count, 1), for instance `render_pixels`."""
+
+
+def find_unsupported(
+    result: Result, *, budget: float = 0.05, least: float = 0.05, quality: float = 0.5
+) -> NDArray[np.bool_]:
+    """Return which pixels to shade again, shape (height, width).
+
+    Parameters
+    ----------
+    result : Result
+        Of `lobewise.upsample` or `lobewise.denoise`.
+    budget : float
+        Largest share of the pixels, 0 to 1; the least supported come first.
+    least : float
+        Weight sum below which a pixel has no estimate worth the name; a sample that matches fully counts 1.
+    quality : float
+        Share of the median weight sum below which a pixel may be chosen at all, >= 0.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+    limits = (("budget", budget, 1.0), ("least", least, np.inf), ("quality", quality, np.inf))
+    for name, value, highest in limits:
+        if not 0.0 <= value <= highest:
+            raise InputError(
+                describe_problem(
+                    name,
+                    expected="a number from 0 to 1" if highest == 1.0 else "a number of at least 0",
+                    got=str(value),
+                    action="0.05 is usual",
+                )
+            )
+    weight = result.weight_sum
+    count = int(budget * weight.size)
+    median = float(np.median(weight))
+    wanted = (weight < least) | (weight < quality * median)
+    if np.count_nonzero(wanted) > count:
+        # The order is total, by weight and then by place, so that the same pixels are chosen everywhere.
+        order = np.argsort(np.where(wanted, weight, np.inf), axis=None, kind="stable")[:count]
+        wanted = np.zeros(weight.size, dtype=bool)
+        wanted[order] = True
+        wanted = wanted.reshape(weight.shape)
+    return np.asarray(wanted)
+
+
+def recompute(
+    result: Result, shade: Shade, *, samples: float, budget: float = 0.05, least: float = 0.05, quality: float = 0.5
+) -> Result:
+    """Shade the least supported pixels again, and merge what comes back with what was there.
+
+    A pixel's estimate F of weight sum W becomes ``(W F + n I) / (W + n)``, I the new radiance and n what it is worth.
+    Source: Tokuyoshi 2015, slide "Adaptive Sampling": re-computation for low-weight pixels.
+
+    Parameters
+    ----------
+    result : Result
+        Of `lobewise.upsample` or `lobewise.denoise`.
+    shade : callable
+        Takes rows and columns, returns a `Radiance` of shape (count, 1); called once, or not at all where every pixel
+        is supported.
+    samples : float
+        Samples of the new radiance over those of one sample of the result (``spp`` by ``spp``), > 0.
+    budget, least, quality
+        See `find_unsupported`.
+
+    Returns
+    -------
+    Result
+        With the new estimates and weight sums; ``settings["recomputed"]`` is the count of pixels.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or ``shade`` returns another count or no finite radiance.
+    """
+    if not (samples > 0.0 and np.isfinite(samples)):
+        raise InputError(
+            describe_problem(
+                "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
+            )
+        )
+    where = np.nonzero(find_unsupported(result, budget=budget, least=least, quality=quality))
+    count = where[0].size
+    settings = {**result.settings, "recomputed": int(count)}
+    if count == 0:
+        return replace(result, settings=settings)
+    new = shade(where[0], where[1])
+    if new.color.shape[:2] != (count, 1):
+        raise InputError(
+            describe_problem(
+                "re-computed radiance",
+                expected=f"{count} pixels, shape ({count}, 1, 3)",
+                got=f"shape {new.color.shape}",
+                action="return one for each pixel",
+            )
+        )
+    weight = result.weight_sum[where][:, None]
+    image = _merge(result.image, new.color, where, weight, samples)
+    assert image is not None
+    diffuse = _merge(result.diffuse, new.diffuse, where, weight, samples)
+    specular = _merge(result.specular, new.specular, where, weight, samples)
+    total, effective = result.weight_sum.copy(), result.effective_samples.copy()
+    total[where] += np.float32(samples)
+    effective[where] += np.float32(samples)
+    return replace(
+        result,
+        image=image,
+        diffuse=diffuse,
+        specular=specular,
+        weight_sum=total,
+        effective_samples=effective,
+        settings=settings,
+    )
+
+
+def _merge(
+    old: FloatArray | None,
+    new: FloatArray | None,
+    where: tuple[NDArray[np.intp], ...],
+    weight: FloatArray,
+    samples: float,
+) -> FloatArray | None:
+    if old is None or new is None:
+        return old
+    fresh = new[:, 0]
+    good = np.isfinite(fresh).all(axis=-1, keepdims=True) & (fresh >= 0.0).all(axis=-1, keepdims=True)
+    n = np.where(good, np.float32(samples), np.float32(0.0))
+    image = old.copy()
+    blend = (weight * old[where] + n * np.where(good, fresh, np.float32(0.0))) / np.maximum(weight + n, 1e-12)
+    # A pixel without weight whose new sample is bad keeps what it was filled with.
+    image[where] = np.where(weight + n > 0.0, blend, old[where])
+    return image
