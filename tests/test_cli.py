@@ -212,12 +212,27 @@ class TestUpsample:
             (["--scale", "99"], "scale: expected an integer from 1 to 16"),
             (["--scale", "2", "--place", "1"], "--place: expected ROW,COLUMN"),
             (["--scale", "2", "--place", "0,2"], "place: expected row and column from 0 to 1"),
+            (["--scale", "2", "--adaptive", "5%"], "--adaptive: expected --scene beside it"),
+            (["--scale", "2", "--adaptive", "many"], "--adaptive: expected 0% to 100%, got 'many'"),
         ],
     )
     def test_mistakes(self, words, told, frame_file, tmp_path, capsys):
         assert run(["upsample", str(frame_file), "-o", str(tmp_path / "out.exr"), *words]) == 2
         assert told in capsys.readouterr().err
         assert not (tmp_path / "out.exr").exists()
+
+
+@pytest.mark.mitsuba
+def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
+    sparse, out = tmp_path / "sparse.exr", tmp_path / "out.exr"
+    size = ["--width", "24", "--height", "20"]
+    assert run(["render", "showroom", "--spp", "1", "--scale", "4", "--place", "1,2", *size, "-o", str(sparse)]) == 0
+    assert "24x20 pixels, one of 4x4 pixels shaded, 1 spp" in capsys.readouterr().out
+    line = ["upsample", str(sparse), "-o", str(out), "--radius", "2"]
+    assert run([*line, "--adaptive", "10%", "--scene", "showroom", "--adaptive-spp", "2"]) == 0
+    assert re.search(r"Shaded \d+ pixels again, 2 spp\.", capsys.readouterr().out)
+    assert read_image(out).shape == (20, 24, 3)
+    assert np.isfinite(read_image(out)).all()
 
 
 class TestMistakes:

@@ -325,6 +325,17 @@ def test_same_bits_with_one_and_two_threads_and_twice() -> None:
     assert lines == run(1)
 
 
+def test_support_is_that_of_what_a_pixel_reflects() -> None:
+    paint, metal = np.full((*SHAPE, 3), 0.5), np.full((*SHAPE, 3), 0.5)
+    paint[:, :10], metal[:, 30:] = 0.0, 0.0  # metal on the left, both in the middle, paint on the right
+    frame = make_frame(diffuse_albedo=paint, specular_albedo=metal)
+    result = denoise(frame, form="full", radius=3)
+    assert (result.weight_sum > 0.9).all()
+    assert (result.effective_samples >= 1.0).all()
+    # paint compares normals, which are one here, so its support is the larger
+    assert result.weight_sum[5:-5, 35:45].min() > result.weight_sum[5:-5, 13:20].max()
+
+
 def test_very_dim_frames_are_not_nothing() -> None:
     frame = make_frame()
     scale = np.float32(1e-26)

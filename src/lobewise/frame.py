@@ -384,8 +384,8 @@ class Result:
     diffuse, specular : (height, width, 3) or None
         The two filtered parts, with their albedo, where the frame gave them apart.
     weight_sum : (height, width)
-        Sum of the filter weights of the layer that decides (specular where there is one); a tap that matches
-        fully counts 1.
+        Sum of the filter weights, of diffuse and specular the smaller where the pixel reflects both; a tap that
+        matches fully counts 1.
     effective_samples : (height, width)
         ``(sum w)^2 / sum w^2``: how many equal neighbours the estimate is worth, >= 1 where anything was gathered.
     bad_pixels : (height, width), bool

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer, make_layers, make_position_features
+from lobewise.denoising.layers import Layer, find_support, make_layers, make_position_features
 from lobewise.denoising.recipe import find_bad_pixels, find_good, refill
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
@@ -92,7 +92,9 @@ def upsample(
     outputs = [_run(frame, layer, reach, chosen) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
     apart = not bilinear and frame.radiance.diffuse is not None and frame.radiance.specular is not None
-    decisive = outputs[1 if apart else 0]
+    # The rest, emission and background, is compared by place alone: what it lacks is no lack of a lobe.
+    lobes = 2 if apart else 1
+    weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
     holes = ~supported | ~find_good(image)
     if holes.any():
@@ -101,8 +103,8 @@ def upsample(
         image=image,
         diffuse=outputs[0].image if apart else None,
         specular=outputs[1].image if apart else None,
-        weight_sum=decisive.weight_sum,
-        effective_samples=decisive.effective_samples,
+        weight_sum=weight_sum,
+        effective_samples=effective_samples,
         bad_pixels=_spread(frame, bad),
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
         seconds=time.perf_counter() - start,

@@ -215,6 +215,13 @@ def upsample(
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
     radius: Annotated[int, typer.Option(metavar="N", help="Samples from the centre to the edge of the kernel.")] = 5,
     beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    adaptive: Annotated[
+        str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
+    ] = "0%",
+    scene: Annotated[
+        str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
+    ] = None,
+    adaptive_spp: Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")] = 64,
     device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
 ) -> None:
     """Bring sparsely shaded radiance to every pixel; the guides are kept."""
@@ -224,6 +231,11 @@ def upsample(
     from lobewise.io.files import require_writable
     from lobewise.upsampling import upsample as run_upsample
 
+    budget = _parse_percent(adaptive)
+    if budget > 0.0 and scene is None:
+        raise InputError(
+            describe_problem("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
+        )
     require_writable(output)
     frame = read_sparse_frame(source, scale=scale, place=None if place is None else _parse_place(place))
     try:
@@ -232,6 +244,18 @@ def upsample(
         )
     except LobewiseError as problem:
         raise type(problem)(f"{source}: {problem}") from problem
+    if budget > 0.0 and scene is not None:
+        from lobewise.adaptive import recompute
+        from lobewise.render import load_scene, render_pixels
+
+        loaded = load_scene(scene, width=frame.width, height=frame.height)
+        result = recompute(
+            result,
+            lambda rows, columns: render_pixels(loaded, rows, columns, spp=adaptive_spp, seed=1),
+            samples=adaptive_spp / (frame.spp or 1),
+            budget=budget,
+        )
+        print_line(f"Shaded {result.settings['recomputed']} pixels again, {adaptive_spp} spp.")
     radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
     whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
     write_frame(output, whole)
@@ -340,6 +364,17 @@ def show_progress() -> Iterator[Callable[[str, int, int], None]]:
             bar.update(tasks[what], completed=done, total=total)
 
         yield advance
+
+
+def _parse_percent(text: str) -> float:
+    """Return the share that ``5%`` or ``5`` stands for."""
+    try:
+        percent = float(text.removesuffix("%"))
+    except ValueError:
+        percent = -1.0
+    if 0.0 <= percent <= 100.0:
+        return percent / 100.0
+    raise InputError(describe_problem("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual"))
 
 
 def _parse_place(text: str) -> tuple[int, int]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import MissingChannelError, describe_problem
 from lobewise.frame import FloatArray
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR
+from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature
@@ -192,3 +194,27 @@ def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feat
         Layer(radiance.diffuse, guides.diffuse_albedo, surface, (*shared, *diffuse)),
         Layer(radiance.specular, guides.specular_albedo, specular_mask, (*shared, *specular)),
     ]
+
+
+def find_support(layers: Sequence[Layer], outputs: Sequence[FilterOutput]) -> tuple[FloatArray, FloatArray]:
+    """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
+
+    Where a surface reflects by no layer's lobe (a light, the background) those of the first layer count.
+    """
+    total, effective = outputs[0].weight_sum, outputs[0].effective_samples
+    known = _find_reflecting(layers[0])
+    for layer, output in zip(layers[1:], outputs[1:], strict=True):
+        here = _find_reflecting(layer)
+        weaker = here & (~known | (output.weight_sum < total))
+        total = np.where(weaker, output.weight_sum, total)
+        effective = np.where(weaker, output.effective_samples, effective)
+        known = known | here
+    return total, effective
+
+
+def _find_reflecting(layer: Layer) -> NDArray[np.bool_]:
+    """Return where a layer's lobe reflects more than `ALBEDO_FLOOR` of the light; everywhere without albedo."""
+    if layer.albedo is None:
+        return layer.mask
+    x, y, z = (layer.albedo[..., k] for k in range(3))
+    return np.asarray(layer.mask & ((x > ALBEDO_FLOOR) | (y > ALBEDO_FLOOR) | (z > ALBEDO_FLOOR)))

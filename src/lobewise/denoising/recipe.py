@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer, make_layers
+from lobewise.denoising.layers import Layer, find_support, make_layers
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
@@ -132,13 +132,13 @@ def denoise(
     if holes.any():
         image = refill(image, holes, chosen)
     apart = len(parts) == 2
-    decisive = outputs[-1]
+    weight_sum, effective_samples = find_support(layers, outputs)
     return Result(
         image=image,
         diffuse=np.nan_to_num(parts[0]) if apart else None,
         specular=np.nan_to_num(parts[1]) if apart else None,
-        weight_sum=decisive.weight_sum,
-        effective_samples=decisive.effective_samples,
+        weight_sum=weight_sum,
+        effective_samples=effective_samples,
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
