@@ -191,10 +191,12 @@ def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1)
     beta = choose_beta(spp) * math.pow(density, -0.15)
     sigma, tau = settings.screen_sigma, settings.tau
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    if tau == "auto":
+        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
+        tau = max(scale * choose_tau(math.sqrt(spp * (frame.spp or spp)), 0.0), pixel_tau)
     return replace(
         settings,
-        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
-        tau=choose_tau(density * math.sqrt(spp * (frame.spp or spp)), pixel_tau) if tau == "auto" else float(tau),
+        tau=float(tau),
         screen_sigma=choose_screen_sigma(density * spp, settings.radius * scale) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),
         hit_distance=USE_HITS and can_use_hits(frame) if settings.hit_distance == "auto" else settings.hit_distance,
