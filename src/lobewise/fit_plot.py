@@ -10,9 +10,9 @@ import numpy as np
 
 from lobewise.errors import MissingDependencyError, describe_problem
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.fit import LUMINANCE, Evaluate
+from lobewise.lobes.fit import Evaluate
 from lobewise.lobes.table import TableLobes, evaluate_lobes, evaluate_table
-from lobewise.lobes.vectors import Array
+from lobewise.lobes.vectors import LUMINANCE, Array
 
 VIEWS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)
 """n.v of the cuts; each is drawn at the nearest view of the table."""

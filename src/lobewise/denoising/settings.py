@@ -10,7 +10,7 @@ import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.kernels.engine import FORMS, choose_device
-from lobewise.kernels.mixture_features import MOST_LOBES
+from lobewise.lobe_table import MAX_LOBES
 from lobewise.lobes.field import default_tau
 from lobewise.sparse_frame import AnyFrame
 
@@ -94,10 +94,10 @@ class DenoiseSettings:
             _require_positive(name, getattr(self, name), "a finite number above 0")
         if self.band_limit is not None:
             _require_positive("band_limit", self.band_limit, "a finite number above 0")
-        if isinstance(self.lobes, bool) or not isinstance(self.lobes, int) or not 1 <= self.lobes <= MOST_LOBES:
+        if isinstance(self.lobes, bool) or not isinstance(self.lobes, int) or not 1 <= self.lobes <= MAX_LOBES:
             raise InputError(
                 describe_problem(
-                    "lobes", expected=f"an integer from 1 to {MOST_LOBES}", got=repr(self.lobes), action="3 is usual"
+                    "lobes", expected=f"an integer from 1 to {MAX_LOBES}", got=repr(self.lobes), action="3 is usual"
                 )
             )
         if self.hit_distance not in (True, False, "auto"):

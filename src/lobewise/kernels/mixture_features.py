@@ -12,9 +12,8 @@ from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
 from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, Stage, dot, require_positive, subtract
+from lobewise.lobe_table import MAX_LOBES
 from lobewise.lobes import mixture
-
-MOST_LOBES = 4
 
 
 class SgMixtureFeature(Feature):
@@ -47,7 +46,7 @@ class SgMixtureFeature(Feature):
     def __init__(self, axis: FloatArray, sharpness: FloatArray, amplitude: FloatArray, beta: float) -> None:
         lobes = sharpness.shape[2] if sharpness.ndim == 3 else 0
         fits = sharpness.shape == amplitude.shape and axis.ndim == 3 and axis.shape[2] in (3, 3 * lobes)
-        if not fits or not 1 <= lobes <= MOST_LOBES:
+        if not fits or not 1 <= lobes <= MAX_LOBES:
             raise InputError(
                 describe_problem(
                     "lobes of a mixture",

@@ -12,6 +12,7 @@ from lobewise.errors import InputError, MissingChannelError, describe_problem, r
 from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
 from lobewise.lobes.brdf import MIN_WARP_COSINE
 from lobewise.lobes.chunks import Chunk, run_chunks
+from lobewise.lobes.mixture import GGX_MIXTURES
 from lobewise.lobes.tangent import (
     BECKMANN_LIMIT,
     GGX_LIMIT,
@@ -25,8 +26,8 @@ NORMAL_ERROR = 1e-3
 """Standard deviation of the guides' normals, radians; a normal that is off by e turns the reflection by 2 e."""
 MIN_COSINE = 0.01
 """Normals that face away from the viewer are bent until n.v is at least about this."""
-GGX_SHARPNESS = 1.13114
-"""Of the Gaussian nearest in L2 to ``(1 + q)^-2``, over that with its curvature at 0 (see `lobewise.lobes.mixture`)."""
+GGX_SHARPNESS = GGX_MIXTURES[1][0][0]
+"""Of the Gaussian nearest in L2 to ``(1 + q)^-2``, over that with its curvature at 0 (one lobe of the mixtures)."""
 LAMBERT_SHARPNESS = 2.0
 """The similarity of two Lambert lobes falls as 1 - d^2 / 2 for small angles d, as that of two SGs of this sharpness."""
 

@@ -22,12 +22,10 @@ from lobewise.lobe_table import KINDS, MAX_LOBES, LobeTable
 from lobewise.lobes.brdf import ggx_brdf
 from lobewise.lobes.fit_shapes import LobeFamily
 from lobewise.lobes.table import order_lobes
-from lobewise.lobes.vectors import Array
+from lobewise.lobes.vectors import LUMINANCE, Array
 
 Evaluate = Callable[[Array, Array], Any]
 """``evaluate(view, light)``: BRDF in 1/sr, shape (n, 3) or (n,), of local unit vectors of shape (n, 3)."""
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of linear red, green and blue (ITU-R BT.709)."""
 COSINES = tuple(float((math.sqrt(0.05) + (1.0 - math.sqrt(0.05)) * i / 19.0) ** 2) for i in range(20))
 """n.v of the default views: 20 from 0.05 to 1, equally spaced in the square root, denser where lobes change faster."""
 # The concentration of nodes about the mirror direction, radians of the half vector: a fraction of the sharpest alpha.

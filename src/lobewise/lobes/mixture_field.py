@@ -16,10 +16,7 @@ from lobewise.lobes.field import LobeField, build_lobe_field
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
 from lobewise.lobes.sg import sg_integral
 from lobewise.lobes.table import evaluate_table
-from lobewise.lobes.vectors import Array, normalize
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of linear Rec. 709 red, green and blue."""
+from lobewise.lobes.vectors import LUMINANCE, Array, normalize
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.floating[Any]]
 
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of linear red, green and blue (ITU-R BT.709)."""
+
 
 def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
     """Return ``values`` as arrays of one real dtype: float32 where every given array is float32, else float64.

@@ -16,9 +16,9 @@ import numpy as np
 
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.fit import LUMINANCE, Evaluate, fit_lobes, make_nodes
+from lobewise.lobes.fit import Evaluate, fit_lobes, make_nodes
 from lobewise.lobes.table import get_albedo, get_equivalent_alphas, order_lobes
-from lobewise.lobes.vectors import Array
+from lobewise.lobes.vectors import LUMINANCE, Array
 from lobewise.render.bridge import dr, mi
 from lobewise.render.probe import (
     Parts,
