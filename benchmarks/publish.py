@@ -80,7 +80,7 @@ def make_anisotropic_table(quality: dict[str, Any]) -> str:
     return make_table(header, rows)
 
 
-def make_hit_tables(quality: dict[str, Any], hits: dict[str, Any]) -> str:
+def make_hit_tables(quality: dict[str, Any], hits: dict[str, Any]) -> tuple[str, str]:
     """Return what the hit-distance term does on the four scenes, and on the one made for it."""
     names = ("sg", "asg", "ggx")
     rows = []
@@ -100,7 +100,7 @@ def make_hit_tables(quality: dict[str, Any], hits: dict[str, Any]) -> str:
                     cells.append(f"{without:.5f}, {with_hits:.5f}")
             rows.append([spp, f"`{name}`", *cells])
     columns = ["image, default", "image, tuned", "contacts, default", "contacts, tuned"]
-    return scenes + "\n\n@\n\n" + make_table(["spp", "similarity", *columns], rows)
+    return scenes, make_table(["spp", "similarity", *columns], rows)
 
 
 def make_paper_table(paper: dict[str, Any]) -> str:
@@ -160,7 +160,7 @@ def make_results_page(
 ) -> str:
     """Return docs/results.md."""
     every = list(next(iter(quality["scenes"].values())))
-    scenes, contacts = make_hit_tables(quality, hits).split("\n\n@\n\n")
+    scenes, contacts = make_hit_tables(quality, hits)
     return f"""# Results
 
 Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit.

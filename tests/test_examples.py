@@ -63,5 +63,5 @@ def test_feature_of_another_size_is_named() -> None:
 
 def test_feature_without_oracle_says_so() -> None:
     feature = load(EXAMPLES[0])["ObjectId"](np.zeros((2, 2)))
-    with pytest.raises(NotImplementedError, match="ObjectId has no get_similarity"):
+    with pytest.raises(InputError, match=r"feature 'object id': expected a get_similarity.*write one in ObjectId"):
         feature.get_similarity((np.array([0]), np.array([0])), (np.array([0]), np.array([1])))

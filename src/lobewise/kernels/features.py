@@ -90,9 +90,19 @@ class Feature(ABC):
 
         Written a second time, in NumPy, from the definition and not from the planes. Only tests against
         `lobewise.kernels.reference` need it.
+
+        Raises
+        ------
+        InputError
+            If the feature has none.
         """
-        raise NotImplementedError(
-            f"{type(self).__name__} has no get_similarity, so there is nothing to test it against"
+        raise InputError(
+            describe_problem(
+                f"feature {self.name!r}",
+                expected="a get_similarity, which the float64 oracle compares with",
+                got="none",
+                action=f"write one in {type(self).__name__}",
+            )
         )
 
 
