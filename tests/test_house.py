@@ -15,6 +15,7 @@ ROOMS = [
     "lobe_table",
     "frame",
     "sparse_frame",
+    "motion",
     "metrics",
     "lobes",
     "kernels",

@@ -10,7 +10,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.frame import GBuffer, Radiance
 from lobewise.metrics import rel_mse
-from lobewise.sparse_frame import SparseFrame, make_sparse
+from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 from lobewise.upsampling import upsample
 from tests.test_denoising import SHAPE, make_frame
 
@@ -104,3 +104,18 @@ def test_what_does_not_fit_is_refused(change: dict[str, Any], words: str) -> Non
 def test_other_forms_are_refused() -> None:
     with pytest.raises(InputError, match="form: expected 'full'"):
         upsample(make_sparse(make_frame(), 2), form="atrous")
+
+
+@pytest.mark.parametrize("scale", range(1, 17))
+def test_places_visit_every_pixel_of_a_block_once(scale: int) -> None:
+    places = list_places(scale)
+    assert sorted(places) == [(row, column) for row in range(scale) for column in range(scale)]
+
+
+@pytest.mark.parametrize("scale", [2, 4, 8])
+def test_the_first_places_cover_the_block_evenly(scale: int) -> None:
+    # The first four are one in each quarter of the block, and so are the four after them.
+    half = scale // 2
+    for start in range(0, scale**2, 4):
+        quarters = {(row // half, column // half) for row, column in list_places(scale)[start : start + 4]}
+        assert len(quarters) == 4

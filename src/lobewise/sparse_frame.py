@@ -118,6 +118,39 @@ class SparseFrame:
         return slice(self.place[0], None, self.scale), slice(self.place[1], None, self.scale)
 
 
+def list_places(scale: int) -> list[tuple[int, int]]:
+    """Return the order in which the shaded pixel visits all places of a block: ``scale**2`` pairs of row and column.
+
+    Places that follow each other lie far apart, so that any few frames in a row cover the block evenly. For a power of
+    two it is the order of an ordered dither: the bits of the count, lowest first, halve the block by turns along the
+    diagonal and across. For other scales the rows and columns of the next power of two that exist are visited in its
+    order.
+
+    Raises
+    ------
+    InputError
+        If the scale is not from 1 to `MOST_SCALE`.
+
+    Notes
+    -----
+    Source: Bayer 1973, "An optimum method for two-level rendition of continuous-tone pictures"; that the permutation
+    is fixed, Herzog et al. 2010.
+    """
+    _check_blocks((MOST_SCALE, MOST_SCALE), scale, (0, 0))
+    bits = (scale - 1).bit_length()
+    places = []
+    for count in range(4**bits):
+        row = column = 0
+        for level in range(bits):
+            pair = count >> 2 * level & 3
+            step = 1 << bits - 1 - level
+            row += step * (pair & 1)
+            column += step * ((pair & 1) ^ (pair >> 1))
+        if row < scale and column < scale:
+            places.append((row, column))
+    return places
+
+
 AnyFrame = Frame | SparseFrame
 """What has guides and a camera, whatever pixels were shaded."""
 

@@ -131,8 +131,8 @@ def fit_material(
     grid : mapping, optional
         ``cosines`` and ``azimuths`` of the views, if not the usual ones.
     """
-    from lobewise.cli.commands import show_progress
     from lobewise.cli.output import print_fit, print_line
+    from lobewise.cli.shared import show_progress
     from lobewise.fit_plot import draw_fit
     from lobewise.io.files import open_atomic
     from lobewise.io.materials import write_lobe_table

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
+from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
-from lobewise.render.camera import compute_motion
 from lobewise.render.paths import Sums, dispatch_surface
 from lobewise.render.surface import Surface, make_no_surface
 

@@ -1,0 +1,57 @@
+"""What several verbs share: their first argument and their output, words that stand for numbers, the progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lobewise.errors import InputError, describe_problem
+
+Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+
+
+@contextmanager
+def show_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on standard error for work that reports (what, done, total)."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    console = Console(stderr=True)
+    # Without a terminal the bar would leave an empty line.
+    hidden = not console.is_terminal
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total)
+
+        yield advance
+
+
+def parse_place(text: str) -> tuple[int, int]:
+    """Return row and column of ``ROW,COLUMN``."""
+    words = text.split(",")
+    if len(words) == 2 and all(word.strip().isdecimal() for word in words):
+        return int(words[0]), int(words[1])
+    raise InputError(
+        describe_problem("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
+    )
+
+
+def parse_beta(text: str) -> str | float:
+    if text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            describe_problem("beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto")
+        ) from None

@@ -1,0 +1,50 @@
+"""Where a pixel's surface was in the frame before: cameras that look at points, and the motion between two of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lobewise.frame import Camera, FloatArray
+
+
+def project_points(camera: Camera, points: FloatArray, width: int, height: int) -> FloatArray:
+    """Return the pixel coordinates of world points, shape (..., 2): column and row, pixel centres at .5.
+
+    A point behind the camera has no image; its coordinates are not finite.
+    """
+    half_width, half_height = camera.get_half_extent(width, height)
+    offset = points - camera.position
+    ahead = offset @ camera.forward
+    scale = np.divide(1.0, ahead, out=np.full_like(ahead, np.nan), where=ahead > 0)
+    x = (offset @ camera.right) * scale / half_width
+    y = (offset @ camera.up) * scale / half_height
+    return np.stack([(x + 1.0) * 0.5 * width, (1.0 - y) * 0.5 * height], axis=-1).astype(np.float32)
+
+
+def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth: FloatArray) -> FloatArray:
+    """Return where each pixel's surface point was in the previous frame, relative to the pixel.
+
+    Only the camera moves. Where there is no surface (depth 0) the background counts as infinitely far: it turns with
+    the camera and does not shift. A point that lay behind the previous camera has no place there; it moves by twice
+    the image, so that it is outside.
+
+    Parameters
+    ----------
+    position : (height, width, 3)
+        World positions; ignored where the depth is 0.
+    depth : (height, width)
+        Distances along the rays, 0 where there is no surface.
+
+    Returns
+    -------
+    (height, width, 2)
+        Pixels, previous minus current, x right and y down.
+    """
+    height, width = depth.shape
+    rays = camera.make_ray_directions(width, height).astype(np.float64)
+    points = np.where(depth[..., None] > 0, position, rays + previous.position)
+    before = project_points(previous, points, width, height)
+    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    motion = before - np.stack([column, row], axis=-1)
+    outside = np.array([2.0 * width, 2.0 * height])
+    return np.where(np.isfinite(motion), motion, outside).astype(np.float32)
