@@ -23,6 +23,9 @@ def render(
     height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0,
     max_depth: Annotated[int, typer.Option(metavar="N", help="Longest path, in vertices after the camera.")] = 8,
+    light: Annotated[
+        str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")
+    ] = "all",
     aov_only: Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False,
     reference: Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")] = False,
     scale: Annotated[
@@ -60,7 +63,13 @@ def render(
         def progress(done: int, total: int) -> None:
             advance(f"Rendering {scene}", done, total)
 
-        common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "progress": progress}
+        common: dict[str, Any] = {
+            "spp": spp,
+            "seed": seed,
+            "max_depth": max_depth,
+            "light": light,
+            "progress": progress,
+        }
         if scale != 1:
             sparse = render_sparse_frame(loaded, scale=scale, place=shaded, **common)
             write_sparse_frame(output, sparse, half=not exact)

@@ -31,11 +31,14 @@ class PathSettings:
         Whether to compute radiance; without it paths end after the first bounce has told what it hits.
     guides : bool
         Whether to split radiance by lobe and to sum albedos, hits and squares.
+    fewest_bounces : int
+        Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers.
     """
 
     max_depth: int
     light: bool = True
     guides: bool = True
+    fewest_bounces: int = 0
 
 
 @dataclass
@@ -140,9 +143,11 @@ def _weigh(pdf: Any, other: Any) -> Any:
     return dr.select(dr.isfinite(weight), weight, 0.0)
 
 
-def _add(sample: Sample, bounces: Any, share: Any, value: Any, split: bool) -> None:
+def _add(sample: Sample, bounces: Any, share: Any, value: Any, settings: PathSettings) -> None:
     """Add a contribution that the camera sees after ``bounces`` scatterings, ``share`` of it by the diffuse lobe."""
-    if not split:
+    if settings.fewest_bounces:
+        value = dr.select(bounces >= settings.fewest_bounces, value, 0.0)
+    if not settings.guides:
         sample.emitted += value
         return
     sample.emitted += dr.select(bounces == 0, value, 0.0)
@@ -186,7 +191,7 @@ def trace_path(
             light_pdf = scene.pdf_emitter_direction(path.last, light, ~path.last_delta)
             emitted = light.emitter.eval(si, path.last_pdf > 0)
             weight = _weigh(path.last_pdf, light_pdf)
-            _add(sample, path.bounces, path.share, path.throughput * emitted * weight, split)
+            _add(sample, path.bounces, path.share, path.throughput * emitted * weight, settings)
 
         going = found & (path.depth + 1 < max_depth)
         bsdf = si.bsdf(path.ray)
@@ -195,6 +200,8 @@ def trace_path(
         local = mi.Vector3f(0, 0, 1)
         if settings.light:
             lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            if settings.fewest_bounces:
+                lit &= path.bounces + 1 >= settings.fewest_bounces
             point = mi.Point2f(path.rng.next_float32(), path.rng.next_float32())
             light, radiance = scene.sample_emitter_direction(si, point, True, lit)
             lit &= light.pdf != 0
@@ -208,7 +215,7 @@ def trace_path(
             share = path.share
             if split:
                 share = dr.select(first, _dispatch_share(materials, bsdf, si, local, first & lit), share)
-            _add(sample, path.bounces + 1, share, dr.select(lit, seen, 0.0), split)
+            _add(sample, path.bounces + 1, share, dr.select(lit, seen, 0.0), settings)
 
         is_null = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
         is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Camera, FloatArray, Frame, Radiance
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
@@ -26,6 +26,9 @@ TILE_PIXELS = 1 << 20
 CHUNK_SAMPLES = 1 << 22
 """Samples per launch: some seconds, so that progress is seen and an interrupt is heard."""
 
+LIGHTS = {"all": 0, "indirect": 2}
+"""What light can be asked for: how often it was scattered at least."""
+
 
 def _check_count(name: str, value: int, lowest: int, highest: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not lowest <= value <= highest:
@@ -35,6 +38,18 @@ def _check_count(name: str, value: int, lowest: int, highest: int) -> int:
             )
         )
     return int(value)
+
+
+def _check_numbers(spp: int, seed: int, max_depth: int) -> tuple[int, int, int]:
+    return (
+        _check_count("spp", spp, 1, 1 << 24),
+        _check_count("seed", seed, 0, (1 << 32) - 1),
+        _check_count("max_depth", max_depth, 1, 1 << 16),
+    )
+
+
+def _find_fewest_bounces(light: str) -> int:
+    return LIGHTS[require_choice("light", light, LIGHTS)]
 
 
 def _check_scene(scene: Any) -> None:
@@ -106,7 +121,7 @@ def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, Fl
     return images
 
 
-def _finish_radiance(sums: Sums, spp: int) -> dict[str, FloatArray]:
+def _finish_radiance(sums: Sums, spp: int, settings: PathSettings) -> dict[str, FloatArray]:
     """Return radiance, halves and variance of a tile by their path in `Frame`, pixels first."""
     even = [to_image(value) for value in sums.halves[:3]]
     odd = [to_image(value) for value in sums.halves[3:]]
@@ -120,7 +135,9 @@ def _finish_radiance(sums: Sums, spp: int) -> dict[str, FloatArray]:
 
     add_parts("radiance", [a + b for a, b in zip(even, odd, strict=True)], spp)
     for i, name in enumerate(("direct", "indirect")):
-        images[f"radiance.{name}"] = to_image(sums.totals[i]) / np.float32(spp)
+        # A black image would say that nothing is lit directly.
+        if name == "indirect" or settings.fewest_bounces < 2:
+            images[f"radiance.{name}"] = to_image(sums.totals[i]) / np.float32(spp)
     if spp > 1:
         add_parts("half_a", even, (spp + 1) // 2)
         add_parts("half_b", odd, spp // 2)
@@ -147,6 +164,7 @@ def render_frame(
     spp: int,
     seed: int = 0,
     max_depth: int = 8,
+    light: str = "all",
     aov_only: bool = False,
     previous_camera: Camera | None = None,
     progress: Progress | None = None,
@@ -169,6 +187,10 @@ def render_frame(
         The same seed gives the same bits, whatever the number of threads.
     max_depth : int
         Longest path, in vertices after the camera: 1 is light sources, 2 direct light, and so on.
+    light : {"all", "indirect"}
+        With "indirect" the radiance holds only what was scattered more than once: no emission that the camera sees,
+        no direct light, so that color is diffuse + specular, and ``direct`` is left out. The random numbers are those
+        of "all".
     aov_only : bool
         Leave the radiance out (it is all zero) and compute the guides alone.
     previous_camera : Camera, optional
@@ -179,27 +201,26 @@ def render_frame(
     Raises
     ------
     InputError
-        If a number is out of range, or the sensor is not a plain perspective camera.
+        If a number is out of range, the light unknown, or the sensor is not a plain perspective camera.
     UnsupportedBsdfError
         If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    spp = _check_count("spp", spp, 1, 1 << 24)
-    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
-    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
+    fewest = _find_fewest_bounces(light)
     _check_scene(scene)
     camera = get_camera(scene)
     materials = read_scene_materials(scene)
     size = get_image_size(scene)
-    settings = PathSettings(max_depth=max_depth, light=not aov_only)
+    settings = PathSettings(max_depth=max_depth, light=not aov_only, fewest_bounces=fewest)
     advance = _make_advance(progress, size[0] * size[1] * spp)
     tiles = []
     with dr.suspend_grad():
         for pixels in _plan_tiles(*size):
             guides = trace_guides(scene, materials, camera, pixels=pixels, size=size)
             sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
-            tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp)})
+            tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp, settings)})
     images = _join(tiles, *size)
     tables = list_lobe_tables(materials)
     if not tables:
@@ -226,6 +247,7 @@ def render_sparse_frame(
     guide_spp: int = 4,
     seed: int = 0,
     max_depth: int = 8,
+    light: str = "all",
     previous_camera: Camera | None = None,
     progress: Progress | None = None,
 ) -> SparseFrame:
@@ -235,7 +257,7 @@ def render_sparse_frame(
 
     Parameters
     ----------
-    scene, seed, max_depth, previous_camera
+    scene, seed, max_depth, light, previous_camera
         See `render_frame`.
     spp : int
         Samples of a shaded pixel.
@@ -251,16 +273,15 @@ def render_sparse_frame(
     Raises
     ------
     InputError
-        If a number is out of range, or the sensor is not a plain perspective camera.
+        If a number is out of range, the light unknown, or the sensor is not a plain perspective camera.
     UnsupportedBsdfError
         If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    spp = _check_count("spp", spp, 1, 1 << 24)
+    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
     scale = _check_count("scale", scale, 1, MOST_SCALE)
-    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
-    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    fewest = _find_fewest_bounces(light)
     _check_scene(scene)
     size = get_image_size(scene)
     first = tuple(
@@ -271,7 +292,7 @@ def render_sparse_frame(
     )
     materials = read_scene_materials(scene)
     columns, rows = -(-(size[0] - first[1]) // scale), -(-(size[1] - first[0]) // scale)
-    settings = PathSettings(max_depth=max_depth)
+    settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest)
     advance = _make_advance(progress, columns * rows * spp)
     tiles = []
     with dr.suspend_grad():
@@ -279,7 +300,7 @@ def render_sparse_frame(
             sums = _render_tile(
                 scene, materials, pixels, size, spp, seed, settings, advance, scale=scale, place=(first[0], first[1])
             )
-            tiles.append(_finish_radiance(sums, spp))
+            tiles.append(_finish_radiance(sums, spp, settings))
     images = _join(tiles, columns, rows)
     return SparseFrame(
         radiance=Radiance(**_select(images, "radiance")),
@@ -294,13 +315,20 @@ def render_sparse_frame(
 
 
 def render_pixels(
-    scene: Any, rows: ArrayLike, columns: ArrayLike, *, spp: int, seed: int = 0, max_depth: int = 8
+    scene: Any,
+    rows: ArrayLike,
+    columns: ArrayLike,
+    *,
+    spp: int,
+    seed: int = 0,
+    max_depth: int = 8,
+    light: str = "all",
 ) -> Radiance:
     """Render the radiance of single pixels, for `lobewise.recompute`.
 
     Parameters
     ----------
-    scene, seed, max_depth
+    scene, seed, max_depth, light
         See `render_frame`; the same seed gives the same bits as there.
     rows, columns : array_like of int, shape (count,)
         The pixels, at least one.
@@ -315,11 +343,10 @@ def render_pixels(
     Raises
     ------
     InputError
-        If a number is out of range, or a pixel lies outside the image.
+        If a number is out of range, the light unknown, or a pixel lies outside the image.
     """
-    spp = _check_count("spp", spp, 1, 1 << 24)
-    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
-    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
+    fewest = _find_fewest_bounces(light)
     _check_scene(scene)
     width, height = get_image_size(scene)
     where = np.asarray(rows), np.asarray(columns)
@@ -340,30 +367,35 @@ def render_pixels(
         )
     materials = read_scene_materials(scene)
     listed = mi.UInt32((where[0] * width + where[1]).astype(np.uint32))
-    settings = PathSettings(max_depth=max_depth)
+    settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest)
     advance = _make_advance(None, 0)
     tiles = []
     with dr.suspend_grad():
         for pixels in _plan_tiles(where[0].size, 1):
             sums = _render_tile(scene, materials, pixels, (width, height), spp, seed, settings, advance, listed=listed)
-            tiles.append(_finish_radiance(sums, spp))
+            tiles.append(_finish_radiance(sums, spp, settings))
     return Radiance(**_select(_join(tiles, 1, where[0].size), "radiance"))
 
 
 def render_reference(
-    scene: Any, *, spp: int, seed: int = 1000, max_depth: int = 8, progress: Progress | None = None
+    scene: Any,
+    *,
+    spp: int,
+    seed: int = 1000,
+    max_depth: int = 8,
+    light: str = "all",
+    progress: Progress | None = None,
 ) -> Frame:
     """Render the radiance alone: faster than `render_frame`, with a tenth of the memory, for many samples.
 
     Parameters and errors are those of `render_frame`; any BSDF of Mitsuba will do.
     """
-    spp = _check_count("spp", spp, 1, 1 << 24)
-    seed = _check_count("seed", seed, 0, (1 << 32) - 1)
-    max_depth = _check_count("max_depth", max_depth, 1, 1 << 16)
+    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
+    fewest = _find_fewest_bounces(light)
     _check_scene(scene)
     camera = get_camera(scene)
     size = get_image_size(scene)
-    settings = PathSettings(max_depth=max_depth, guides=False)
+    settings = PathSettings(max_depth=max_depth, guides=False, fewest_bounces=fewest)
     advance = _make_advance(progress, size[0] * size[1] * spp)
     tiles = []
     with dr.suspend_grad():
