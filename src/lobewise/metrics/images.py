@@ -145,7 +145,7 @@ def flip(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, 
     Andersson et al. 2021, "Visualizing errors in rendered high dynamic range images", doi 10.2312/egs.20211015, by
     their authors' program at 67 pixels per degree.
     """
-    a, r, chosen = _check(image, reference, mask)
+    a, r, chosen = check_pair(image, reference, mask)
     return float(_flip_map(a, r, hdr=hdr)[chosen].mean())
 
 
@@ -167,7 +167,7 @@ def make_error_map(image: ArrayLike, reference: ArrayLike, metric: str = "rel_ms
         If the metric is ``flip`` and ``flip_evaluator`` is not installed.
     """
     require_choice("metric", metric, ("mse", "rel_mse", "smape", "flip"))
-    a, r, _ = _check(image, reference, None)
+    a, r, _ = check_pair(image, reference, None)
     if metric == "flip":
         return _flip_map(a, r, hdr=True).astype(np.float32)
     return _ERRORS[metric](a, r).mean(axis=-1).astype(np.float32)  # type: ignore[no-any-return]  # NumPy's mean
@@ -235,7 +235,7 @@ _ERRORS: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[
 
 
 def _average(metric: str, image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None) -> float:
-    a, r, chosen = _check(image, reference, mask)
+    a, r, chosen = check_pair(image, reference, mask)
     return float(_ERRORS[metric](a[chosen], r[chosen]).mean())
 
 
@@ -268,10 +268,11 @@ def _flip_map(a: NDArray[np.float64], r: NDArray[np.float64], *, hdr: bool) -> N
     return np.asarray(error)[..., 0]
 
 
-def _check(
+def check_pair(
     image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    a, r = _require_image("image", image), _require_image("reference", reference)
+    """Return image, reference and mask as every metric takes them, or raise InputError as `mse` does."""
+    a, r = require_image("image", image), require_image("reference", reference)
     if a.shape != r.shape:
         raise InputError(
             describe_problem(
@@ -296,7 +297,8 @@ def _check(
     return a, r, chosen
 
 
-def _require_image(name: str, value: ArrayLike) -> NDArray[np.float64]:
+def require_image(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return an image of finite numbers in float64, or raise InputError."""
     array = np.asarray(value)
     if array.ndim != 3 or array.shape[-1] != 3 or 0 in array.shape or array.dtype.kind not in "fiu":
         raise InputError(

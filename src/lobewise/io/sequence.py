@@ -1,0 +1,116 @@
+"""Numbered files: ``render.####.exr`` stands for ``render.0001.exr``, ``render.0002.exr`` and so on."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.io.files import PathLike
+
+# The run of digits: signs as Blender writes them, or a number's format as C and ffmpeg write it.
+_RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
+
+
+def is_pattern(text: PathLike) -> bool:
+    """Return whether a path stands for numbered files: its name has ``####`` or ``%04d``, and no file is named so."""
+    path = Path(text)
+    return _RUN.search(path.name) is not None and not path.is_file()
+
+
+@dataclass(frozen=True)
+class FramePattern:
+    """The name of numbered files.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files are.
+    before, after : str
+        What stands before and after the number, the ending included.
+    width : int
+        Digits that a number has at least; smaller numbers begin with zeros, larger ones have more digits.
+    """
+
+    folder: Path
+    before: str
+    width: int
+    after: str
+
+    @classmethod
+    def parse(cls, text: PathLike) -> FramePattern:
+        """Return the pattern of a path such as ``out/render.####.exr`` or ``out/render.%04d.exr``.
+
+        Raises
+        ------
+        InputError
+            If the name of the file has no run of ``#`` and no ``%04d``, or more than one.
+        """
+        path = Path(text)
+        runs = list(_RUN.finditer(path.name))
+        if len(runs) != 1:
+            raise InputError(
+                describe_problem(
+                    f"sequence {str(path)!r}",
+                    expected="a name with one run of #, such as render.####.exr",
+                    got=f"{len(runs)} runs" if runs else "none",
+                    action="write # where the digits of the number stand",
+                )
+            )
+        run = runs[0]
+        width = len(run[0]) if run[0].startswith("#") else int(run[1] or 1)
+        return cls(path.parent, path.name[: run.start()], width, path.name[run.end() :])
+
+    def __str__(self) -> str:
+        return str(self.folder / f"{self.before}{'#' * self.width}{self.after}")
+
+    def name(self, number: int) -> Path:
+        """Return the file of a frame, ``number`` >= 0."""
+        return self.folder / f"{self.before}{number:0{self.width}d}{self.after}"
+
+    def find(self) -> list[tuple[int, Path]]:
+        """Return the files that exist with their numbers, in the order of the numbers.
+
+        Numbers may be missing: a number that is not the one before it plus 1 begins a new take, and whoever follows
+        motion from frame to frame must begin anew there.
+
+        Raises
+        ------
+        FileError
+            If there is no file, or the folder cannot be read.
+        """
+        try:
+            names = [entry.name for entry in self.folder.iterdir() if entry.is_file()]
+        except (OSError, ValueError) as problem:
+            raise FileError(
+                describe_problem(
+                    f"sequence {str(self)!r}",
+                    expected="a folder that can be read",
+                    got=getattr(problem, "strerror", None) or str(problem),
+                    action="check the path",
+                )
+            ) from None
+        # More digits than the pattern has are a large number, unless they begin with a zero.
+        digits = rf"[0-9]{{{self.width}}}|[1-9][0-9]{{{self.width},}}"
+        name = re.compile(f"{re.escape(self.before)}({digits}){re.escape(self.after)}")
+        found = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
+        if found:
+            return found
+        near = self._find_near(names)
+        raise FileError(
+            describe_problem(
+                f"sequence {str(self)!r}",
+                expected=f"files such as {self.name(1).name!r}",
+                got="none",
+                action=f"did you mean {near!r}?" if near else "check the path",
+            ).replace("?.", "?")
+        )
+
+    def _find_near(self, names: list[str]) -> str | None:
+        """Return the pattern of other numbered files whose name is nearest, if one is near."""
+        import difflib
+
+        patterns = {re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), name) for name in names}
+        near = difflib.get_close_matches(Path(str(self)).name, sorted(patterns - set(names)), n=1, cutoff=0.6)
+        return str(self.folder / near[0]) if near else None

@@ -1,0 +1,85 @@
+"""Patterns of numbered files: what they name, what they find, what they say when there is nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lobewise.errors import FileError, InputError
+from lobewise.io.sequence import FramePattern, is_pattern
+
+
+@pytest.mark.parametrize("text", ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr")])
+def test_patterns_are_told_from_files(text):
+    assert is_pattern(text)
+
+
+@pytest.mark.parametrize("text", ["a.exr", "a.0001.exr", "####/a.exr", "100%.exr", "%4d.exr", "%00d.exr", "a%04i.exr"])
+def test_files_are_told_from_patterns(text):
+    assert not is_pattern(text)
+
+
+def test_a_file_of_just_that_name_is_a_file(tmp_path):
+    (tmp_path / "take#2.exr").write_bytes(b"x")
+    assert not is_pattern(tmp_path / "take#2.exr")
+    assert is_pattern(tmp_path / "take#3.exr")
+
+
+@pytest.mark.parametrize(
+    ("text", "number", "name"),
+    [
+        ("d/a.####.exr", 7, "d/a.0007.exr"),
+        ("d/a.%04d.exr", 7, "d/a.0007.exr"),
+        ("d/a.%04d.exr", 12345, "d/a.12345.exr"),
+        ("a%d.exr", 0, "a0.exr"),
+        ("a%012d.exr", 5, "a000000000005.exr"),
+        ("##", 3, "03"),
+        ("v2_#_b(1).exr", 40, "v2_40_b(1).exr"),
+        ("###/a.##.exr", 1, "###/a.01.exr"),
+    ],
+)
+def test_names(text, number, name):
+    assert FramePattern.parse(text).name(number) == Path(name)
+
+
+def test_both_ways_of_writing_are_one_pattern():
+    pattern = FramePattern.parse("d/a.%03d.exr")
+    assert pattern == FramePattern.parse("d/a.###.exr")
+    assert str(pattern) == str(Path("d/a.###.exr"))
+
+
+@pytest.mark.parametrize("text", ["a.exr", "####/a.exr", "a.##.##.exr", "a.%04d.#.exr", "a.%4d.exr"])
+def test_other_names_are_refused(text):
+    with pytest.raises(InputError, match=r"expected a name with one run of #, .*, got (none|2 runs); .*\.$"):
+        FramePattern.parse(text)
+
+
+def test_found_files_are_in_the_order_of_their_numbers(tmp_path):
+    names = ["a.0002.exr", "a.0010.exr", "a.0000.exr", "a.9999.exr", "a.10000.exr", "a.100001.exr"]
+    others = ["a.002.exr", "a.00003.exr", "a.0004.exr.bak", "b.0005.exr", "axx.0006.exr", "a.-007.exr", "a.000٣.exr"]
+    for name in names + others:
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "a.0008.exr").mkdir()
+    found = FramePattern.parse(tmp_path / "a.####.exr").find()
+    assert [number for number, _ in found] == [0, 2, 10, 9999, 10000, 100001]
+    assert [path for _, path in found] == [FramePattern.parse(tmp_path / "a.####.exr").name(n) for n, _ in found]
+    assert sorted(path.name for _, path in found) == sorted(names)
+
+
+@pytest.mark.parametrize(
+    ("there", "near"),
+    [(["a.001.exr"], "a.###.exr"), (["a_0001.exr", "zzz"], "a_####.exr"), (["zzz.txt"], None), ([], None)],
+)
+def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
+    for name in there:
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FileError, match=r"expected files such as 'a\.0001\.exr', got none; ") as problem:
+        FramePattern.parse(tmp_path / "a.####.exr").find()
+    wanted = "check the path." if near is None else f"did you mean {str(tmp_path / near)!r}?"
+    assert str(problem.value).endswith(wanted)
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(FileError, match="expected a folder that can be read, got No such file"):
+        FramePattern.parse(tmp_path / "no" / "a.#.exr").find()
