@@ -4,7 +4,8 @@
 one form; ``separable`` and ``atrous`` chain passes and hand on the undivided sums, so that bad pixels, image borders
 and poorly supported rows are weighted rightly, a constant stays that constant and the weight sum stays testable.
 
-Channels of an undivided image: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights.
+Channels of an undivided image: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights, and on demand
+5 the weighted squared luminance.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.features import Feature, Pixel
+from lobewise.kernels.features import Feature, Pixel, dot
+from lobewise.lobes.vectors import LUMINANCE
 
 SUM_CHANNELS = 5
 WEIGHT = 3
@@ -57,9 +59,18 @@ class PassKey:
     last: bool
     """Writes radiance, weight sum and effective samples; otherwise undivided sums."""
     demodulate: bool
-    """Divides by an albedo on the way in, multiplies by it on the way out."""
+    """Divides by an albedo on the way in."""
+    modulate: bool = False
+    """Multiplies by an albedo on the way out."""
+    moment: bool = False
+    """Sums squared luminance as well."""
     paired: bool = False
     """Taps come from another grid than the centres, ``scale`` times as coarse, with its own mask, albedo and guides."""
+
+    @property
+    def channels(self) -> int:
+        """How many channels the sums have."""
+        return SUM_CHANNELS + self.moment
 
 
 @dataclass
@@ -68,6 +79,7 @@ class PassFuncs:
 
     out: hl.Func
     sums: hl.Func
+    channels: int
     image: hl.Func
     guides: hl.Func | None
     guide_count: int
@@ -126,7 +138,7 @@ class _Side:
         return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
 
 
-def _make_side(
+def make_side(
     name: str,
     mask: hl.ImageParam,
     features: Sequence[Feature],
@@ -199,8 +211,11 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
                 radiance[k] = radiance[k] / hl.max(tint, hl.f32(ALBEDO_FLOOR))
             # A coloured metal may lack a channel altogether; a pixel is dropped when it lacks all of them.
             good = good & (hl.max(tints[0], tints[1], tints[2]) > hl.f32(ALBEDO_FLOOR))
-        zero = hl.f32(0.0)
-        image[x, c, y] = hl.select(good, hl.mux(c, [*radiance, hl.f32(1.0), hl.f32(1.0)]), zero)
+        values = [*radiance, hl.f32(1.0), hl.f32(1.0)]
+        if key.moment:
+            luminance = dot([hl.f32(share) for share in LUMINANCE], radiance)
+            values.append(luminance * luminance)
+        image[x, c, y] = hl.select(good, hl.mux(c, values), hl.f32(0.0))
     else:
         image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
 
@@ -208,12 +223,12 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
     ]
-    side = _make_side("tap", mask, features, scalars, (x, y, c))
+    side = make_side("tap", mask, features, scalars, (x, y, c))
     centre, own_mask, own_albedo = side, mask, albedo
     if key.paired:
         own_mask = hl.ImageParam(hl.UInt(8), 2, "own_mask")
         own_albedo = hl.ImageParam(hl.Float(32), 3, "own_albedo")
-        centre = _make_side("centre", own_mask, features, scalars, (x, y, c))
+        centre = make_side("centre", own_mask, features, scalars, (x, y, c))
 
     # Taps.
     r = key.radius
@@ -251,37 +266,42 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     weight = expressions.exp2(log_weight[x, y, taps.x, taps.y])
 
     sums = hl.Func("sums")
-    sums[x, y] = hl.Tuple([hl.f32(0.0)] * SUM_CHANNELS)
-    taken = [image[x + taps.x * spread, k, y + taps.y * spread] for k in range(SUM_CHANNELS)]
-    factors = [weight] * SQUARED_WEIGHT + [weight * weight]
-    sums[x, y] = hl.Tuple([sums[x, y][k] + factors[k] * taken[k] for k in range(SUM_CHANNELS)])
+    sums[x, y] = hl.Tuple([hl.f32(0.0)] * key.channels)
+    taken = [image[x + taps.x * spread, k, y + taps.y * spread] for k in range(key.channels)]
+    factors = [weight] * key.channels
+    factors[SQUARED_WEIGHT] = weight * weight
+    sums[x, y] = hl.Tuple([sums[x, y][k] + factors[k] * taken[k] for k in range(key.channels)])
 
     out = hl.Func("out")
     if key.last:
         total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
+        moments: list[hl.Expr] = []
         alive = (own_mask[x, y] != 0) & (total > hl.f32(0.0))
         mean = [sums[x, y][k] / total for k in range(3)]
-        if key.demodulate:
+        if key.modulate:
             tints = [own_albedo[k, x, y] for k in range(3)]
             mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
         # The squares underflow before the sum does: then one far tap decides, which is one sample.
         effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
-        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, effective]), hl.f32(0.0))
+        if key.moment:
+            moments = [sums[x, y][SUM_CHANNELS] / total]
+        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, effective, *moments]), hl.f32(0.0))
     else:
-        out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(SUM_CHANNELS)])
+        out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(key.channels)])
     arguments = [
         source,
-        *([albedo] if key.demodulate else []),
+        *([albedo] if key.demodulate or (key.modulate and not key.paired) else []),
         mask,
         *side.arrays,
         step,
         *(p for own in scalars for p in own),
     ]
     if key.paired:
-        arguments += [*([own_albedo] if key.demodulate else []), own_mask, *centre.arrays, *placing]
+        arguments += [*([own_albedo] if key.modulate else []), own_mask, *centre.arrays, *placing]
     return PassFuncs(
         out=out,
         sums=sums,
+        channels=key.channels,
         image=image,
         guides=side.guides,
         guide_count=side.guide_count,

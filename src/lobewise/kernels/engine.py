@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from lobewise.errors import DeviceError, InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
-from lobewise.kernels.cross_filter import SUM_CHANNELS, PassKey, Taps, describe_structure, make_pass
+from lobewise.kernels.cross_filter import PassFuncs, PassKey, Taps, describe_structure, make_pass
 from lobewise.kernels.features import Feature
-from lobewise.kernels.schedules import schedule_cpu
+from lobewise.kernels.history import HISTORY_CHANNELS, ReprojectionFuncs, make_reprojection
+from lobewise.kernels.schedules import schedule_cpu, schedule_reprojection_cpu
 
 DEVICES = ("cpu",)
 FORMS = ("full", "separable", "atrous")
@@ -76,18 +77,37 @@ class _KernelCache:
     """Compiled passes of this process, by structure; safe to use from several threads."""
 
     def __init__(self) -> None:
-        self._kernels: dict[tuple[str, PassKey], Any] = {}
+        self._kernels: dict[tuple[str, Hashable], Any] = {}
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self._kernels)
 
     def get(self, device: str, key: PassKey, features: Sequence[Feature]) -> Any:
+        """Return the kernel of a filter pass."""
+
+        def make(target: hl.Target) -> PassFuncs:
+            funcs = make_pass(key, features)
+            schedule_cpu(funcs, target)
+            return funcs
+
+        return self._get(device, key, make)
+
+    def get_reprojection(self, device: str, features: Sequence[Feature]) -> Any:
+        """Return the kernel that gathers a history."""
+
+        def make(target: hl.Target) -> ReprojectionFuncs:
+            funcs = make_reprojection(features)
+            schedule_reprojection_cpu(funcs, target)
+            return funcs
+
+        return self._get(device, ("reprojection", *map(describe_structure, features)), make)
+
+    def _get(self, device: str, key: Hashable, make: Callable[[hl.Target], PassFuncs | ReprojectionFuncs]) -> Any:
         with self._lock:
             if (device, key) not in self._kernels:
                 target = hl.get_host_target()
-                funcs = make_pass(key, features)
-                schedule_cpu(funcs, target)
+                funcs = make(target)
                 self._kernels[device, key] = hl.Pipeline(funcs.out).compile_to_callable(funcs.arguments, target)
             return self._kernels[device, key]
 
@@ -124,11 +144,20 @@ class FilterOutput:
         Filtered radiance; 0 where no tap had any weight.
     weight_sum, effective_samples : (height, width)
         Sum of the weights; ``(sum w)^2 / sum w^2``.
+    moment : (height, width), optional
+        Weighted mean of the squared luminance of the samples, over their albedo.
     """
 
     image: FloatArray
     weight_sum: FloatArray
     effective_samples: FloatArray
+    moment: FloatArray | None = None
+
+
+def _split_output(pixels: FloatArray) -> FilterOutput:
+    """Return what a last pass wrote, (height, width, channels), channel by channel."""
+    image, *rest = (np.ascontiguousarray(pixels[..., k]) for k in (slice(0, 3), *range(3, pixels.shape[2])))
+    return FilterOutput(image, *rest)
 
 
 def run_filter(
@@ -139,6 +168,8 @@ def run_filter(
     form: str,
     radius: int,
     albedo: FloatArray | None = None,
+    modulate: bool = True,
+    moment: bool = False,
     device: str = "cpu",
 ) -> FilterOutput:
     """Run the cross filter.
@@ -157,6 +188,10 @@ def run_filter(
         Kernel radius, pixels, >= 0.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in and multiplies it on the way out.
+    modulate : bool
+        Whether it does the latter.
+    moment : bool
+        Whether to average the squared luminance as well.
     device : str
         A name from `list_devices`.
 
@@ -187,19 +222,23 @@ def run_filter(
     source: FloatArray = np.ascontiguousarray(radiance)
     for number, (taps, reach, step) in enumerate(passes):
         first, last = number == 0, number == len(passes) - 1
-        demodulate = albedo is not None and (first or last)
-        key = PassKey(taps, reach, structure, first, last, demodulate)
+        key = PassKey(
+            taps,
+            reach,
+            structure,
+            first,
+            last,
+            demodulate=albedo is not None and first,
+            modulate=albedo is not None and last and modulate,
+            moment=moment,
+        )
         kernel = _cache.get(device, key, features)
-        shape = (height, width, SUM_CHANNELS) if last else (height, SUM_CHANNELS, width)
+        shape = (height, width, key.channels) if last else (height, key.channels, width)
         target = np.empty(shape, dtype=np.float32)
-        tints = tint_buffers if demodulate else []
+        tints = tint_buffers if key.demodulate or key.modulate else []
         kernel(hl.Buffer(_borrow(source)), *tints, *fixed, step, *parameters, hl.Buffer(target))
         source = target
-    return FilterOutput(
-        np.ascontiguousarray(source[..., :3]),
-        np.ascontiguousarray(source[..., 3]),
-        np.ascontiguousarray(source[..., 4]),
-    )
+    return _split_output(source)
 
 
 def run_upsampling(
@@ -211,6 +250,8 @@ def run_upsampling(
     place: tuple[int, int] = (0, 0),
     radius: int,
     albedo: FloatArray | None = None,
+    modulate: bool = True,
+    moment: bool = False,
     device: str = "cpu",
 ) -> FilterOutput:
     """Bring radiance that was shaded at every ``scale``-th pixel to every pixel, by what the pixels have in common.
@@ -235,6 +276,8 @@ def run_upsampling(
         Samples from the centre to the edge of the kernel, >= 0: (2 radius + 1)^2 of them are looked at.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in, at the shaded pixels, and multiplies it on the way out.
+    modulate, moment
+        As for `run_filter`.
     device : str
         A name from `list_devices`.
 
@@ -262,7 +305,17 @@ def run_upsampling(
             )
         )
     structure = tuple(describe_structure(feature) for feature in features)
-    key = PassKey(Taps.SQUARE, radius, structure, True, True, albedo is not None, paired=True)
+    key = PassKey(
+        Taps.SQUARE,
+        radius,
+        structure,
+        first=True,
+        last=True,
+        demodulate=albedo is not None,
+        modulate=albedo is not None and modulate,
+        moment=moment,
+        paired=True,
+    )
     kernel = _cache.get(device, key, features)
     arrays = [_take_array(feature, array, (height, width)) for feature in features for array in feature.get_arrays()]
     parameters = [value for feature in features for value in feature.get_parameters()]
@@ -281,16 +334,56 @@ def run_upsampling(
     source = np.ascontiguousarray(radiance, dtype=np.float32)
     tap_tints, tap_bits, tap_arrays = cut(shaded)
     taps = [lend(source), *map(lend, tap_tints), lend(tap_bits), *map(lend, tap_arrays), 1, *parameters]
-    whole = np.empty((height, width, SUM_CHANNELS), dtype=np.float32)
+    whole = np.empty((height, width, key.channels), dtype=np.float32)
     for row, column in np.ndindex(min(scale, height), min(scale, width)):
         part = slice(row, None, scale), slice(column, None, scale)
         own_tints, own_bits, own_arrays = cut(part)
-        target = np.empty((*own_bits.shape, SUM_CHANNELS), dtype=np.float32)
+        own_tints = own_tints if key.modulate else []
+        target = np.empty((*own_bits.shape, key.channels), dtype=np.float32)
         shift = float(scale), float(place[1] - column), float(place[0] - row)
         kernel(*taps, *map(lend, own_tints), lend(own_bits), *map(lend, own_arrays), *shift, lend(target))
         whole[part] = target
-    return FilterOutput(
-        np.ascontiguousarray(whole[..., :3]),
-        np.ascontiguousarray(whole[..., 3]),
-        np.ascontiguousarray(whole[..., 4]),
-    )
+    return _split_output(whole)
+
+
+def run_reprojection(
+    past: FloatArray,
+    places: FloatArray,
+    masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    features: tuple[Sequence[Feature], Sequence[Feature]],
+    *,
+    device: str = "cpu",
+) -> FloatArray:
+    """Gather the history of every pixel from where it was in the frame before.
+
+    Parameters
+    ----------
+    past : array, shape (height, width, 6)
+        Sums of the frame before; see `lobewise.kernels.history`.
+    places : array, shape (height, width, 2)
+        Column and row where each pixel was, pixel centres at whole numbers; NaN or outside where it was nowhere.
+    masks : pair of bool arrays, shape (height, width)
+        Where a pixel has meaning, before and now.
+    features : pair of sequences of Feature
+        Of the frame before and of this one, of one structure; a pixel's history counts by their similarities.
+    device : str
+        A name from `list_devices`.
+
+    Returns
+    -------
+    array, shape (height, width, 7)
+        The sums here, and how much of each place agrees, 0 to 1.
+    """
+    size = masks[1].shape
+    kernel = _cache.get_reprojection(device, features[1])
+    # Every array is held in a local name until the last call has returned: Halide keeps no reference.
+    held = [np.ascontiguousarray(past, dtype=np.float32), np.ascontiguousarray(places, dtype=np.float32)]
+    for mask, sides in zip(masks, features, strict=True):
+        held.append(np.ascontiguousarray(mask).view(np.uint8))
+        held += [_take_array(feature, array, size) for feature in sides for array in feature.get_arrays()]
+    parameters = [value for feature in features[1] for value in feature.get_parameters()]
+    buffers = [hl.Buffer(_borrow(array)) for array in held]
+    split = 3 + sum(len(feature.get_arrays()) for feature in features[0])
+    target = np.empty((*size, HISTORY_CHANNELS + 1), dtype=np.float32)
+    kernel(*buffers[:split], *parameters, *buffers[split:], hl.Buffer(_borrow(target)))
+    return target

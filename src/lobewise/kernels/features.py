@@ -247,6 +247,58 @@ class PositionFeature(Feature):
         return np.exp(-squared / (2.0 * self.sigma**2 * footprints))
 
 
+class PlaneFeature(Feature):
+    """Gaussian of how far two surface points lie off each other's tangent plane, in units of what a pixel covers.
+
+    ``exp(-((n_i . d)^2 + (n_j . d)^2) / (4 sigma^2 f_i f_j))``, d the step between the points and f the footprint
+    ``depth * pixel_angle``. Unlike the distance itself it does not mind how slanted a surface is seen: what tells the
+    same surface a frame later from another one.
+
+    Parameters
+    ----------
+    position, normal : array, shape (height, width, 3)
+        World positions and unit normals; 0 both where there is no surface.
+    footprint : array, shape (height, width)
+        What a pixel covers, times what is allowed for (a moving object), world units, > 0.
+    sigma : float
+        Standard deviation in footprints, > 0.
+    """
+
+    name = "plane"
+
+    def __init__(self, position: FloatArray, normal: FloatArray, footprint: FloatArray, sigma: float) -> None:
+        self.position = position
+        self.normal = normal
+        self.footprint = footprint
+        self.sigma = require_positive("plane sigma", sigma)
+
+    @property
+    def neutral(self) -> tuple[float, ...]:
+        return (0.0,) * 6 + (1.0,)
+
+    def get_arrays(self) -> tuple[FloatArray, ...]:
+        return self.position, self.normal, self.footprint
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (math.sqrt(0.25 * LOG2_E) / self.sigma,)
+
+    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        return [*inputs[:6], parameters[0] / hl.max(inputs[6], hl.f32(1e-20))]
+
+    def log2_similarity(
+        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+    ) -> hl.Expr:
+        d = subtract(j[:3], i[:3])
+        above, below = dot(i[3:6], d), dot(j[3:6], d)
+        return -(above * above + below * below) * (i[6] * j[6])
+
+    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
+        d = self.position[j].astype(np.float64) - self.position[i].astype(np.float64)
+        squared = sum(np.sum(self.normal[k].astype(np.float64) * d, axis=-1) ** 2 for k in (i, j))
+        footprints = self.footprint[i].astype(np.float64) * self.footprint[j].astype(np.float64)
+        return np.asarray(np.exp(-squared / (4.0 * self.sigma**2 * footprints)), dtype=np.float64)
+
+
 class NormalFeature(Feature):
     """Geometry-aware baseline: ``exp(-exponent (1 - n_i . n_j))``, the usual cosine power for nearby normals.
 

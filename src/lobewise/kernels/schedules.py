@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import halide as hl
 
-from lobewise.kernels.cross_filter import SUM_CHANNELS, PassFuncs
+from lobewise.kernels.cross_filter import PassFuncs
+from lobewise.kernels.history import HISTORY_CHANNELS, ReprojectionFuncs
 
 
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
@@ -24,7 +25,7 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     rows = 8
     xo, yo, xi, yi = hl.Var("xo"), hl.Var("yo"), hl.Var("xi"), hl.Var("yi")
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
-    out.bound(c, 0, SUM_CHANNELS).reorder(c, x, y).unroll(c)
+    out.bound(c, 0, funcs.channels).reorder(c, x, y).unroll(c)
     strip = 32
     ys, yt = hl.Var("ys"), hl.Var("yt")
     out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, lanes, rows, tail)
@@ -38,7 +39,7 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
         stage.compute_at(sums, funcs.taps.y).vectorize(x, lanes)
 
     sides = ((funcs.guides, funcs.planes), (funcs.centre_guides, funcs.centre_planes))
-    counts = ((funcs.image, SUM_CHANNELS), *((planes, funcs.plane_count) for _, planes in sides))
+    counts = ((funcs.image, funcs.channels), *((planes, funcs.plane_count) for _, planes in sides))
     for func, channels in counts:
         if func is None:
             continue
@@ -51,3 +52,21 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
         # Channels of a pixel lie together in memory; a row of them is taken apart once, and not once per plane.
         guides.compute_at(planes, y).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
         guides.bound(c, 0, funcs.guide_count).vectorize(x, lanes).unroll(c).never_partition_all()
+
+
+def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> None:
+    """Rows in parallel, columns in vectors; the four taps gather, so their planes are computed where they are read."""
+    x, y, c = funcs.x, funcs.y, funcs.c
+    lanes = target.natural_vector_size(hl.Float(32))
+    out, tail = funcs.out, hl.TailStrategy.GuardWithIf
+    xi, xo = hl.Var("xi"), hl.Var("xo")
+    out.bound(c, 0, HISTORY_CHANNELS + 1).reorder(c, x, y).unroll(c)
+    out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, y).vectorize(xi).parallel(y, 4).never_partition_all()
+    funcs.sums.compute_at(out, xo).vectorize(x, lanes)
+    funcs.sums.update().reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes).unroll(funcs.taps.x)
+    funcs.sums.update().unroll(funcs.taps.y)
+    for stage in funcs.stages:
+        stage.compute_at(funcs.sums, funcs.taps.y).vectorize(x, lanes)
+    if funcs.planes is not None:
+        funcs.planes.bound(c, 0, funcs.plane_count).compute_at(out, xo).reorder_storage(x, c, y).reorder(x, c, y)
+        funcs.planes.vectorize(x, lanes).unroll(c)
