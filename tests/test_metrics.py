@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -172,3 +173,93 @@ def test_specular_pixels():
     assert metrics.find_specular_pixels(albedos).tolist() == [[False, True]]
     with pytest.raises(MissingChannelError, match="lobe_kind or specular_albedo"):
         metrics.find_specular_pixels(GBuffer())
+
+
+class TestFlicker:
+    @pytest.fixture
+    def film(self, rng):
+        """Return five noisy frames and their references."""
+        references = rng.gamma(0.5, 1.0, (5, 4, 3, 3))
+        return references + rng.normal(0.0, 0.2, references.shape), references
+
+    def test_it_agrees_with_a_loop(self, film):
+        terms = []
+        for t, y, x, c in np.ndindex(4, 4, 3, 3):
+            a, b, r, s = (float(images[t + k, y, x, c]) for images in film for k in (1, 0))
+            terms.append((a - b - r + s) ** 2 / ((r * r + s * s) / 2.0 + 0.01))
+        assert metrics.flicker(*film) == pytest.approx(math.fsum(terms) / len(terms), rel=1e-12)
+
+    def test_what_stays_wrong_does_not_flicker(self, film):
+        assert metrics.flicker(film[1] + film[0][0], film[1]) == pytest.approx(0.0, abs=1e-25)
+        assert metrics.flicker(film[0], film[1]) > 0.01
+
+    def test_a_still_reference_gives_rel_mse_of_the_change(self, pair):
+        a, r = pair
+        assert metrics.flicker([a, 2.0 * a], [r, r]) == pytest.approx(metrics.rel_mse(r + a, r), rel=1e-12)
+
+    def test_fresh_noise_flickers_twice_its_error(self, rng):
+        references = np.full((9, 60, 60, 3), 0.7)
+        images = references + rng.normal(0.0, 0.1, references.shape)
+        error = np.mean([metrics.rel_mse(a, r) for a, r in zip(images, references, strict=True)])
+        # The mean of about 90000 squares of a normal number: 4 standard deviations.
+        assert metrics.flicker(images, references) == pytest.approx(2.0 * error, rel=4.0 * math.sqrt(3.0 / 86400))
+
+    def test_backwards_is_the_same(self, film):
+        assert metrics.flicker(film[0][::-1], film[1][::-1]) == pytest.approx(metrics.flicker(*film), rel=1e-12)
+
+    def test_one_by_one_with_a_cut(self, film):
+        steps = metrics.Flicker()
+        each = [steps.add(a, r, cut=t == 2) for t, (a, r) in enumerate(zip(*film, strict=True))]
+        assert [t for t, step in enumerate(each) if step is None] == [0, 2]
+        pairs = [metrics.flicker(film[0][t - 1 : t + 1], film[1][t - 1 : t + 1]) for t in (1, 3, 4)]
+        assert [step for step in each if step is not None] == pytest.approx(pairs, rel=1e-12)
+        assert steps.get_mean() == pytest.approx(np.mean(pairs), rel=1e-12)
+
+    def test_only_the_frame_before_is_kept(self, rng):
+        frame = rng.random((40, 50, 3))
+        tracemalloc.start()
+        try:
+            steps = metrics.Flicker()
+            sizes = []
+            for _ in range(6):
+                steps.add(frame, frame)
+                sizes.append(tracemalloc.get_traced_memory()[0])
+        finally:
+            tracemalloc.stop()
+        assert sizes[5] - sizes[1] < frame.nbytes
+
+    def test_mistakes(self, film):
+        images, references = film
+        for few in ([], images[:1]):
+            with pytest.raises(InputError, match=r"^flicker: expected at least two frames in a row, got fewer"):
+                metrics.flicker(few, references[: len(few)])
+        for count, word in ((3, "fewer"), (5, "more")):
+            with pytest.raises(InputError, match=f"references: expected one for each image, got {word}"):
+                metrics.flicker(images[:4], references[:count])
+        with pytest.raises(InputError, match="the size of the frame before, 3x4 pixels, got 2x4"):
+            metrics.flicker([images[0], images[1][:, :2]], [references[0], references[1][:, :2]])
+        images[1, 2, 1, 0] = np.nan
+        with pytest.raises(InputError, match="finite pixels"):
+            metrics.flicker(images, references)
+
+
+class TestGhosting:
+    def test_only_what_came_into_view_counts(self, pair, rng):
+        mask = rng.random((6, 5)) < 0.4
+        expected = loop(pair, mask, lambda a, r: (a - r) * (a - r) / (r * r + 0.01))
+        assert metrics.ghosting(*pair, mask) == pytest.approx(expected, rel=1e-12)
+        pair[0][~mask] = 1e6
+        assert metrics.ghosting(*pair, mask) == pytest.approx(expected, rel=1e-12)
+
+    def test_nothing_came_into_view(self, pair):
+        assert math.isnan(metrics.ghosting(*pair, np.zeros((6, 5), dtype=bool)))
+
+    @pytest.mark.parametrize("mask", [np.zeros((5, 6), dtype=bool), np.ones((5, 6), dtype=bool), np.zeros((6, 5)), []])
+    def test_masks_of_another_kind_are_refused(self, pair, mask):
+        with pytest.raises(InputError, match="mask: expected booleans of shape"):
+            metrics.ghosting(*pair, mask)
+
+    def test_bad_pixels_are_refused_even_where_nothing_counts(self, pair):
+        pair[0][0, 0] = np.nan
+        with pytest.raises(InputError, match="finite pixels"):
+            metrics.ghosting(*pair, np.zeros((6, 5), dtype=bool))

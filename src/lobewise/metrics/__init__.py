@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lobewise.metrics.disocclusion import find_disoccluded
 from lobewise.metrics.images import (
     EPSILON,
     FLIP_PIXELS_PER_DEGREE,
@@ -15,14 +16,19 @@ from lobewise.metrics.images import (
     rel_mse,
     smape,
 )
+from lobewise.metrics.sequences import Flicker, flicker, ghosting
 
 __all__ = [
     "EPSILON",
     "FLIP_PIXELS_PER_DEGREE",
     "METRICS",
+    "Flicker",
     "evaluate",
+    "find_disoccluded",
     "find_specular_pixels",
+    "flicker",
     "flip",
+    "ghosting",
     "make_error_map",
     "mse",
     "psnr",

@@ -1,0 +1,142 @@
+"""Which surface points the frame before did not show: where a history can hold nothing that is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError, MissingChannelError, describe_problem
+from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.motion import compute_motion
+
+MOVING_PIXELS = 0.05
+"""Motion beyond that of a still point by more than this, in pixels, is that of an object; less is rounding."""
+
+DEPTH_SLACK = 2.0
+"""What depths of one surface may differ by, in units of the change of depth from a pixel to the next."""
+
+MOVING_DEPTH = 0.1
+"""What the depth of a moving object may change by from frame to frame, relative to it."""
+
+NORMAL_COSINE = 0.5
+"""Normals further apart, here 60 degrees, are those of two surfaces."""
+
+TAP_WEIGHT = 0.125
+"""Of the four pixels about a place those count whose share of bilinear interpolation is at least this."""
+
+
+@dataclass(frozen=True)
+class _View:
+    """What a frame saw: per pixel the surface point, its distance (0 for none), its normal where known."""
+
+    position: NDArray[np.float64]
+    depth: NDArray[np.float64]
+    normal: FloatArray | None
+
+
+def find_disoccluded(
+    gbuffer: GBuffer, camera: Camera, previous_gbuffer: GBuffer, previous_camera: Camera
+) -> NDArray[np.bool_]:
+    """Return the pixels whose surface point the previous frame did not show, shape (height, width).
+
+    Each point is followed to its place in the previous frame: by ``gbuffer.motion``, or without it as a point that
+    stands still. It was not seen where that place is outside the image, or where none of the pixels about it showed
+    its surface. The background counts as a surface of its own, infinitely far.
+
+    Two pixels show one surface if their normals, where both frames have them, are less than 60 degrees apart, and if
+    the previous depth is that expected at the place. A point that stands still has a known distance from the previous
+    camera; the depth may differ from it by what it changes by within about two pixels. Of a point that moves by itself,
+    which motion beyond that of the camera tells, only the place is known: its depth may have changed by a tenth.
+
+    Parameters
+    ----------
+    gbuffer, previous_gbuffer : GBuffer
+        Each with ``position`` or ``depth``; ``motion`` of the first and ``normal`` of both are used where given.
+    camera, previous_camera : Camera
+        Those of the two frames.
+
+    Raises
+    ------
+    MissingChannelError
+        If a G-buffer has neither position nor depth.
+    InputError
+        If the G-buffers differ in size.
+
+    Notes
+    -----
+    Two surfaces that face alike and are nearer to each other than about two pixels are wide are taken for one, as are
+    a moving object and what was within a tenth of its distance in front of it. Reflections are not followed.
+    """
+    now, before = _look(gbuffer, camera, "gbuffer"), _look(previous_gbuffer, previous_camera, "previous_gbuffer")
+    height, width = now.depth.shape
+    if before.depth.shape != now.depth.shape:
+        raise InputError(
+            describe_problem(
+                "previous_gbuffer",
+                expected=f"the size of the frame, {width}x{height} pixels",
+                got=f"{before.depth.shape[1]}x{before.depth.shape[0]}",
+                action="compare frames of one size",
+            )
+        )
+    still = compute_motion(camera, previous_camera, now.position, now.depth)
+    motion = still if gbuffer.motion is None else gbuffer.motion
+    column, row = np.meshgrid(np.arange(width), np.arange(height))
+    # Places count from the centre of the first pixel.
+    x, y = column + motion[..., 0].astype(np.float64), row + motion[..., 1].astype(np.float64)
+    inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
+    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
+
+    moving = np.hypot(*np.moveaxis(motion - still, -1, 0)) > MOVING_PIXELS
+    expected = np.where(now.depth > 0, np.linalg.norm(now.position - previous_camera.position, axis=-1), 0.0)
+    slack = DEPTH_SLACK * _measure_change(before.depth, previous_camera)
+    left, top = np.floor(x), np.floor(y)
+    seen = np.zeros((height, width), dtype=np.bool_)
+    for down in (0, 1):
+        for right in (0, 1):
+            weight = np.abs(1 - right - (x - left)) * np.abs(1 - down - (y - top))
+            tap_x, tap_y = (left + right).astype(np.intp), (top + down).astype(np.intp)
+            counts = (weight >= TAP_WEIGHT) & (tap_x >= 0) & (tap_x < width) & (tap_y >= 0) & (tap_y < height)
+            tap = np.clip(tap_y, 0, height - 1), np.clip(tap_x, 0, width - 1)
+            depth = before.depth[tap]
+            same = np.abs(depth - expected) <= np.where(moving, MOVING_DEPTH * expected, slack[tap])
+            if now.normal is not None and before.normal is not None:
+                same &= (now.normal * before.normal[tap]).sum(axis=-1) >= NORMAL_COSINE
+            seen |= counts & np.where(now.depth > 0, same & (depth > 0), depth == 0)
+    return ~(seen & inside)
+
+
+def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
+    """Return position and depth, whichever of the two the G-buffer has, in float64."""
+    if gbuffer.position is None and gbuffer.depth is None:
+        raise MissingChannelError(
+            describe_problem(
+                name, expected="position or depth", got="neither", action="render the guides with the frame"
+            )
+        )
+    if gbuffer.depth is not None:
+        depth = gbuffer.depth.astype(np.float64)
+    else:
+        assert gbuffer.position is not None
+        # No surface lies just at the origin: that is how a file without depths says that there is none.
+        found = gbuffer.position.any(axis=-1)
+        depth = np.where(found, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0)
+    position = gbuffer.position if gbuffer.position is not None else camera.make_positions(depth.astype(np.float32))
+    # Whatever stands there without a surface must not travel on.
+    depth = np.where(np.isfinite(depth) & np.isfinite(position).all(axis=-1), depth, 0.0)
+    return _View(np.where(depth[..., None] > 0, position, 0.0).astype(np.float64), depth, gbuffer.normal)
+
+
+def _measure_change(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """Return by how much the depth of a pixel's surface changes within a pixel, at least the width of a pixel there.
+
+    Along each axis that is the smaller step to a neighbour, so that the far side of an edge does not count.
+    """
+    total = depth * camera.get_pixel_angle(depth.shape[0])
+    for axis in (0, 1):
+        padded = np.pad(depth, [(int(a == axis), int(a == axis)) for a in (0, 1)], constant_values=0.0)
+        steps = np.abs(np.diff(padded, axis=axis))
+        ahead, behind = (np.take(steps, np.arange(depth.shape[axis]) + k, axis=axis) for k in (0, 1))
+        total = total + np.where(depth > 0, np.minimum(ahead, behind), 0.0)
+    return np.asarray(total)

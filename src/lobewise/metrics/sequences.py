@@ -1,0 +1,130 @@
+"""What only shows in motion: flicker from frame to frame, and ghosts where something came into view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.metrics.images import EPSILON, check_pair, rel_mse
+
+
+class Flicker:
+    """The `flicker` of a sequence whose frames come one by one; it holds one frame and its reference."""
+
+    def __init__(self) -> None:
+        self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._total = 0.0
+        self._steps = 0
+
+    def add(self, image: ArrayLike, reference: ArrayLike, *, cut: bool = False) -> float | None:
+        """Take the next frame; return the flicker of the step to it, or None where there is no step.
+
+        Parameters
+        ----------
+        image, reference : array_like, shape (height, width, 3)
+            Linear radiance, finite.
+        cut : bool
+            Whether this frame does not continue the one before, so that the change between them does not count.
+
+        Raises
+        ------
+        InputError
+            If the sizes differ, from each other or from the frame before, or a pixel is not finite.
+        """
+        a, r, _ = check_pair(image, reference, None)
+        before, self._before = self._before, (a, r)
+        if before is None or cut:
+            return None
+        if before[0].shape != a.shape:
+            raise InputError(
+                describe_problem(
+                    "image",
+                    expected=f"the size of the frame before, {before[0].shape[1]}x{before[0].shape[0]} pixels",
+                    got=f"{a.shape[1]}x{a.shape[0]}",
+                    action="compare frames of one size",
+                )
+            )
+        change = (a - before[0]) - (r - before[1])
+        step = float((change**2 / (0.5 * (r**2 + before[1] ** 2) + EPSILON)).mean())
+        self._total += step
+        self._steps += 1
+        return step
+
+    def get_mean(self) -> float:
+        """Return the mean over all steps so far.
+
+        Raises
+        ------
+        InputError
+            If no frame has followed another.
+        """
+        if self._steps == 0:
+            raise InputError(
+                describe_problem(
+                    "flicker", expected="at least two frames in a row", got="fewer", action="add another frame"
+                )
+            )
+        return self._total / self._steps
+
+
+def flicker(images: Iterable[ArrayLike], references: Iterable[ArrayLike]) -> float:
+    """Return how unlike the changes from frame to frame are to those of the reference.
+
+    That is the relative squared error of the changes, ``((a_t - a_s) - (r_t - r_s))^2 / ((r_t^2 + r_s^2) / 2 + 0.01)``
+    with ``s`` the frame before ``t``, averaged over frames, pixels and colour channels. An error that stays as it is
+    does not flicker. Noise that is new in every frame has twice its `rel_mse`. A still reference gives the `rel_mse`
+    of the changes, and a sequence played backwards flickers as much as forwards.
+
+    Parameters
+    ----------
+    images, references : iterable of array_like, shape (height, width, 3)
+        Linear radiance, finite, in the order of time; taken one by one.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two frames, not as many references, the sizes differ, or a pixel is not finite.
+    """
+    steps = Flicker()
+    ends = object()
+    rest = iter(references)
+    for image in images:
+        reference = next(rest, ends)
+        if reference is ends:
+            raise _refuse_counts("fewer")
+        steps.add(image, reference)  # type: ignore[arg-type]  # not the end
+    if next(rest, ends) is not ends:
+        raise _refuse_counts("more")
+    return steps.get_mean()
+
+
+def ghosting(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
+    """Return the `rel_mse` of the pixels that came into view, in which a history shows what is no longer there.
+
+    Parameters
+    ----------
+    image, reference : array_like, shape (height, width, 3)
+        Linear radiance, finite.
+    mask : array_like of bool, shape (height, width)
+        The pixels that came into view; see `find_disoccluded`. Where there are none the result is NaN.
+
+    Raises
+    ------
+    InputError
+        If the sizes differ, a pixel is not finite, or the mask is no array of booleans.
+    """
+    chosen = np.asarray(mask)
+    if chosen.dtype == np.bool_ and chosen.ndim == 2 and not chosen.any():
+        # All that is refused of other masks is refused of this one.
+        check_pair(image, reference, ~chosen)
+        return float("nan")
+    return rel_mse(image, reference, chosen)
+
+
+def _refuse_counts(got: str) -> InputError:
+    return InputError(
+        describe_problem("references", expected="one for each image", got=got, action="pass the same frames of both")
+    )
