@@ -31,8 +31,8 @@ TAP_WEIGHT = 0.125
 class _View:
     """What a frame saw: per pixel the surface point, its distance (0 for none), its normal where known."""
 
-    position: NDArray[np.float64]
-    depth: NDArray[np.float64]
+    position: FloatArray
+    depth: FloatArray
     normal: FloatArray | None
 
 
@@ -104,11 +104,11 @@ def find_disoccluded(
             if now.normal is not None and before.normal is not None:
                 same &= (now.normal * before.normal[tap]).sum(axis=-1) >= NORMAL_COSINE
             seen |= counts & np.where(now.depth > 0, same & (depth > 0), depth == 0)
-    return ~(seen & inside)
+    return np.asarray(~(seen & inside))
 
 
 def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
-    """Return position and depth, whichever of the two the G-buffer has, in float64."""
+    """Return position and depth, whichever of the two the G-buffer has, and 0 for what is not there."""
     if gbuffer.position is None and gbuffer.depth is None:
         raise MissingChannelError(
             describe_problem(
@@ -116,19 +116,19 @@ def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
             )
         )
     if gbuffer.depth is not None:
-        depth = gbuffer.depth.astype(np.float64)
+        depth = gbuffer.depth
     else:
         assert gbuffer.position is not None
         # No surface lies just at the origin: that is how a file without depths says that there is none.
         found = gbuffer.position.any(axis=-1)
-        depth = np.where(found, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0)
-    position = gbuffer.position if gbuffer.position is not None else camera.make_positions(depth.astype(np.float32))
+        depth = np.where(found, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0).astype(np.float32)
+    position = gbuffer.position if gbuffer.position is not None else camera.make_positions(depth)
     # Whatever stands there without a surface must not travel on.
-    depth = np.where(np.isfinite(depth) & np.isfinite(position).all(axis=-1), depth, 0.0)
-    return _View(np.where(depth[..., None] > 0, position, 0.0).astype(np.float64), depth, gbuffer.normal)
+    depth = np.where(np.isfinite(depth) & np.isfinite(position).all(axis=-1), depth, np.float32(0))
+    return _View(np.where(depth[..., None] > 0, position, np.float32(0)), depth, gbuffer.normal)
 
 
-def _measure_change(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+def _measure_change(depth: FloatArray, camera: Camera) -> FloatArray:
     """Return by how much the depth of a pixel's surface changes within a pixel, at least the width of a pixel there.
 
     Along each axis that is the smaller step to a neighbour, so that the far side of an edge does not count.
@@ -138,5 +138,5 @@ def _measure_change(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.fl
         padded = np.pad(depth, [(int(a == axis), int(a == axis)) for a in (0, 1)], constant_values=0.0)
         steps = np.abs(np.diff(padded, axis=axis))
         ahead, behind = (np.take(steps, np.arange(depth.shape[axis]) + k, axis=axis) for k in (0, 1))
-        total = total + np.where(depth > 0, np.minimum(ahead, behind), 0.0)
-    return np.asarray(total)
+        total = total + np.minimum(ahead, behind)
+    return total
