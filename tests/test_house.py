@@ -23,6 +23,7 @@ ROOMS = [
     "upsampling",
     "adaptive",
     "io",
+    "sequence",
     "render",
     "peers",
     "display",
