@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -64,18 +64,21 @@ def to_json(value: Any) -> str:
     return json.dumps(clean(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def print_comparison(reference: str, metrics: Iterable[str], rows: list[tuple[str, dict[str, float]]]) -> None:
-    """Print one line of figures per image; the best of each column stands out."""
+def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
+    """Print one line of figures per image; the best of each column stands out, and a missing one is none."""
+    metrics = list(metrics)
     table = Table(title=Text(f"against {reference}"), title_justify="left")
     table.add_column("image", overflow="fold")
+    best: dict[str, float | None] = {}
     for metric in metrics:
         table.add_column(metric, justify="right", no_wrap=True)
-    best = {metric: (max if metric == "psnr" else min)(figures[metric] for _, figures in rows) for metric in metrics}
+        known = [figures[metric] for _, figures in rows if figures[metric] is not None]
+        best[metric] = (max if metric == "psnr" else min)(known) if len(rows) > 1 and known else None
     for path, figures in rows:
-        cells = [
-            Text(_format(figures[metric]), style="bold" if len(rows) > 1 and figures[metric] == best[metric] else "")
-            for metric in metrics
-        ]
+        cells = []
+        for metric in metrics:
+            stands_out = best[metric] is not None and figures[metric] == best[metric]
+            cells.append(Text(_format(figures[metric]), style="bold" if stands_out else ""))
         table.add_row(Text(path), *cells)
     _Console().print(table)
 
@@ -160,6 +163,8 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
 
 
 def _format(value: Any) -> str:
+    if value is None:
+        return "none"
     if isinstance(value, float):
         return "inf" if math.isinf(value) else f"{value:.5g}"
     return str(value)
