@@ -24,14 +24,15 @@ def project_points(camera: Camera, points: FloatArray, width: int, height: int) 
 def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth: FloatArray) -> FloatArray:
     """Return where each pixel's surface point was in the previous frame, relative to the pixel.
 
-    Only the camera moves. Where there is no surface (depth 0) the background counts as infinitely far: it turns with
-    the camera and does not shift. A point that lay behind the previous camera has no place there; it moves by twice
-    the image, so that it is outside.
+    Where there is no surface (depth 0) the background counts as infinitely far: it turns with the camera and does not
+    shift. A point that lay behind the previous camera has no place there; it moves by twice the image, so that it is
+    outside.
 
     Parameters
     ----------
     position : (height, width, 3)
-        World positions; ignored where the depth is 0.
+        Where the surface points were then, in the world: where they are now, unless an object moved. Ignored where the
+        depth is 0.
     depth : (height, width)
         Distances along the rays, 0 where there is no surface.
 

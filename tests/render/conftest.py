@@ -72,7 +72,7 @@ def guide(make_furnace: Callable[..., Any]) -> Callable[..., GBuffer]:
     def find(bsdf: dict[str, Any], **view: Any) -> GBuffer:
         scene = make_furnace(bsdf, **view)
         guides = trace_guides(scene, read_scene_materials(scene), get_camera(scene), pixels=(0, 64), size=(8, 8))
-        images = {name: to_image(value) for name, value in guides.items() if not name.startswith("mirror")}
+        images = {name: to_image(value) for name, value in guides.items() if name in GBuffer.__dataclass_fields__}
         return GBuffer(**{name: image.reshape(8, 8, *image.shape[1:]) for name, image in images.items()})
 
     return find

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lobewise.cli.shared import Output, parse_place, show_progress
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, describe_problem, require_choice
+
+if TYPE_CHECKING:
+    from lobewise.frame import Camera
+
+CAMERA_PATHS = ("orbit", "still")
 
 
 def render(
@@ -31,31 +38,74 @@ def render(
     scale: Annotated[
         int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")
     ] = 1,
-    place: Annotated[str, typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.")] = "0,0",
+    place: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.", show_default="0,0"),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
+    ] = None,
+    camera_path: Annotated[
+        str | None,
+        typer.Option(
+            metavar="orbit|still|FILE.json", help="With --frames: where the camera goes.", show_default="orbit"
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25"),
+    ] = None,
+    start: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
+    ] = None,
+    moving_objects: Annotated[
+        bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
+    ] = False,
     exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
 ) -> None:
-    """Render a scene with Mitsuba, with all that denoising needs, in one EXR file."""
-    if scale != 1 and (aov_only or reference):
-        raise InputError(
-            describe_problem(
-                "--scale",
-                expected="no --aov-only and no --reference beside it",
-                got="both",
-                action="leave one of them out",
-            )
+    """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
+    on_path = (
+        ("--camera-path", camera_path is not None),
+        ("--speed", speed is not None),
+        ("--start", start is not None),
+        ("--moving-objects", moving_objects),
+    )
+    if frames is None:
+        _require_beside("--frames", on_path, "say how many frames")
+    else:
+        _refuse_beside("--frames", (("--aov-only", aov_only), ("--place", place is not None)))
+    if scale != 1:
+        _refuse_beside("--scale", (("--aov-only", aov_only), ("--reference", reference)))
+    if aov_only:
+        _refuse_beside("--aov-only", (("--reference", reference),))
+    if speed is not None and camera_path not in (None, "orbit"):
+        _refuse_beside(f"--camera-path {camera_path}", (("--speed", True),))
+    common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "light": light}
+    if frames is not None:
+        _render_sequence(
+            scene,
+            output,
+            frames=frames,
+            start=start or 1,
+            camera_path=camera_path or "orbit",
+            speed=speed,
+            moving_objects=moving_objects,
+            width=width,
+            height=height,
+            half=not exact,
+            scale=scale,
+            reference=reference,
+            **common,
         )
-    if aov_only and reference:
-        raise InputError(
-            describe_problem(
-                "--aov-only", expected="no --reference beside it", got="both", action="leave one of them out"
-            )
-        )
+        return
     from lobewise.cli.output import print_line
     from lobewise.io import write_frame, write_sparse_frame
     from lobewise.io.files import require_writable
     from lobewise.render import load_scene, render_frame, render_reference, render_sparse_frame
 
-    shaded = parse_place(place)
+    shaded = parse_place(place or "0,0")
     require_writable(output)
     loaded = load_scene(scene, width=width, height=height)
     with show_progress() as advance:
@@ -63,13 +113,7 @@ def render(
         def progress(done: int, total: int) -> None:
             advance(f"Rendering {scene}", done, total)
 
-        common: dict[str, Any] = {
-            "spp": spp,
-            "seed": seed,
-            "max_depth": max_depth,
-            "light": light,
-            "progress": progress,
-        }
+        common["progress"] = progress
         if scale != 1:
             sparse = render_sparse_frame(loaded, scale=scale, place=shaded, **common)
             write_sparse_frame(output, sparse, half=not exact)
@@ -79,3 +123,92 @@ def render(
         frame = render_reference(loaded, **common) if reference else render_frame(loaded, aov_only=aov_only, **common)
     write_frame(output, frame, half=not exact, attributes={"lobewise/scene": scene})
     print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {spp} spp.")
+
+
+def _render_sequence(
+    scene: str,
+    output: Path,
+    *,
+    frames: int,
+    start: int,
+    camera_path: str,
+    speed: float | None,
+    moving_objects: bool,
+    width: int | None,
+    height: int | None,
+    half: bool,
+    **settings: Any,
+) -> None:
+    """Render frames ``start`` to ``start + frames - 1`` of a path, each to its file as soon as it is there."""
+    from lobewise.cli.output import print_line
+    from lobewise.io import write_frame, write_sparse_frame
+    from lobewise.io.files import require_writable
+    from lobewise.io.sequence import FramePattern, is_pattern
+    from lobewise.render import MovingScene, load_scene, render_sequence
+    from lobewise.sparse_frame import SparseFrame
+
+    pattern = FramePattern.parse(output) if frames > 1 or is_pattern(output) else None
+    last = start + frames - 1
+    files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
+    require_writable(files[start])
+    moving = MovingScene(scene, width, height) if moving_objects else None
+    loaded = load_scene(scene, width=width, height=height)
+    cameras = _plan_cameras(loaded, camera_path, last, speed)
+    wide = high = 0
+    with show_progress() as advance:
+        advance(f"Rendering {scene}", 0, frames)
+        rendered = render_sequence(moving or loaded, cameras, first=start - 1, **settings)
+        # A second scene in memory would be compiled into every kernel.
+        del loaded
+        for (number, file), frame in zip(files.items(), rendered, strict=True):
+            if isinstance(frame, SparseFrame):
+                write_sparse_frame(file, frame, half=half)
+            else:
+                write_frame(file, frame, half=half, attributes={"lobewise/scene": scene})
+            wide, high = frame.width, frame.height
+            advance(f"Rendering {scene}", number - start + 1, frames)
+    scale, spp = settings["scale"], settings["spp"]
+    share = f"one of {scale}x{scale} pixels shaded, " if scale != 1 else ""
+    names = f"{files[start]} to {files[last].name}" if frames > 1 else f"{files[start]}"
+    print_line(f"Wrote {names}: {wide}x{high} pixels, {share}{spp} spp.")
+
+
+def _plan_cameras(scene: Any, path: str, count: int, speed: float | None) -> list[Camera]:
+    """Return the cameras of the first ``count`` frames of a path."""
+    from lobewise.render import find_orbit_centre, get_camera, make_orbit, read_camera_path
+
+    camera = get_camera(scene)
+    if path == "still":
+        return [camera] * count
+    if path == "orbit":
+        turn = {} if speed is None else {"degrees_per_frame": speed}
+        return make_orbit(camera, find_orbit_centre(scene), count, **turn)
+    if not Path(path).suffix and not Path(path).exists():
+        require_choice("--camera-path", path, CAMERA_PATHS)
+    cameras = read_camera_path(path, camera)
+    if len(cameras) < count:
+        raise InputError(
+            describe_problem(
+                f"camera path {path!r}",
+                expected=f"at least {count} cameras, one for each frame",
+                got=str(len(cameras)),
+                action="ask for fewer frames",
+            )
+        )
+    return cameras[:count]
+
+
+def _refuse_beside(name: str, others: Iterable[tuple[str, bool]]) -> None:
+    """Raise InputError if another option is given that makes no sense beside this one."""
+    for other, given in others:
+        if given:
+            raise InputError(
+                describe_problem(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
+            )
+
+
+def _require_beside(name: str, others: Iterable[tuple[str, bool]], action: str) -> None:
+    """Raise InputError if another option is given that needs this one, which is not."""
+    for other, given in others:
+        if given:
+            raise InputError(describe_problem(other, expected=f"{name} beside it", got="none", action=action))

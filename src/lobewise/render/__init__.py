@@ -9,32 +9,48 @@ from lobewise.errors import MissingDependencyError, describe_problem
 from lobewise.render.variant import load_mitsuba
 
 if TYPE_CHECKING:
-    from lobewise.render.camera import get_camera
+    from lobewise.render.camera import get_camera, set_camera
+    from lobewise.render.camera_path import find_orbit_centre, make_orbit, read_camera_path
     from lobewise.render.lookup import open_scene_material
     from lobewise.render.renderer import render_frame, render_pixels, render_reference, render_sparse_frame
-    from lobewise.render.scenes import list_scenes, load_scene
+    from lobewise.render.scenes import MovingScene, list_moving_scenes, list_scenes, load_scene
+    from lobewise.render.sequence import render_sequence
 
 __all__ = [
+    "MovingScene",
+    "find_orbit_centre",
     "get_camera",
+    "list_moving_scenes",
     "list_scenes",
     "load_mitsuba",
     "load_scene",
+    "make_orbit",
     "open_scene_material",
+    "read_camera_path",
     "render_frame",
     "render_pixels",
     "render_reference",
+    "render_sequence",
     "render_sparse_frame",
+    "set_camera",
 ]
 
 _HOMES = {
+    "MovingScene": "lobewise.render.scenes",
+    "find_orbit_centre": "lobewise.render.camera_path",
     "get_camera": "lobewise.render.camera",
+    "list_moving_scenes": "lobewise.render.scenes",
     "list_scenes": "lobewise.render.scenes",
     "load_scene": "lobewise.render.scenes",
+    "make_orbit": "lobewise.render.camera_path",
     "open_scene_material": "lobewise.render.lookup",
+    "read_camera_path": "lobewise.render.camera_path",
     "render_frame": "lobewise.render.renderer",
     "render_pixels": "lobewise.render.renderer",
     "render_reference": "lobewise.render.renderer",
+    "render_sequence": "lobewise.render.sequence",
     "render_sparse_frame": "lobewise.render.renderer",
+    "set_camera": "lobewise.render.camera",
 }
 
 

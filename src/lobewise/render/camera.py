@@ -1,4 +1,4 @@
-"""The camera of a Mitsuba scene as a `lobewise.frame.Camera`."""
+"""The camera of a Mitsuba scene as a `lobewise.frame.Camera`, and back."""
 
 from __future__ import annotations
 
@@ -20,15 +20,7 @@ def get_image_size(scene: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def get_camera(scene: Any) -> Camera:
-    """Return the pinhole camera of a scene's first sensor.
-
-    Raises
-    ------
-    InputError
-        If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
-        of sensor, a mirrored ``to_world``, a crop window, a shifted principal point.
-    """
+def _get_sensor(scene: Any) -> Any:
     if not scene.sensors():
         raise InputError(
             describe_problem(
@@ -45,6 +37,19 @@ def get_camera(scene: Any) -> Camera:
                 action="reflection lobes need one viewpoint for all pixels; use a perspective sensor",
             )
         )
+    return sensor
+
+
+def get_camera(scene: Any) -> Camera:
+    """Return the pinhole camera of a scene's first sensor.
+
+    Raises
+    ------
+    InputError
+        If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
+        of sensor, a mirrored ``to_world``, a crop window, a shifted principal point.
+    """
+    sensor = _get_sensor(scene)
     width, height = get_image_size(scene)
     parameters = mi.traverse(sensor)
     fov_x = float(np.deg2rad(np.array(parameters["x_fov"]).item()))
@@ -67,3 +72,34 @@ def get_camera(scene: Any) -> Camera:
             )
         )
     return camera
+
+
+def set_camera(scene: Any, camera: Camera) -> None:
+    """Put a scene's first sensor where a camera is; `get_camera` returns that camera then, in single precision.
+
+    The size of the image stays.
+
+    Raises
+    ------
+    InputError
+        If the scene has no perspective sensor, or the camera's pixels are not square.
+    """
+    sensor = _get_sensor(scene)
+    width, height = get_image_size(scene)
+    half_width, half_height = camera.get_half_extent(width, height)
+    if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
+        raise InputError(
+            describe_problem(
+                "camera fov_x",
+                expected=f"square pixels on an image of {width}x{height}",
+                got=f"pixels {half_width * height / (half_height * width):.4g} times as wide as high",
+                action="leave fov_x out",
+            )
+        )
+    matrix = np.eye(4)
+    # Mitsuba's x points to the left of the image.
+    matrix[:3] = np.stack([-camera.right, camera.up, camera.forward, camera.position], axis=-1)
+    parameters = mi.traverse(sensor)
+    parameters["to_world"] = mi.Transform4f(matrix.astype(np.float32))
+    parameters["x_fov"] = float(np.rad2deg(2.0 * np.arctan(half_width)))
+    parameters.update()

@@ -10,17 +10,22 @@ just that distance.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
-from lobewise.motion import compute_motion
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import Camera, FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import Sums, dispatch_surface
 from lobewise.render.surface import Surface, make_no_surface
+
+Moves = Mapping[str, ArrayLike]
+"""By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
 
 MOST_LAYERS = 32
 """How many transparent surfaces the pixel-centre ray may pass."""
@@ -73,8 +78,8 @@ def trace_guides(
 ) -> dict[str, Any]:
     """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
 
-    Beside the fields of `GBuffer` these are ``mirror_count`` (1 where a mirror ray was sent), ``mirror_inverse`` (its
-    1/t) and ``mirror_position`` (its hit over t).
+    Beside the fields of `GBuffer` these are ``shape`` (a number that `move_back` understands), ``mirror_count`` (1
+    where a mirror ray was sent), ``mirror_inverse`` (its 1/t) and ``mirror_position`` (its hit over t).
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
@@ -102,6 +107,7 @@ def trace_guides(
         "alpha_v": dr.select(found, surface.alpha_v, 0.0),
         "lobe_kind": dr.select(found, surface.lobe_kind, 0.0),
         "material": dr.select(found, surface.material, 0.0),
+        "shape": mi.Float(dr.reinterpret_array(mi.UInt32, si.shape)),
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,
@@ -127,9 +133,38 @@ def finish_hits(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatAr
     return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
 
 
-def make_gbuffer(images: dict[str, FloatArray], camera: Camera, previous_camera: Camera | None) -> GBuffer:
-    """Return the `GBuffer` of whole images by field name, with the motion since ``previous_camera``."""
-    if previous_camera is None:
-        return GBuffer(**images)
-    motion = compute_motion(camera, previous_camera, images["position"], images["depth"])
-    return GBuffer(**images, motion=motion)
+def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:
+    """Return where each pixel's surface point was in the frame before.
+
+    Parameters
+    ----------
+    shape : (height, width)
+        Which shape each pixel shows, as `trace_guides` numbers them.
+    position : (height, width, 3)
+        Where the points are now.
+    moves : mapping of str to array_like, shape (4, 4)
+        By the id of a shape, the matrix that takes its points to where they were. A mesh, a sphere or whatever else:
+        its points keep their places in it.
+
+    Raises
+    ------
+    InputError
+        If the scene has no shape of that id, or a matrix is none.
+    """
+    numbers = {each.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(each))[0]) for each in scene.shapes()}
+    before = position
+    for name, move in moves.items():
+        require_choice("moves", name, numbers)
+        matrix = np.asarray(move, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise InputError(
+                describe_problem(
+                    f"moves[{name!r}]",
+                    expected="a finite matrix of shape (4, 4)",
+                    got=f"an array of shape {matrix.shape}",
+                    action="pass what takes points of now to where they were",
+                )
+            )
+        there = position @ matrix[:3, :3].T + matrix[:3, 3]
+        before = np.where((shape == numbers[name])[..., None], there, before)
+    return np.asarray(before)

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, Frame, Radiance
+from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
-from lobewise.render.gbuffer import finish_hits, make_gbuffer, to_image, trace_guides
+from lobewise.render.gbuffer import Moves, finish_hits, move_back, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
 from lobewise.render.variant import VARIANTS
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
@@ -114,7 +115,9 @@ def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None
 
 def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
     """Return the guides of a tile by their path in `Frame`, pixels first."""
-    images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if not name.startswith("mirror_")}
+    own = GBuffer.__dataclass_fields__
+    images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
+    images["shape"] = to_image(guides["shape"])
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums, guides)
     for i, name in enumerate(("diffuse_albedo", "specular_albedo")):
         images[f"gbuffer.{name}"] = np.clip(to_image(sums.totals[2 + i]) / np.float32(spp), 0.0, 1.0)
@@ -167,6 +170,7 @@ def render_frame(
     light: str = "all",
     aov_only: bool = False,
     previous_camera: Camera | None = None,
+    moves: Moves | None = None,
     progress: Progress | None = None,
 ) -> Frame:
     """Render a scene with all that a denoiser may want to know, in one pass over the samples.
@@ -195,13 +199,16 @@ def render_frame(
         Leave the radiance out (it is all zero) and compute the guides alone.
     previous_camera : Camera, optional
         Camera of the frame before; with it the G-buffer holds ``motion``.
+    moves : mapping of str to array_like, shape (4, 4), optional
+        With ``previous_camera``: where shapes came from, by their id. The matrix takes a world point of the shape to
+        where the frame before had it; shapes that are not named stood still.
     progress : callable, optional
         Called with ``(done, total)`` samples, from 0 to the total.
 
     Raises
     ------
     InputError
-        If a number is out of range, the light unknown, or the sensor is not a plain perspective camera.
+        If a number is out of range, the light or a moved shape unknown, or the sensor no plain perspective camera.
     UnsupportedBsdfError
         If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
     MissingDependencyError
@@ -222,13 +229,17 @@ def render_frame(
             sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
             tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp, settings)})
     images = _join(tiles, *size)
+    motion = {}
+    if previous_camera is not None:
+        before = move_back(scene, images["shape"], images["gbuffer.position"], moves or {})
+        motion["motion"] = compute_motion(camera, previous_camera, before, images["gbuffer.depth"])
     tables = list_lobe_tables(materials)
     if not tables:
         del images["gbuffer.material"]
     has_halves = spp > 1 and not aov_only
     return Frame(
         radiance=Radiance(**_select(images, "radiance")),
-        gbuffer=make_gbuffer(_select(images, "gbuffer"), camera, previous_camera),
+        gbuffer=GBuffer(**_select(images, "gbuffer"), **motion),
         camera=camera,
         half_a=Radiance(**_select(images, "half_a")) if has_halves else None,
         half_b=Radiance(**_select(images, "half_b")) if has_halves else None,
@@ -248,7 +259,9 @@ def render_sparse_frame(
     seed: int = 0,
     max_depth: int = 8,
     light: str = "all",
+    guide_seed: int | None = None,
     previous_camera: Camera | None = None,
+    moves: Moves | None = None,
     progress: Progress | None = None,
 ) -> SparseFrame:
     """Render the radiance of one pixel of every block, and the guides of all, for `lobewise.upsample`.
@@ -257,7 +270,7 @@ def render_sparse_frame(
 
     Parameters
     ----------
-    scene, seed, max_depth, light, previous_camera
+    scene, seed, max_depth, light, previous_camera, moves
         See `render_frame`.
     spp : int
         Samples of a shaded pixel.
@@ -267,13 +280,15 @@ def render_sparse_frame(
         Row and column of the shaded pixel within each block.
     guide_spp : int
         Samples of every pixel for the guides that are averages: albedos and hits. They follow no light.
+    guide_seed : int, optional
+        Seed of those samples; by default ``seed``. Guides that share it agree from frame to frame while nothing moves.
     progress : callable, optional
         Called with ``(done, total)`` samples that carry light.
 
     Raises
     ------
     InputError
-        If a number is out of range, the light unknown, or the sensor is not a plain perspective camera.
+        If a number is out of range, the light or a moved shape unknown, or the sensor no plain perspective camera.
     UnsupportedBsdfError
         If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
     MissingDependencyError
@@ -288,7 +303,13 @@ def render_sparse_frame(
         _check_count(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((size[1], size[0]))
     )
     guides = render_frame(
-        scene, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, previous_camera=previous_camera
+        scene,
+        spp=guide_spp,
+        seed=seed if guide_seed is None else guide_seed,
+        max_depth=max_depth,
+        aov_only=True,
+        previous_camera=previous_camera,
+        moves=moves,
     )
     materials = read_scene_materials(scene)
     columns, rows = -(-(size[0] - first[1]) // scale), -(-(size[1] - first[0]) // scale)

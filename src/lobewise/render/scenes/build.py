@@ -22,6 +22,11 @@ IOR_OF_METALS = {
 }
 
 
+def find_swing(time: float, frames: float) -> float:
+    """Return the time that runs from 0 to ``frames`` and back, for ever."""
+    return frames - abs(time % (2.0 * frames) - frames)
+
+
 def make_rgb(color: Vector) -> Item:
     """Return a colour in linear sRGB."""
     return {"type": "rgb", "value": list(color)}

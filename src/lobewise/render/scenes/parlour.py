@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lobewise.render.scenes.build import (
     Item,
     Vector,
+    find_swing,
     make_box,
     make_camera,
     make_diffuse,
@@ -62,8 +63,20 @@ def make_chair(center: Vector, turn: float, bsdf: Item) -> dict[str, Item]:
     }
 
 
-def make_scene(width: int, height: int) -> dict[str, Any]:
-    """Return the scene as a dictionary for ``mitsuba.load_dict``."""
+def make_movers(time: float) -> dict[str, Item]:
+    """Return the shapes that move: the pearl slides over the lacquered table, behind the fruit; the stool turns."""
+    swing = find_swing(time, 32.0)
+    pearl = (0.55 - 0.024 * swing, 0.88, 0.45 - 0.007 * swing)
+    stool = (1.7 - 0.012 * swing, 0.2, 1.85)
+    return {
+        "pearl": make_sphere(pearl, 0.16, make_plastic((0.82, 0.80, 0.76), 0.025)),
+        "stool": make_box(stool, (0.30, 0.2, 0.30), make_plastic((0.78, 0.62, 0.08), 0.05), 20 + 0.5 * swing),
+    }
+
+
+def make_scene(width: int, height: int, time: float = 0.0) -> dict[str, Any]:
+    """Return the scene as a dictionary for ``mitsuba.load_dict``, ``time`` frames after the beginning."""
+    movers = make_movers(time)
     cream = make_diffuse((0.80, 0.74, 0.62))
     scene: dict[str, Any] = {
         "type": "scene",
@@ -111,9 +124,9 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
             "bowl": make_sphere((1.3, 1.15, -3.0), 0.19, make_plastic((0.70, 0.10, 0.12), 0.05)),
             "orange": make_sphere((-0.2, 0.85, 0.75), 0.13, make_plastic((0.85, 0.32, 0.03), 0.18)),
             "lime": make_sphere((0.1, 0.83, 0.92), 0.11, make_plastic((0.36, 0.60, 0.05), 0.12)),
-            "pearl": make_sphere((0.55, 0.88, 0.45), 0.16, make_plastic((0.82, 0.80, 0.76), 0.025)),
+            "pearl": movers["pearl"],
             "urn": make_sphere((-2.4, 0.42, -2.0), 0.42, make_plastic((0.06, 0.28, 0.30), 0.03, ior=1.6)),
-            "stool": make_box((1.7, 0.2, 1.85), (0.30, 0.2, 0.30), make_plastic((0.78, 0.62, 0.08), 0.05), 20),
+            "stool": movers["stool"],
         }
     )
     return scene

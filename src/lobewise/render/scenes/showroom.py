@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.render.scenes.build import (
+    Item,
+    find_swing,
     make_box,
     make_camera,
     make_checkerboard,
@@ -59,8 +61,18 @@ def make_stripes(colors: tuple[tuple[float, float, float], ...], repeats: int) -
     return np.tile(one, (repeats, 1))[None]
 
 
-def make_scene(width: int, height: int) -> dict[str, Any]:
-    """Return the scene as a dictionary for ``mitsuba.load_dict``."""
+def make_movers(time: float) -> dict[str, Item]:
+    """Return the shapes that move: the green ball slides to the left over smooth tiles and back, the cube turns."""
+    slid = 0.028 * find_swing(time, 32.0)
+    return {
+        "plastic": make_sphere((-0.5 - slid, 0.45, 0.9), 0.45, make_plastic((0.10, 0.42, 0.12), 0.06)),
+        "cube": make_box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), make_plastic((0.55, 0.06, 0.30), 0.2), 30 + 2.5 * time),
+    }
+
+
+def make_scene(width: int, height: int, time: float = 0.0) -> dict[str, Any]:
+    """Return the scene as a dictionary for ``mitsuba.load_dict``, ``time`` frames after the beginning."""
+    movers = make_movers(time)
     column_alpha = SMOOTHEST * (ROUGHEST / SMOOTHEST) ** np.linspace(0.0, 1.0, 256)[:, None].repeat(4, axis=1)
     patch_alpha = np.kron(np.where(np.indices((4, 8)).sum(axis=0) % 2, 0.04, 0.32), np.ones((32, 32)))
     stripes = make_stripes(((0.85, 0.12, 0.06), (0.92, 0.90, 0.82), (0.04, 0.25, 0.62), (0.95, 0.70, 0.08)), 3)
@@ -92,10 +104,10 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
             (0.1, 1.05, -1.9), 1.05, make_metal("silver", make_texture(patch_alpha, filter_type="nearest"))
         ),
         "copper": make_sphere((1.95, 0.9, -0.4), 0.9, make_metal("copper", make_texture(column_alpha))),
-        "plastic": make_sphere((-0.5, 0.45, 0.9), 0.45, make_plastic((0.10, 0.42, 0.12), 0.06)),
+        "plastic": movers["plastic"],
         "chalk": make_sphere((0.95, 0.38, 1.3), 0.38, make_diffuse((0.80, 0.78, 0.72))),
         "checks": make_box((-3.05, 0.75, -2.3), (0.5, 0.75, 0.5), make_diffuse(checks), 24),
         "plinth": make_box((3.05, 0.55, -2.4), (0.5, 0.55, 0.5), make_diffuse((0.92, 0.62, 0.05)), -18),
-        "cube": make_box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), make_plastic((0.55, 0.06, 0.30), 0.2), 30),
+        "cube": movers["cube"],
         "post": make_box((-2.5, 0.4, 1.4), (0.2, 0.4, 0.2), make_diffuse((0.06, 0.16, 0.60)), 12),
     }

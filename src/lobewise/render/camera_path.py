@@ -1,0 +1,176 @@
+"""Where the camera is in each frame of a sequence: standing still, on an orbit, or as a file says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import Camera
+from lobewise.io.files import PathLike, require_readable
+from lobewise.render.bridge import mi
+from lobewise.render.camera import get_camera
+
+Vector = NDArray[np.float64]
+
+SLOW_ORBIT = 0.25
+"""Degrees a frame: in the built-in scenes at 512x512 no surface moves by more than 2.3 pixels."""
+
+_KEYS = ("position", "target", "forward", "up", "fov_y")
+
+
+def find_orbit_centre(scene: Any) -> Vector:
+    """Return the surface point that the middle of the image shows, or the middle of the scene where there is none."""
+    camera = get_camera(scene)
+    ray = mi.Ray3f(mi.Point3f(*map(float, camera.position)), mi.Vector3f(*map(float, camera.forward)))
+    found = scene.ray_intersect(ray)
+    point = found.p if bool(found.is_valid()[0]) else scene.bbox().center()
+    return np.array(point, dtype=np.float64).reshape(3)
+
+
+def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame: float = SLOW_ORBIT) -> list[Camera]:
+    """Return the cameras of an orbit that begins at ``camera`` and looks at the same side of the centre all along.
+
+    Parameters
+    ----------
+    camera : Camera
+        The first camera of the path.
+    centre : array_like, shape (3,)
+        The point about which the camera turns; the axis is the camera's own up.
+    frames : int
+        How many cameras, at least 1.
+    degrees_per_frame : float
+        Degrees from frame to frame; positive values move the camera to its right.
+
+    Raises
+    ------
+    InputError
+        If the count is below 1, or the centre or the angle is not finite.
+    """
+    pivot = np.asarray(centre, dtype=np.float64)
+    for name, expected, good in (
+        ("frames", "at least 1", frames >= 1),
+        ("centre", "three finite numbers", pivot.shape == (3,) and np.isfinite(pivot).all()),
+        ("degrees_per_frame", "a finite number", np.isfinite(degrees_per_frame)),
+    ):
+        if not good:
+            got = {"frames": frames, "centre": centre, "degrees_per_frame": degrees_per_frame}[name]
+            raise InputError(describe_problem(name, expected=expected, got=str(got), action="pass another"))
+
+    def turn(vector: Vector, angle: float) -> Vector:
+        """Rodrigues' rotation about the camera's up."""
+        axis = camera.up
+        along = axis * (axis @ vector)
+        return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))
+
+    path = []
+    for angle in np.deg2rad(degrees_per_frame) * np.arange(frames):
+        position = pivot + turn(camera.position - pivot, angle)
+        path.append(replace(camera, position=position, forward=turn(camera.forward, angle)))
+    return path
+
+
+def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
+    """Return the cameras of a JSON file: a list of objects, one for each frame.
+
+    Each has ``position`` and either ``target``, a point, or ``forward``, a direction, as lists of three numbers of
+    world space; it may have ``up`` and ``fov_y``, the full vertical angle of view in degrees.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    camera : Camera
+        Gives the angle of view to frames that have none; their up is (0, 1, 0).
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    InputError
+        If it is not such a list, or an entry is no camera.
+    """
+    file = require_readable(path, what="camera path")
+    name = f"camera path {str(path)!r}"
+    try:
+        entries = json.loads(Path(file).read_text(encoding="utf-8"))
+    except ValueError as problem:
+        raise InputError(
+            describe_problem(name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file")
+        ) from None
+    if not isinstance(entries, list) or not entries:
+        raise InputError(
+            describe_problem(
+                name,
+                expected="a JSON list of cameras, one for each frame",
+                got="an empty list" if entries == [] else f"a {type(entries).__name__}",
+                action='write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]',
+            )
+        )
+    return [_make_camera(f"{name}, entry {number}", entry, camera) for number, entry in enumerate(entries, start=1)]
+
+
+def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
+    if not isinstance(entry, dict):
+        raise InputError(
+            describe_problem(
+                name, expected="an object", got=f"a {type(entry).__name__}", action="write position and target"
+            )
+        )
+    for key in entry:
+        require_choice(f"{name}, key", key, _KEYS)
+    if "position" not in entry or ("target" in entry) == ("forward" in entry):
+        raise InputError(
+            describe_problem(
+                name,
+                expected="position, and either target or forward",
+                got=", ".join(entry) or "nothing",
+                action="say where the camera is and where it looks",
+            )
+        )
+    position = _read_vector(name, entry, "position")
+    if "target" in entry:
+        forward = _read_vector(name, entry, "target") - position
+    else:
+        forward = _read_vector(name, entry, "forward")
+    if not forward.any():
+        raise InputError(
+            describe_problem(
+                name,
+                expected="a direction of view",
+                got="a length of 0",
+                action="look at another point",
+            )
+        )
+    up = _read_vector(name, entry, "up") if "up" in entry else np.array([0.0, 1.0, 0.0])
+    fov_y = default.fov_y
+    if "fov_y" in entry:
+        angle = entry["fov_y"]
+        if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle < 180.0:
+            raise InputError(
+                describe_problem(
+                    f"{name}, fov_y", expected="degrees between 0 and 180", got=repr(angle), action="40 is usual"
+                )
+            )
+        fov_y = float(np.deg2rad(angle))
+    try:
+        return Camera(position, forward, up, fov_y)
+    except InputError as problem:
+        raise InputError(f"{name}: {problem}") from None
+
+
+def _read_vector(name: str, entry: dict[str, Any], key: str) -> Vector:
+    value = entry[key]
+    numbers = isinstance(value, list) and len(value) == 3
+    if not numbers or any(isinstance(each, bool) or not isinstance(each, (int, float)) for each in value):
+        raise InputError(
+            describe_problem(
+                f"{name}, {key}", expected="a list of three numbers", got=json.dumps(value), action="write [x, y, z]"
+            )
+        )
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,128 @@
+"""Frames one after another: the camera moves, objects may, and every pixel tells where its surface was before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import Camera
+from lobewise.render.camera import get_camera, set_camera
+from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
+from lobewise.render.scenes import MovingScene
+from lobewise.sparse_frame import AnyFrame, list_places
+
+
+def render_sequence(
+    scene: Any,
+    cameras: Sequence[Camera],
+    *,
+    spp: int,
+    scale: int = 1,
+    first: int = 0,
+    seed: int = 0,
+    guide_spp: int = 4,
+    max_depth: int = 8,
+    light: str = "all",
+    reference: bool = False,
+) -> Iterator[AnyFrame]:
+    """Render a frame from each camera of a path, one at a time as they are asked for.
+
+    Every frame but the first of the path has ``gbuffer.motion`` since the one before. The radiance of each frame has
+    random numbers of its own, the guides have the same in all: while neither camera nor objects move, guides are the
+    same to the bit. What a frame holds depends on its place in the path alone, not on ``first``: a path may be rendered
+    in pieces.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene or MovingScene
+        What to render. The sensor of a ``mitsuba.Scene`` is moved; a `MovingScene` is loaded anew for each frame, as it
+        is at that time.
+    cameras : sequence of Camera
+        The path: one camera for each frame, counted from 0.
+    spp : int
+        Samples of a shaded pixel.
+    scale : int
+        1 renders whole frames. Above 1 they are sparse: one pixel of every block of ``scale`` times ``scale`` is
+        shaded, that at place ``list_places(scale)[index % scale**2]``.
+    first : int
+        Index of the camera with which to begin.
+    seed : int
+        That of the guides; frame ``index`` has the radiance of ``seed + index``.
+    guide_spp : int
+        Samples of every pixel for the guides that are averages.
+    max_depth, light
+        See `render_frame`.
+    reference : bool
+        Render the radiance alone, of whole frames, as `render_reference` does.
+
+    Yields
+    ------
+    Frame or SparseFrame
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or a sensor is not a plain perspective camera.
+    UnsupportedBsdfError, MissingDependencyError
+        See `render_frame`.
+    """
+    if not 0 <= first < len(cameras):
+        raise InputError(
+            describe_problem(
+                "first",
+                expected=f"the index of one of the {len(cameras)} cameras",
+                got=repr(first),
+                action="pass a longer path",
+            )
+        )
+    if reference and scale != 1:
+        raise InputError(
+            describe_problem("reference", expected="scale 1", got=str(scale), action="references are whole frames")
+        )
+    places = list_places(scale)
+    common: dict[str, Any] = {"spp": spp, "max_depth": max_depth, "light": light}
+
+    def run() -> Iterator[AnyFrame]:
+        moving = isinstance(scene, MovingScene)
+        loaded, previous = scene, None
+        for index in range(first, len(cameras)):
+            since: dict[str, Any] = {}
+            if moving:
+                # Dr.Jit compiles for every BSDF that lives: the scene of the frame before must go first.
+                loaded = None
+                loaded = scene.load(index)
+            if index > 0:
+                # As the sensor has it, in single precision: what stands still must not seem to move.
+                since["previous_camera"] = previous or _round_camera(loaded, cameras[index - 1])
+                since["moves"] = scene.find_moves(index, index - 1) if moving else None
+            set_camera(loaded, cameras[index])
+            number = (seed + index) % (1 << 32)
+            if reference:
+                frame: AnyFrame = render_reference(loaded, seed=number, **common)
+            elif scale > 1:
+                frame = render_sparse_frame(
+                    loaded,
+                    scale=scale,
+                    place=places[index % len(places)],
+                    seed=number,
+                    guide_spp=guide_spp,
+                    guide_seed=seed,
+                    **common,
+                    **since,
+                )
+            else:
+                guides = render_frame(
+                    loaded, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, **since
+                ).gbuffer
+                frame = render_frame(loaded, seed=number, **common).with_changes(gbuffer=guides)
+            previous = frame.camera
+            yield frame
+
+    return run()
+
+
+def _round_camera(scene: Any, camera: Camera) -> Camera:
+    """Return the camera that the scene's sensor makes of a camera."""
+    set_camera(scene, camera)
+    return get_camera(scene)

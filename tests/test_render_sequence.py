@@ -1,0 +1,116 @@
+"""`lobewise render --frames`: numbered files, paths of the camera, objects that move, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.errors import MissingDependencyError
+from lobewise.io import read_frame, read_sparse_frame
+from lobewise.sparse_frame import list_places
+
+
+@pytest.fixture(scope="module")
+def _renderer():
+    from lobewise.render import load_mitsuba
+
+    try:
+        load_mitsuba("cpu")
+    except MissingDependencyError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture
+def render(_renderer, tmp_path, monkeypatch):
+    """Return a function that renders the showroom, 16x12, into an empty folder, by a line of options."""
+    monkeypatch.chdir(tmp_path)
+
+    def render(line, *, code=0):
+        assert run(["render", "showroom", "--spp", "1", "--width", "16", "--height", "12", *line.split()]) == code
+
+    return render
+
+
+def fail(capsys, render, line):
+    render(line, code=2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.mitsuba
+class TestSequence:
+    def test_sparse_orbit(self, render, tmp_path, capsys):
+        render("--frames 3 --scale 4 --speed 1 -o seq.####.exr")
+        assert "seq.0001.exr to seq.0003.exr: 16x12 pixels, one of 4x4 pixels shaded" in capsys.readouterr().out
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["seq.0001.exr", "seq.0002.exr", "seq.0003.exr"]
+        frames = [read_sparse_frame(tmp_path / f"seq.{number:04d}.exr") for number in (1, 2, 3)]
+        assert [frame.place for frame in frames] == list_places(4)[:3]
+        assert frames[0].gbuffer.motion is None
+        forward = [frame.camera.forward for frame in frames]
+        for before, after in zip(forward[:-1], forward[1:], strict=True):
+            assert np.rad2deg(np.arccos(before @ after)) == pytest.approx(1.0, abs=1e-3)
+        for frame in frames[1:]:
+            assert 0.1 < np.linalg.norm(frame.gbuffer.motion, axis=-1).max() < 1.0
+
+    def test_rest_of_a_path_in_another_notation(self, render, tmp_path):
+        render("--frames 3 --camera-path orbit -o a.####.exr --float")
+        render("--frames 1 --start 3 -o b.%04d.exr --float")
+        assert (tmp_path / "b.0003.exr").read_bytes() == (tmp_path / "a.0003.exr").read_bytes()
+
+    def test_still_camera_with_moving_objects(self, render, tmp_path):
+        render("--frames 2 --camera-path still --moving-objects -o m.#.exr")
+        first, second = (read_frame(tmp_path / f"m.{number}.exr") for number in (1, 2))
+        np.testing.assert_array_equal(first.camera.position, second.camera.position)
+        moved = np.linalg.norm(second.gbuffer.motion, axis=-1) > 1e-2
+        assert 0.01 < moved.mean() < 0.2
+
+    def test_path_of_a_file(self, render, tmp_path, capsys):
+        cameras = [{"position": [x, 3.0, 7.0], "target": [0, 0.7, 0]} for x in (0.0, 0.25)]
+        (tmp_path / "path.json").write_text(json.dumps(cameras))
+        render("--frames 2 --camera-path path.json --reference -o p.####.exr")
+        second = read_frame(tmp_path / "p.0002.exr")
+        np.testing.assert_allclose(second.camera.position, (0.25, 3.0, 7.0), rtol=1e-6)
+        assert second.gbuffer.position is None
+        capsys.readouterr()
+        assert "at least 3 cameras" in fail(capsys, render, "--frames 3 --camera-path path.json -o p.####.exr")
+        assert "at least 3 cameras" in fail(capsys, render, "--frames 1 --start 3 --camera-path path.json -o p.#.exr")
+
+    def test_one_frame_needs_no_pattern(self, render, tmp_path):
+        render("--frames 1 --scale 2 -o one.exr")
+        assert read_sparse_frame(tmp_path / "one.exr").place == (0, 0)
+
+
+@pytest.mark.mitsuba
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("line", "message"),
+        [
+            ("--frames 2 -o out.exr", "one run of #"),
+            ("--camera-path orbit", "--camera-path: expected --frames beside it"),
+            ("--speed 1", "--speed: expected --frames beside it"),
+            ("--start 2", "--start: expected --frames beside it"),
+            ("--moving-objects", "--moving-objects: expected --frames beside it"),
+            ("--frames 2 --aov-only", "no --aov-only beside it"),
+            ("--frames 2 --scale 4 --place 1,1", "no --place beside it"),
+            ("--frames 2 --scale 4 --reference", "no --reference beside it"),
+            ("--frames 2 --camera-path still --speed 1", "no --speed beside it"),
+            ("--frames 2 --camera-path orbti", "did you mean 'orbit'"),
+            ("--frames 2 --camera-path absent.json", "no such file"),
+            ("--frames 2 --speed nan", "degrees_per_frame"),
+            ("--frames 2 -o absent/out.####.exr", "absent"),
+            ("--frames 0", "--frames"),
+        ],
+    )
+    def test_one_sentence_and_no_file(self, render, tmp_path, capsys, line, message):
+        line = line if "-o" in line.split() else f"{line} -o out.####.exr"
+        assert message in fail(capsys, render, line)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_scenes_without_moving_objects_say_which_have(self, render, capsys):
+        assert run(["render", "brushed", "--frames", "2", "--moving-objects", "-o", "out.####.exr"]) == 2
+        assert "showroom or parlour" in capsys.readouterr().err
