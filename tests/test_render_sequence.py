@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ class TestSequence:
         assert [frame.place for frame in frames] == list_places(4)[:3]
         assert frames[0].gbuffer.motion is None
         forward = [frame.camera.forward for frame in frames]
-        for before, after in zip(forward[:-1], forward[1:], strict=True):
+        for before, after in pairwise(forward):
             assert np.rad2deg(np.arccos(before @ after)) == pytest.approx(1.0, abs=1e-3)
         for frame in frames[1:]:
             assert 0.1 < np.linalg.norm(frame.gbuffer.motion, axis=-1).max() < 1.0

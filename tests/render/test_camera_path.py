@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ class TestOrbit:
 
         path = make_orbit(CAMERA, self.CENTRE, 4, 30.0)
         assert len(path) == 4
-        for before, after in zip(path[:-1], path[1:], strict=True):
+        for before, after in pairwise(path):
             arms = [camera.position - self.CENTRE for camera in (before, after)]
             flat = [arm - CAMERA.up * (arm @ CAMERA.up) for arm in arms]
             angle = np.arctan2(np.cross(flat[0], flat[1]) @ CAMERA.up, flat[0] @ flat[1])

@@ -11,7 +11,7 @@ import pytest
 
 from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, LobeKind
-from lobewise.render import list_scenes, load_scene
+from lobewise.render import list_moving_scenes, list_scenes, load_scene
 
 Frames = Callable[[str], Frame]
 
@@ -42,6 +42,48 @@ def test_missing_file_and_folder_are_file_errors(tmp_path: Path) -> None:
         load_scene(tmp_path / "absent.xml")
     with pytest.raises(FileError, match="a folder"):
         load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["brushed", "scene.xml"])
+def test_scenes_that_stand_still_have_no_other_time(name: str) -> None:
+    with pytest.raises(InputError, match=f"showroom or parlour, got '{name}'"):
+        load_scene(name, time=1.0)
+
+
+@pytest.mark.mitsuba
+def test_scenes_are_the_same_every_time(mi: Any) -> None:
+    # The order of lights decides which light a random number chooses.
+    for _ in range(4):
+        scene = load_scene("parlour", width=8)
+        assert [light.get_shape().id() for light in scene.emitters()] == ["uplight_1", "uplight_2", "uplight_3"]
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize("name", list_moving_scenes())
+def test_objects_begin_where_they_stand_and_move_on(mi: Any, name: str) -> None:
+    from lobewise.render.scenes.build import make_box, make_diffuse, make_sphere
+
+    gray = make_diffuse((0.5, 0.5, 0.5))
+    standing = {
+        "showroom": {
+            "plastic": make_sphere((-0.5, 0.45, 0.9), 0.45, gray),
+            "cube": make_box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), gray, 30),
+        },
+        "parlour": {
+            "pearl": make_sphere((0.55, 0.88, 0.45), 0.16, gray),
+            "stool": make_box((1.7, 0.2, 1.85), (0.30, 0.2, 0.30), gray, 20),
+        },
+    }[name]
+
+    def find_boxes(scene: Any) -> dict[str, np.ndarray]:
+        found = {each.id(): each.bbox() for each in scene.shapes()}
+        return {key: np.array([found[key].min, found[key].max]) for key in standing}
+
+    expected = find_boxes(mi.load_dict({"type": "scene", **standing}))
+    start, later = find_boxes(load_scene(name, width=8)), find_boxes(load_scene(name, width=8, time=5.0))
+    for key, box in expected.items():
+        np.testing.assert_array_equal(start[key], box)
+        assert np.abs(later[key] - box).max() > 0.01
 
 
 @pytest.mark.mitsuba
