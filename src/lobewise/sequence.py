@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,9 @@ from lobewise.errors import InputError, describe_problem
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.sequence import FramePattern
 
-State = Mapping[str, NDArray[Any]]
+State = dict[str, NDArray[Any]]
+"""What a filter remembers."""
+
 FrameT = TypeVar("FrameT")
 ResultT = TypeVar("ResultT")
 _FrameIn = TypeVar("_FrameIn", contravariant=True)
@@ -37,7 +39,7 @@ class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
     def add(self, frame: _FrameIn, *, cut: bool = False) -> _ResultOut:
         """Return the result of the next frame; ``cut`` says that it does not continue the one before."""
 
-    def get_state(self) -> dict[str, NDArray[Any]]:
+    def get_state(self) -> State:
         """Return all that it remembers, as arrays."""
 
     def set_state(self, state: State) -> None:
@@ -246,7 +248,7 @@ class _Run:
         return make_filter(), 0, f"The checkpoint {str(path)!r} is not used: {reason}."
 
 
-def _load(path: Path) -> tuple[int, str, dict[str, NDArray[Any]]]:
+def _load(path: Path) -> tuple[int, str, State]:
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
         state = {name.removeprefix(_STATE): file[name] for name in file.files if name.startswith(_STATE)}
         return int(file["done"]), str(file["proof"]), state
