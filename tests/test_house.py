@@ -22,6 +22,7 @@ ROOMS = [
     "denoising",
     "upsampling",
     "adaptive",
+    "temporal",
     "io",
     "sequence",
     "render",

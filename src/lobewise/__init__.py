@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.kernels.features import Feature
     from lobewise.sparse_frame import SparseFrame, make_sparse
+    from lobewise.temporal import TemporalFilter, TemporalSettings
     from lobewise.upsampling import upsample
 
 __version__ = "0.1.0"
@@ -31,6 +32,8 @@ __all__ = [
     "Radiance",
     "Result",
     "SparseFrame",
+    "TemporalFilter",
+    "TemporalSettings",
     "__version__",
     "denoise",
     "find_unsupported",
@@ -49,6 +52,8 @@ _LAZY = {
     "DenoiseSettings": "lobewise.denoising",
     "Feature": "lobewise.kernels.features",
     "SparseFrame": "lobewise.sparse_frame",
+    "TemporalFilter": "lobewise.temporal",
+    "TemporalSettings": "lobewise.temporal",
     "denoise": "lobewise.denoising",
     "find_unsupported": "lobewise.adaptive",
     "make_sparse": "lobewise.sparse_frame",

@@ -390,6 +390,8 @@ class Result:
         ``(sum w)^2 / sum w^2``: how many equal neighbours the estimate is worth, >= 1 where anything was gathered.
     bad_pixels : (height, width), bool
         Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
+    variance : (height, width) or None
+        Estimated variance of the image's luminance, where a history tells it.
     settings : dict
         Every parameter that was used, defaults resolved.
     seconds : float
@@ -404,6 +406,7 @@ class Result:
     seconds: float
     diffuse: FloatArray | None = None
     specular: FloatArray | None = None
+    variance: FloatArray | None = None
 
     @property
     def bad_pixel_count(self) -> int:

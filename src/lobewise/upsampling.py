@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer, find_support, make_layers, make_position_features
+from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.recipe import find_bad_pixels, find_good, refill
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
@@ -88,7 +88,10 @@ def upsample(
         tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)
         layers, reach = [Layer(frame.radiance.color, None, everywhere, tent)], 1
     else:
-        layers, reach = [*make_layers(frame, chosen, features), *_make_rest(frame, chosen, features)], chosen.radius
+        layers, reach = (
+            [*make_layers(frame, chosen, features), *make_rest_layer(frame, chosen, features)],
+            chosen.radius,
+        )
     outputs = [_run(frame, layer, reach, chosen) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
     apart = not bilinear and frame.radiance.diffuse is not None and frame.radiance.specular is not None
@@ -105,7 +108,7 @@ def upsample(
         specular=outputs[1].image if apart else None,
         weight_sum=weight_sum,
         effective_samples=effective_samples,
-        bad_pixels=_spread(frame, bad),
+        bad_pixels=spread(frame, bad),
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
         seconds=time.perf_counter() - start,
     )
@@ -124,22 +127,7 @@ def _run(frame: SparseFrame, layer: Layer, radius: int, settings: DenoiseSetting
     )
 
 
-def _make_rest(frame: SparseFrame, settings: DenoiseSettings, features: Sequence[Feature]) -> list[Layer]:
-    """Return what no lobe scattered, emission and background, as a layer that is compared by place alone."""
-    radiance = frame.radiance
-    if radiance.diffuse is None or radiance.specular is None:
-        return []
-    with np.errstate(invalid="ignore", over="ignore"):
-        rest = radiance.color - radiance.diffuse - radiance.specular
-    # Rounding leaves a little of a scattered sample behind.
-    rest = np.where(rest > 1e-4 * radiance.color, rest, np.float32(0.0))
-    if not (rest > 0.0).any():
-        return []
-    everywhere = np.ones(frame.shape, dtype=bool)
-    return [Layer(rest, None, everywhere, (*make_position_features(frame, settings), *features))]
-
-
-def _spread(frame: SparseFrame, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def spread(frame: SparseFrame, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the bad samples as a mask of the full size."""
     whole = np.zeros(frame.shape, dtype=bool)
     whole[frame.shaded] = bad

@@ -48,7 +48,7 @@ def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSetti
     return value
 
 
-def _find_places(frame: AnyFrame) -> tuple[FloatArray, FloatArray]:
+def find_places(frame: AnyFrame) -> tuple[FloatArray, FloatArray]:
     """Return the surface points (height, width, 3) and their depths, whichever of the two the frame has."""
     guides = frame.gbuffer
     assert frame.camera is not None
@@ -66,7 +66,7 @@ def make_position_features(frame: AnyFrame, settings: DenoiseSettings) -> list[F
     features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
     guides = frame.gbuffer
     if frame.camera is not None and (guides.position is not None or guides.depth is not None):
-        place, depth = _find_places(frame)
+        place, depth = find_places(frame)
         pixel_angle = frame.camera.get_pixel_angle(frame.height)
         features.append(PositionFeature(place, depth, pixel_angle=pixel_angle, sigma=settings.position_sigma))
     return features
@@ -94,7 +94,7 @@ def _make_hits(frame: AnyFrame, settings: DenoiseSettings) -> HitField | None:
         return None
     assert frame.camera is not None
     distance = _require_channel(frame.gbuffer.hit_distance, "hit_distance", settings)
-    place, depth = _find_places(frame)
+    place, depth = find_places(frame)
     nearest = NEAREST_HIT * frame.camera.get_pixel_angle(frame.height) * depth
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(distance > 0.0, 1.0 / np.maximum(distance, nearest), 0.0)
@@ -112,7 +112,7 @@ def _make_lobe_feature(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeFi
     return kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, settings.beta, hits)
 
 
-def _make_specular(
+def make_specular_features(
     frame: AnyFrame, settings: DenoiseSettings, surface: NDArray[np.bool_], apart: bool
 ) -> tuple[list[Feature], NDArray[np.bool_]]:
     """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
@@ -151,7 +151,7 @@ def _make_specular(
     return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
 
 
-def _find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
+def find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
     """Return where a pixel sees a surface with finite guides."""
     surface = np.ones(frame.shape, dtype=bool)
     guides = frame.gbuffer
@@ -176,9 +176,9 @@ def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feat
     normal = _require_channel(guides.normal, "normal", settings)
     apart = radiance.diffuse is not None and radiance.specular is not None
     assert not isinstance(settings.diffuse_beta, str)
-    surface = _find_surface(frame)
+    surface = find_surface(frame)
     shared = [*make_position_features(frame, settings), *extra]
-    specular, specular_mask = _make_specular(frame, settings, surface, apart)
+    specular, specular_mask = make_specular_features(frame, settings, surface, apart)
     if not apart:
         albedo = None
         if guides.diffuse_albedo is not None and guides.specular_albedo is not None:
@@ -194,6 +194,21 @@ def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feat
         Layer(radiance.diffuse, guides.diffuse_albedo, surface, (*shared, *diffuse)),
         Layer(radiance.specular, guides.specular_albedo, specular_mask, (*shared, *specular)),
     ]
+
+
+def make_rest_layer(frame: AnyFrame, settings: DenoiseSettings, features: Sequence[Feature]) -> list[Layer]:
+    """Return what no lobe scattered, emission and background, as a layer that is compared by place alone."""
+    radiance = frame.radiance
+    if radiance.diffuse is None or radiance.specular is None:
+        return []
+    with np.errstate(invalid="ignore", over="ignore"):
+        rest = radiance.color - radiance.diffuse - radiance.specular
+    # Rounding leaves a little of a scattered sample behind.
+    rest = np.where(rest > 1e-4 * radiance.color, rest, np.float32(0.0))
+    if not (rest > 0.0).any():
+        return []
+    everywhere = np.ones(frame.shape, dtype=bool)
+    return [Layer(rest, None, everywhere, (*make_position_features(frame, settings), *features))]
 
 
 def find_support(layers: Sequence[Layer], outputs: Sequence[FilterOutput]) -> tuple[FloatArray, FloatArray]:

@@ -125,8 +125,8 @@ def denoise(
         )
         for layer in layers
     ]
-    parts = [_keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
-    image = _compose(frame, parts)
+    parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
+    image = compose(frame, parts)
     untouched = np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs])
     holes = ~find_good(image) | (bad & untouched)
     if holes.any():
@@ -145,7 +145,7 @@ def denoise(
     )
 
 
-def _keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
+def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
     """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
     lost = output.weight_sum <= 0.0
     if not lost.any():
@@ -154,7 +154,7 @@ def _keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
     return np.where(lost[..., None], kept, output.image)
 
 
-def _compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
+def compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
     """Return the total: the filtered parts, and what was in none of them (emission, background) as it came."""
     if len(parts) == 1:
         return parts[0]

@@ -64,6 +64,8 @@ class PassKey:
     """Multiplies by an albedo on the way out."""
     moment: bool = False
     """Sums squared luminance as well."""
+    strict: bool = False
+    """Raises the weights of every centre's taps to a power of its own."""
     paired: bool = False
     """Taps come from another grid than the centres, ``scale`` times as coarse, with its own mask, albedo and guides."""
 
@@ -260,6 +262,10 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     for feature, part, own in zip(features, side.slices, scalars, strict=True):
         i, j = centre.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
+    strictness = hl.ImageParam(hl.Float(32), 2, "strictness")
+    if key.strict:
+        power = strictness[hl.clamp(x, 0, own_mask.width() - 1), hl.clamp(y, 0, own_mask.height() - 1)]
+        exponent = exponent * power
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
@@ -298,6 +304,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     ]
     if key.paired:
         arguments += [*([own_albedo] if key.modulate else []), own_mask, *centre.arrays, *placing]
+    arguments += [strictness] if key.strict else []
     return PassFuncs(
         out=out,
         sums=sums,

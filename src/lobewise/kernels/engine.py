@@ -170,6 +170,7 @@ def run_filter(
     albedo: FloatArray | None = None,
     modulate: bool = True,
     moment: bool = False,
+    strictness: FloatArray | None = None,
     device: str = "cpu",
 ) -> FilterOutput:
     """Run the cross filter.
@@ -192,6 +193,8 @@ def run_filter(
         Whether it does the latter.
     moment : bool
         Whether to average the squared luminance as well.
+    strictness : array, shape (height, width), optional
+        Power to which each pixel raises the weights of its taps, > 0.
     device : str
         A name from `list_devices`.
 
@@ -219,6 +222,8 @@ def run_filter(
     tint = np.ascontiguousarray(albedo) if albedo is not None else None
     fixed = [hl.Buffer(_borrow(array)) for array in held]
     tint_buffers = [hl.Buffer(_borrow(tint))] if tint is not None else []
+    power = np.ascontiguousarray(strictness, dtype=np.float32) if strictness is not None else None
+    powers = [hl.Buffer(_borrow(power))] if power is not None else []
     source: FloatArray = np.ascontiguousarray(radiance)
     for number, (taps, reach, step) in enumerate(passes):
         first, last = number == 0, number == len(passes) - 1
@@ -231,12 +236,13 @@ def run_filter(
             demodulate=albedo is not None and first,
             modulate=albedo is not None and last and modulate,
             moment=moment,
+            strict=strictness is not None,
         )
         kernel = _cache.get(device, key, features)
         shape = (height, width, key.channels) if last else (height, key.channels, width)
         target = np.empty(shape, dtype=np.float32)
         tints = tint_buffers if key.demodulate or key.modulate else []
-        kernel(hl.Buffer(_borrow(source)), *tints, *fixed, step, *parameters, hl.Buffer(target))
+        kernel(hl.Buffer(_borrow(source)), *tints, *fixed, step, *parameters, *powers, hl.Buffer(target))
         source = target
     return _split_output(source)
 
@@ -252,6 +258,8 @@ def run_upsampling(
     albedo: FloatArray | None = None,
     modulate: bool = True,
     moment: bool = False,
+    strictness: FloatArray | None = None,
+    shaded_only: bool = False,
     device: str = "cpu",
 ) -> FilterOutput:
     """Bring radiance that was shaded at every ``scale``-th pixel to every pixel, by what the pixels have in common.
@@ -276,8 +284,10 @@ def run_upsampling(
         Samples from the centre to the edge of the kernel, >= 0: (2 radius + 1)^2 of them are looked at.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in, at the shaded pixels, and multiplies it on the way out.
-    modulate, moment
+    modulate, moment, strictness
         As for `run_filter`.
+    shaded_only : bool
+        Compute the shaded pixels alone; the output has the shape of ``radiance``.
     device : str
         A name from `list_devices`.
 
@@ -314,6 +324,7 @@ def run_upsampling(
         demodulate=albedo is not None,
         modulate=albedo is not None and modulate,
         moment=moment,
+        strict=strictness is not None,
         paired=True,
     )
     kernel = _cache.get(device, key, features)
@@ -334,15 +345,18 @@ def run_upsampling(
     source = np.ascontiguousarray(radiance, dtype=np.float32)
     tap_tints, tap_bits, tap_arrays = cut(shaded)
     taps = [lend(source), *map(lend, tap_tints), lend(tap_bits), *map(lend, tap_arrays), 1, *parameters]
-    whole = np.empty((height, width, key.channels), dtype=np.float32)
-    for row, column in np.ndindex(min(scale, height), min(scale, width)):
+    whole = np.empty((*size, key.channels) if shaded_only else (height, width, key.channels), dtype=np.float32)
+    blocks = [place] if shaded_only else np.ndindex(min(scale, height), min(scale, width))
+    for row, column in blocks:
         part = slice(row, None, scale), slice(column, None, scale)
         own_tints, own_bits, own_arrays = cut(part)
         own_tints = own_tints if key.modulate else []
         target = np.empty((*own_bits.shape, key.channels), dtype=np.float32)
         shift = float(scale), float(place[1] - column), float(place[0] - row)
-        kernel(*taps, *map(lend, own_tints), lend(own_bits), *map(lend, own_arrays), *shift, lend(target))
-        whole[part] = target
+        own_powers = [] if strictness is None else [np.ascontiguousarray(strictness[part], dtype=np.float32)]
+        own = [*map(lend, own_tints), lend(own_bits), *map(lend, own_arrays), *shift, *map(lend, own_powers)]
+        kernel(*taps, *own, lend(target))
+        whole[... if shaded_only else part] = target
     return _split_output(whole)
 
 
@@ -358,7 +372,7 @@ def run_reprojection(
 
     Parameters
     ----------
-    past : array, shape (height, width, 6)
+    past : array, shape (height, width, 7)
         Sums of the frame before; see `lobewise.kernels.history`.
     places : array, shape (height, width, 2)
         Column and row where each pixel was, pixel centres at whole numbers; NaN or outside where it was nowhere.
@@ -371,7 +385,7 @@ def run_reprojection(
 
     Returns
     -------
-    array, shape (height, width, 7)
+    array, shape (height, width, 8)
         The sums here, and how much of each place agrees, 0 to 1.
     """
     size = masks[1].shape

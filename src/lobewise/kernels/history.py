@@ -5,7 +5,8 @@ place that pixel i came from: b the bilinear weights, v the product of the featu
 k as it was. The features are those of the filter; only the two pixels of a pair belong to two frames.
 
 Channels of the sums, in and out: 0-2 the weighted radiance over albedo, 3 the weight sum, 4 the sum of squared weights,
-5 the weighted squared luminance. Out has one more, 6, ``sum_k b_k v(i, k)``: how much of the place agrees, 0 to 1.
+5 the weighted squared luminance, 6 how many frames they stand for. Out has one more, 7, ``sum_k b_k v(i, k)``: how much
+of the place agrees, 0 to 1.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lobewise.kernels import expressions
 from lobewise.kernels.cross_filter import SQUARED_WEIGHT, make_side
 from lobewise.kernels.features import Feature
 
-HISTORY_CHANNELS = 6
+HISTORY_CHANNELS = 7
 AGREEMENT = HISTORY_CHANNELS
 
 SNAP = 2e-3

@@ -74,6 +74,46 @@ class DiffuseFeature(Feature):
         return similarity
 
 
+class HitDistanceFeature(Feature):
+    """Gaussian of how much the inverse hit distances of two lobes differ, relative to the larger of them.
+
+    ``exp(-(x_i - x_j)^2 / (2 max(x_i, x_j)^2 s_i s_j))`` with x = 1/t: 1 for equal distances, both infinite included.
+    What a mirror sees has changed when something else is at another distance.
+
+    Parameters
+    ----------
+    inverse_distance : array, shape (height, width)
+        1/t, >= 0; 0 where nothing is seen.
+    tolerance : array, shape (height, width)
+        Relative standard deviation s that is no change, > 0.
+    """
+
+    name = "hit_distance"
+    neutral = (0.0, 1.0)
+
+    def __init__(self, inverse_distance: FloatArray, tolerance: FloatArray) -> None:
+        self.inverse_distance = inverse_distance
+        self.tolerance = tolerance
+
+    def get_arrays(self) -> tuple[FloatArray, ...]:
+        return self.inverse_distance, self.tolerance
+
+    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        return [inputs[0], hl.f32(math.sqrt(0.5 * LOG2_E)) / hl.max(inputs[1], hl.f32(1e-6))]
+
+    def log2_similarity(
+        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+    ) -> hl.Expr:
+        step = (i[0] - j[0]) / hl.max(i[0], j[0], hl.f32(1e-12))
+        return -step * step * (i[1] * j[1])
+
+    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
+        x_i, x_j = (self.inverse_distance[k].astype(np.float64) for k in (i, j))
+        largest = np.maximum(np.maximum(x_i, x_j), 1e-12)
+        tolerances = self.tolerance[i].astype(np.float64) * self.tolerance[j]
+        return np.asarray(np.exp(-(((x_i - x_j) / largest) ** 2) / (2.0 * tolerances)))
+
+
 class _LobeFeature(Feature):
     """What the features of one lobe per pixel share: the exponent, and the optional hit-distance term."""
 

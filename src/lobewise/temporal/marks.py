@@ -1,0 +1,156 @@
+"""What the pixels of a layer are recognised by a frame later: the features that are compared between two frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.layers import find_places, find_surface, make_specular_features
+from lobewise.denoising.settings import DenoiseSettings, can_use_hits
+from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.kernels.cross_filter import describe_structure
+from lobewise.kernels.features import Feature, NormalFeature, PlaneFeature
+from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature
+from lobewise.lobe_table import LobeTable
+from lobewise.lobes.field import default_tau
+from lobewise.temporal.settings import TemporalSettings
+
+HIT_TOLERANCE = 0.3
+"""Standard deviation of the logarithm of a mirror's hit distance: what of a frame's change is no change of the hit."""
+HIT_TOLERANCE_PER_LOBE = 5.0
+"""How much of it a lobe adds for each radian that it is wide: its hit distance is an average over what it sees."""
+
+
+@dataclass(frozen=True)
+class Guides:
+    """What is known of a frame's surfaces, whatever was shaded."""
+
+    gbuffer: GBuffer
+    camera: Camera | None
+    lobe_tables: tuple[LobeTable, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        assert self.gbuffer.shape is not None
+        return self.gbuffer.shape
+
+    def as_frame(self) -> Frame:
+        """Return a black frame with these guides."""
+        black = np.broadcast_to(np.float32(0.0), (*self.shape, 3))
+        return Frame(Radiance(black), self.gbuffer, self.camera, lobe_tables=self.lobe_tables)
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether every pixel's surface point is known."""
+        placed = self.gbuffer.position is not None or self.gbuffer.depth is not None
+        return placed and self.camera is not None
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What one layer is recognised by.
+
+    Parameters
+    ----------
+    mask : bool array, shape (height, width)
+        Where the layer has meaning.
+    surface : tuple of Feature
+        Compared where the surface point was.
+    virtual : tuple of Feature
+        Compared where the reflection was; empty where reflections are not told apart or not tracked.
+    """
+
+    mask: NDArray[np.bool_]
+    surface: tuple[Feature, ...]
+    virtual: tuple[Feature, ...] = ()
+
+    def fits(self, other: Marks) -> bool:
+        """Return whether both compare the same things in images of one size."""
+
+        def describe(features: Sequence[Feature]) -> list[object]:
+            return [describe_structure(feature) for feature in features]
+
+        return (
+            self.mask.shape == other.mask.shape
+            and describe(self.surface) == describe(other.surface)
+            and describe(self.virtual) == describe(other.virtual)
+        )
+
+
+def make_marks(
+    guides: Guides, settings: DenoiseSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
+) -> dict[str, Marks]:
+    """Return the marks of every layer by its name: ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
+
+    Parameters
+    ----------
+    guides : Guides
+        Of one frame.
+    settings : DenoiseSettings
+        Resolved; which similarity compares lobes.
+    temporal : TemporalSettings
+        How strictly.
+    allowance : array, shape (height, width), optional
+        Pixel footprints by which the surface moved by itself, allowed for beside those of the settings.
+    apart : bool
+        Whether diffuse and specular radiance are.
+    """
+    frame = guides.as_frame()
+    surface = find_surface(frame)
+    everywhere = np.ones(guides.shape, dtype=bool)
+    plane = _make_plane(guides, temporal, surface, allowance)
+    normal = guides.gbuffer.normal
+    assert normal is not None
+    facing = NormalFeature(_hide(normal, surface), settings.normal_exponent)
+    marks = {"rest": Marks(everywhere, (*plane, facing))}
+    same = replace(
+        settings,
+        beta=temporal.beta,
+        diffuse_beta=temporal.beta,
+        tau=default_tau(guides.camera, guides.shape[0]) if guides.camera is not None else settings.tau,
+        hit_distance=can_use_hits(frame),
+    )
+    lobes, mask = make_specular_features(frame, same, surface, apart)
+    # Reflections that are mixed with diffuse light do not move as one.
+    virtual = (*lobes, *_make_hit_features(guides)) if apart and same.hit_distance else ()
+    marks["specular" if apart else "color"] = Marks(mask, (*plane, *(virtual or lobes)), virtual)
+    if apart:
+        diffuse = facing if settings.similarity == "normal" else DiffuseFeature(normal, temporal.beta)
+        marks["diffuse"] = Marks(surface, (*plane, diffuse))
+    return marks
+
+
+def _hide(image: FloatArray, surface: NDArray[np.bool_]) -> FloatArray:
+    """Return ``image`` with 0 where there is no surface."""
+    return np.where(surface[..., None], image, np.float32(0.0))
+
+
+def _make_plane(
+    guides: Guides, temporal: TemporalSettings, surface: NDArray[np.bool_], allowance: FloatArray | None
+) -> tuple[Feature, ...]:
+    if not guides.is_placed:
+        return ()
+    assert guides.camera is not None and guides.gbuffer.normal is not None
+    position, depth = find_places(guides.as_frame())
+    footprint = depth * np.float32(guides.camera.get_pixel_angle(guides.shape[0]))
+    if allowance is not None:
+        footprint = footprint * (1.0 + allowance / np.float32(temporal.plane_sigma))
+    footprint = np.where(surface, footprint, np.float32(1.0)).astype(np.float32)
+    normal = _hide(guides.gbuffer.normal, surface)
+    return (PlaneFeature(_hide(position, surface), normal, footprint, temporal.plane_sigma),)
+
+
+def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
+    """Return what compares how far away is what a lobe sees, the more strictly the narrower it is."""
+    distance, alpha_u, alpha_v = (getattr(guides.gbuffer, name) for name in ("hit_distance", "alpha_u", "alpha_v"))
+    if alpha_u is None:
+        return ()
+    widest = alpha_u if alpha_v is None else np.maximum(alpha_u, alpha_v)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(distance > 0.0, 1.0 / distance, 0.0)
+    tolerance = HIT_TOLERANCE + HIT_TOLERANCE_PER_LOBE * np.nan_to_num(widest)
+    return (HitDistanceFeature(inverse.astype(np.float32), tolerance.astype(np.float32)),)

@@ -1,0 +1,170 @@
+"""What is remembered of the frame before, and how the frame after finds its way in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.layers import find_places
+from lobewise.denoising.settings import DenoiseSettings
+from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.kernels.engine import run_reprojection
+from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS
+from lobewise.lobe_table import LobeTable
+from lobewise.motion import compute_motion
+from lobewise.temporal.marks import Guides, Marks, make_marks
+from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
+from lobewise.temporal.settings import TemporalSettings
+from lobewise.temporal.sums import fade
+
+AGREES = 0.1
+"""Agreement from which a pixel counts as found."""
+
+
+@dataclass(frozen=True)
+class Past:
+    """What is remembered of the frame before.
+
+    Parameters
+    ----------
+    guides : Guides
+        Its surfaces.
+    similarity : str
+        What compared its lobes.
+    sums : dict of array, shape (height, width, 7)
+        Of every layer by its name; see `lobewise.kernels.history`.
+    marks : dict of Marks
+        Of every layer by its name, if they were made already.
+    """
+
+    guides: Guides
+    similarity: str
+    sums: dict[str, FloatArray]
+    marks: dict[str, Marks] = field(default_factory=dict)
+
+
+class Recollection:
+    """Finds the history of one frame's layers in the past.
+
+    Attributes
+    ----------
+    marks : dict of Marks
+        Of this frame.
+    share : float
+        Share of the pixels, 0 to 1, that found theirs.
+    """
+
+    def __init__(
+        self,
+        guides: Guides,
+        settings: DenoiseSettings,
+        temporal: TemporalSettings,
+        past: Past | None,
+        apart: bool,
+    ) -> None:
+        self._temporal = temporal
+        self._device = settings.device
+        self._past: Past | None = None
+        self._places: tuple[FloatArray, FloatArray | None] | None = None
+        self.share = 0.0
+        allowance: FloatArray | None = None
+        if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
+            self._places, allowance = _find_all_places(guides, past.guides)
+        self.marks = make_marks(guides, settings, temporal, allowance, apart)
+        if past is None or self._places is None:
+            return
+        # The marks of a past that was read from a file are made again.
+        self._old = past.marks or make_marks(past.guides, settings, temporal, None, apart)
+        self._past = past
+        found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
+        self.share = 0.0 if found is None else float(np.mean(found[..., AGREEMENT] > AGREES))
+        if self.share < temporal.cut_share:
+            self._past, self.share = None, 0.0
+
+    def recall(self, name: str) -> FloatArray | None:
+        """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
+        if self._past is None or name not in self._past.sums:
+            return None
+        found = self._find(name, self._past.sums[name])
+        return None if found is None else fade(found[..., :AGREEMENT], self._temporal.memory)
+
+    def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
+        old, new = self._old.get(name), self.marks[name]
+        if old is None or not new.fits(old):
+            return None
+        assert self._places is not None
+        masks = old.mask, new.mask
+        surface, virtual = self._places
+        found = run_reprojection(sums, surface, masks, (old.surface, new.surface), device=self._device)
+        if not new.virtual or virtual is None:
+            return found
+        other = run_reprojection(sums, virtual, masks, (old.virtual, new.virtual), device=self._device)
+        # The better one counts more, and where one finds nothing the other alone.
+        squares = [each[..., AGREEMENT:] ** 2 for each in (found, other)]
+        share = squares[1] / np.maximum(squares[0] + squares[1], np.float32(1e-12))
+        return np.asarray(found + share * (other - found), dtype=np.float32)
+
+
+def _find_all_places(
+    guides: Guides, before: Guides
+) -> tuple[tuple[FloatArray, FloatArray | None] | None, FloatArray | None]:
+    """Return where surfaces and reflections were, and by how many pixels surfaces moved by themselves."""
+    motion, camera, previous = guides.gbuffer.motion, guides.camera, before.camera
+    if camera is None or previous is None or not guides.is_placed:
+        if motion is None:
+            return None, None
+        return (add_grid(motion), None), None
+    position, depth = find_places(guides.as_frame())
+    by_camera = compute_motion(camera, previous, position, depth)
+    allowance = None
+    if motion is not None:
+        allowance = np.nan_to_num(np.hypot(*np.moveaxis(motion - by_camera, -1, 0)), posinf=0.0)
+    virtual = None
+    distance = guides.gbuffer.hit_distance
+    if distance is not None and guides.gbuffer.normal is not None:
+        curvature = estimate_curvature(position, guides.gbuffer.normal)
+        virtual = find_virtual_places(position, curvature, distance, camera, previous)
+    return (add_grid(by_camera if motion is None else motion), virtual), allowance
+
+
+def pack_past(past: Past) -> dict[str, NDArray[Any]]:
+    """Return a past as arrays by name."""
+    packed: dict[str, NDArray[Any]] = {"similarity": np.array(past.similarity)}
+    packed |= {f"sums/{name}": value for name, value in past.sums.items()}
+    parts: list[tuple[str, Any]] = [("gbuffer", past.guides.gbuffer), ("camera", past.guides.camera)]
+    parts += [(f"table{number:04d}", table) for number, table in enumerate(past.guides.lobe_tables)]
+    for prefix, part in parts:
+        if part is not None:
+            values = {item.name: getattr(part, item.name) for item in fields(part)}
+            packed |= {f"{prefix}/{name}": np.asarray(value) for name, value in values.items() if value is not None}
+    return packed
+
+
+def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
+    """Return the past that `pack_past` took apart; its marks are made when they are needed.
+
+    Raises
+    ------
+    InputError
+        If something is missing or does not fit.
+    """
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in packed.items():
+        prefix, _, key = name.partition("/")
+        parts.setdefault(prefix, {})[key] = value.item() if value.ndim == 0 else value
+    try:
+        camera = Camera(**parts["camera"]) if "camera" in parts else None
+        tables = [LobeTable(**parts[name]) for name in sorted(parts) if name.startswith("table")]
+        guides = Guides(GBuffer(**parts["gbuffer"]), camera, tuple(tables))
+        return Past(guides, str(packed["similarity"]), parts.get("sums", {}))
+    except (KeyError, TypeError, ValueError, LobewiseError) as problem:
+        raise InputError(
+            describe_problem(
+                "state", expected="what get_state returned", got=str(problem)[:200], action="start the sequence again"
+            )
+        ) from None

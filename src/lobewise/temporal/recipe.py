@@ -1,0 +1,312 @@
+"""The recipe over time: every frame is filtered as it comes, and joined with what the frames before it knew."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_unfiltered, refill
+from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import FloatArray, Frame, Result
+from lobewise.kernels.engine import FilterOutput, run_filter, run_upsampling
+from lobewise.kernels.features import Feature
+from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.temporal.marks import Guides
+from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past
+from lobewise.temporal.settings import TemporalSettings
+from lobewise.temporal.sums import (
+    FRAMES,
+    LARGEST_OWN_WEIGHT,
+    WEIGHT,
+    Samples,
+    add_own_samples,
+    divide,
+    fade,
+    find_effective_samples,
+    find_luminance,
+    find_variance,
+    gather_samples,
+    make_sums,
+)
+from lobewise.upsampling import DEFAULT_RADIUS, spread
+
+BORROWED_ERROR = 0.005
+"""Squared relative error that a neighbour's radiance has as an estimate of the pixel's own, noise aside."""
+
+TRUST_RADIUS = 2
+"""Samples from the centre to the edge of the window in which history and samples are compared."""
+TRUST_FROM, TRUST_TO = 8.0, 4.0
+"""Standard errors of that comparison from which a history counts nothing, and up to which it counts whole."""
+TRUST_FLOOR = 0.02
+"""Relative difference that is no change."""
+
+
+class TemporalFilter:
+    """Denoises or upsamples a sequence frame by frame, and lets every frame know what the ones before it knew.
+
+    Per pixel the sums of all weights and of all weighted samples are carried along, so that what is well supported
+    weighs more than what is not, whichever frame it came from. A pixel finds its history where its surface point was,
+    and where its reflection was; it takes it as far as surface and lobe are the same ones, and drops it where this
+    frame's samples say otherwise. Memory does not grow with the length of the sequence.
+
+    Source: Herzog et al. 2010, "Spatio-temporal upsampling on the GPU" (sums over space and time); Tokuyoshi 2015
+    (weights). Departs: the kernel narrows as a pixel's history grows; see docs/temporal.md.
+
+    Parameters
+    ----------
+    settings : DenoiseSettings, optional
+        As for `lobewise.denoise` and `lobewise.upsample`.
+    temporal : TemporalSettings, optional
+        What concerns the history.
+    **changes
+        Single parameters of either, by name.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range or unknown.
+
+    Examples
+    --------
+    >>> import lobewise
+    >>> temporal = lobewise.TemporalFilter()
+    >>> images = [temporal.add(lobewise.read_frame(path)).image for path in paths]  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        settings: DenoiseSettings | None = None,
+        *,
+        temporal: TemporalSettings | None = None,
+        **changes: Any,
+    ) -> None:
+        own = {item.name for item in fields(TemporalSettings)} - {"beta"}
+        for name in changes:
+            require_choice("setting", name, [*(item.name for item in fields(DenoiseSettings)), *sorted(own)])
+        spatial = {name: value for name, value in changes.items() if name not in own}
+        over_time = {name: value for name, value in changes.items() if name in own}
+        self.temporal = replace(temporal or TemporalSettings(), **over_time)
+        self._settings = replace(settings, **spatial) if settings is not None else None
+        self._changes = spatial
+        if settings is None:
+            DenoiseSettings(**spatial)
+        self._past: Past | None = None
+
+    def reset(self) -> None:
+        """Forget everything, as before the first frame."""
+        self._past = None
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Return all that is remembered, as arrays by name."""
+        return {} if self._past is None else pack_past(self._past)
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Remember what `get_state` gave; every further result has the same bits as without the interruption.
+
+        Raises
+        ------
+        InputError
+            If ``state`` is not what `get_state` gives.
+        """
+        self._past = unpack_past(state) if state else None
+
+    def add(self, frame: AnyFrame, *, features: Sequence[Feature] = (), cut: bool = False) -> Result:
+        """Return the result of the next frame.
+
+        Parameters
+        ----------
+        frame : Frame or SparseFrame
+            The next frame of the sequence. Motion vectors tell where things were; without them they stood still and the
+            camera moved; without a camera too nothing is carried over. A frame of another size starts anew.
+        features : sequence of Feature
+            As for `lobewise.denoise`; of this frame.
+        cut : bool
+            Whether the frame does not continue the one before. A cut is also noticed by itself.
+
+        Returns
+        -------
+        Result
+            As of `lobewise.denoise` or `lobewise.upsample`, with ``variance``; ``weight_sum`` and ``effective_samples``
+            count the history.
+
+        Raises
+        ------
+        InputError, MissingChannelError, DeviceError
+            As `lobewise.denoise` and `lobewise.upsample`; the history is then as it was.
+        """
+        start = time.perf_counter()
+        chosen = self._resolve(frame)
+        bad = find_bad_pixels(Frame(frame.radiance))
+        if bad.all():
+            raise InputError(
+                describe_problem(
+                    "radiance",
+                    expected="at least one sample that is finite and not negative",
+                    got=f"{bad.size} bad samples of {bad.size}",
+                    action="check the render or the channel mapping",
+                )
+            )
+        layers = self._make_layers(frame, chosen, features)
+        guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
+        recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)
+        noise = self._estimate_noise(frame)
+        sums = {
+            name: self._join(frame, layer, recollection.recall(name), chosen, noise) for name, layer in layers.items()
+        }
+        result = self._make_result(frame, layers, sums, chosen, bad, recollection.share)
+        self._past = Past(guides, chosen.similarity, {name: each[0] for name, each in sums.items()}, recollection.marks)
+        return replace(result, seconds=time.perf_counter() - start)
+
+    def _resolve(self, frame: AnyFrame) -> DenoiseSettings:
+        sparse = isinstance(frame, SparseFrame)
+        asked = self._settings
+        if asked is None:
+            asked = replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
+        if sparse and asked.form != "full":
+            raise InputError(
+                describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
+            )
+        return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
+
+    @staticmethod
+    def _make_layers(frame: AnyFrame, chosen: DenoiseSettings, features: Sequence[Feature]) -> dict[str, Layer]:
+        layers = make_layers(frame, chosen, features)
+        named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
+        if isinstance(frame, SparseFrame):
+            named |= zip(("rest",), make_rest_layer(frame, chosen, features), strict=False)
+        return named
+
+    @staticmethod
+    def _estimate_noise(frame: AnyFrame) -> float:
+        """Return the relative variance of a sample, >= 0."""
+        if frame.variance is not None and not frame.variance.color.any():
+            return 0.0
+        return 0.0825 * math.pow(4.0 / estimate_spp(frame), 0.56)
+
+    def _join(
+        self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: DenoiseSettings, noise: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the sums of this frame and its history, and what a tap that matches fully counts in them."""
+        scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
+        where = slice(place[0], None, scale), slice(place[1], None, scale)
+        samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where)
+        own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
+        if history is not None:
+            history = fade(history, self._find_trust(layer, samples, history, scale, place, own, chosen.device))
+            frames = history[..., FRAMES] + np.float32(1.0)
+            unit = np.asarray(frames**self.temporal.strictness, dtype=np.float32)
+        else:
+            unit = np.ones(layer.mask.shape, np.float32)
+        common: dict[str, Any] = {
+            "radius": chosen.radius,
+            "albedo": layer.albedo,
+            "modulate": False,
+            "moment": True,
+            "strictness": unit,
+            "device": chosen.device,
+        }
+        if isinstance(frame, SparseFrame):
+            output = run_upsampling(layer.radiance, layer.mask, layer.features, scale=scale, place=place, **common)
+        else:
+            output = run_filter(layer.radiance, layer.mask, layer.features, form=chosen.form, **common)
+        # A kernel that is k times narrower holds a k-th of the samples, which are worth as much.
+        sums = make_sums(output, unit)
+        add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32))
+        if history is not None:
+            sums += history
+        return sums, unit
+
+    @staticmethod
+    def _find_trust(
+        layer: Layer,
+        samples: Samples,
+        history: FloatArray,
+        scale: int,
+        place: tuple[int, int],
+        own: float,
+        device: str,
+    ) -> FloatArray:
+        """Return how far this frame's samples bear out the history, 0 to 1, shape (height, width).
+
+        At the shaded pixels sample and history are two estimates of one thing, and around each of them the
+        lobe-weighted mean of their difference is held against its own deviation. What holds for the samples holds for
+        the pixels that resemble them.
+        """
+        there = history[samples.where]
+        # A history that was only ever borrowed is not held against samples that have no noise.
+        known = samples.good & (there[..., WEIGHT] > 0.5 * own)
+        if not known.any():
+            return np.ones(layer.mask.shape, np.float32)
+        before = find_luminance(divide(there))
+        difference = np.where(known, samples.luminance - before, np.float32(0.0))
+        with np.errstate(over="ignore"):
+            pieces = np.stack([np.maximum(difference, 0.0), np.maximum(-difference, 0.0), difference**2], axis=-1)
+        pieces = np.where(known[..., None], pieces, np.float32(np.nan))
+        grid: dict[str, Any] = {"scale": scale, "place": place, "device": device}
+        near = run_upsampling(pieces, layer.mask, layer.features, radius=TRUST_RADIUS, shaded_only=True, **grid)
+        mean = near.image[..., 0] - near.image[..., 1]
+        count = near.effective_samples
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            error = np.sqrt(np.maximum(near.image[..., 2] - mean**2, 0.0) / (count - 1.0))
+            excess = np.abs(mean) / (error + TRUST_FLOOR * (before + np.abs(mean)))
+            low = np.clip((TRUST_FROM - excess) / (TRUST_FROM - TRUST_TO), 0.0, 1.0)
+        # One sample alone tells nothing of its deviation.
+        low = np.where(np.isfinite(low) & (count > 1.5) & known, low, 1.0).astype(np.float32)
+        if scale == 1:
+            return low
+        trusted = np.repeat(low[..., None], 3, axis=-1)
+        spreading = run_upsampling(trusted, layer.mask, layer.features, radius=1, **grid)
+        return np.where(spreading.weight_sum > 0.0, spreading.image[..., 0], np.float32(1.0))
+
+    @staticmethod
+    def _make_result(
+        frame: AnyFrame,
+        layers: dict[str, Layer],
+        sums: dict[str, tuple[FloatArray, FloatArray]],
+        chosen: DenoiseSettings,
+        bad: NDArray[np.bool_],
+        share: float,
+    ) -> Result:
+        outputs = {}
+        variance = np.zeros(frame.shape, np.float32)
+        for name, layer in layers.items():
+            total, unit = sums[name]
+            tint = layer.albedo if layer.albedo is not None else np.ones((1, 1, 3), np.float32)
+            tint = np.where(find_good(tint)[..., None], tint, np.float32(0.0))
+            outputs[name] = FilterOutput(divide(total) * tint, total[..., WEIGHT] / unit, find_effective_samples(total))
+            variance += find_variance(total) * find_luminance(tint) ** 2
+        sparse = isinstance(frame, SparseFrame)
+        parts = {
+            name: output.image if sparse else keep_unfiltered(layers[name], output) for name, output in outputs.items()
+        }
+        if isinstance(frame, SparseFrame):
+            image = np.asarray(sum(parts.values()), dtype=np.float32)
+            holes = ~np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs.values()])
+            bad = spread(frame, bad)
+        else:
+            image = compose(frame, list(parts.values()))
+            holes = bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs.values()])
+        holes |= ~find_good(image)
+        if holes.any():
+            image = refill(image, holes, chosen)
+        lobes = [name for name in layers if name != "rest"]
+        weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
+        return Result(
+            image=image,
+            diffuse=np.nan_to_num(parts["diffuse"]) if "diffuse" in parts else None,
+            specular=np.nan_to_num(parts["specular"]) if "diffuse" in parts else None,
+            weight_sum=weight_sum,
+            effective_samples=effective_samples,
+            bad_pixels=bad,
+            settings={**asdict(chosen), "history_share": share},
+            seconds=0.0,
+            variance=variance,
+        )

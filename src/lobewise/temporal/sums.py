@@ -1,0 +1,117 @@
+"""Sums over samples that a history consists of, and how they are joined: arithmetic on images of eight channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.recipe import find_good
+from lobewise.frame import FloatArray
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR
+from lobewise.kernels.engine import FilterOutput
+from lobewise.kernels.history import HISTORY_CHANNELS
+from lobewise.lobes.vectors import LUMINANCE
+
+WEIGHT, SQUARED_WEIGHT, MOMENT, FRAMES = 3, 4, 5, 6
+"""Channels beside the weighted radiance over albedo, 0 to 2."""
+
+LARGEST_OWN_WEIGHT = 1e8
+"""Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The samples of one layer at the pixels that were shaded.
+
+    Parameters
+    ----------
+    where : pair of slice
+        The shaded pixels, as an index into images of the full size.
+    radiance : array, shape (rows, columns, 3)
+        Their radiance over albedo; 0 where bad.
+    good : bool array, shape (rows, columns)
+        Which of them count.
+    """
+
+    where: tuple[slice, slice]
+    radiance: FloatArray
+    good: NDArray[np.bool_]
+
+    @property
+    def luminance(self) -> FloatArray:
+        """Luminance of the radiance over albedo."""
+        return find_luminance(self.radiance)
+
+
+def find_luminance(image: FloatArray) -> FloatArray:
+    """Return the luminance of an image of three channels or more, whose first three count."""
+    return np.asarray(sum(np.float32(share) * image[..., k] for k, share in enumerate(LUMINANCE)), dtype=np.float32)
+
+
+def gather_samples(
+    radiance: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], where: tuple[slice, slice]
+) -> Samples:
+    """Return the samples of a layer, with the same ones left out that the filter leaves out."""
+    good = find_good(radiance) & mask[where]
+    if albedo is not None:
+        tint = albedo[where]
+        good &= find_good(tint) & (np.maximum(np.maximum(tint[..., 0], tint[..., 1]), tint[..., 2]) > ALBEDO_FLOOR)
+        with np.errstate(invalid="ignore", over="ignore"):
+            radiance = np.asarray(radiance / np.maximum(tint, np.float32(ALBEDO_FLOOR)), dtype=np.float32)
+    return Samples(where, np.where(good[..., None], radiance, np.float32(0.0)).astype(np.float32), good)
+
+
+def make_sums(output: FilterOutput, factor: FloatArray) -> FloatArray:
+    """Return what this frame's filter gathered as sums, every weight times ``factor``, (height, width, 7)."""
+    assert output.moment is not None
+    height, width = output.weight_sum.shape
+    sums = np.empty((height, width, HISTORY_CHANNELS), np.float32)
+    weight = output.weight_sum * factor
+    np.multiply(output.image, weight[..., None], out=sums[..., :3])
+    sums[..., WEIGHT] = weight
+    sums[..., SQUARED_WEIGHT] = weight * weight / np.maximum(output.effective_samples, np.float32(1.0))
+    np.multiply(output.moment, weight, out=sums[..., MOMENT])
+    sums[..., FRAMES] = weight > 0.0
+    return sums
+
+
+def add_own_samples(sums: FloatArray, samples: Samples, bonus: FloatArray) -> None:
+    """Add to the sums of the shaded pixels their own sample, ``bonus`` (full size) times on top of what it counts."""
+    more = np.where(samples.good, bonus[samples.where], np.float32(0.0))
+    part = sums[samples.where]
+    part[..., :3] += more[..., None] * samples.radiance
+    part[..., WEIGHT] += more
+    part[..., SQUARED_WEIGHT] += more * more
+    part[..., MOMENT] += more * samples.luminance**2
+
+
+def fade(sums: FloatArray, share: float | FloatArray) -> FloatArray:
+    """Return sums whose samples count ``share`` as much as before, a number or an image."""
+    factor = np.asarray(share, dtype=np.float32)
+    faded = sums * (factor[..., None] if factor.ndim else factor)
+    faded[..., SQUARED_WEIGHT] *= factor
+    return np.asarray(faded, dtype=np.float32)
+
+
+def divide(sums: FloatArray) -> FloatArray:
+    """Return the mean radiance over albedo, 0 where there is no weight, (height, width, 3)."""
+    weight = sums[..., WEIGHT]
+    inverse = np.where(weight > 0.0, np.float32(1.0) / np.maximum(weight, np.float32(1e-30)), np.float32(0.0))
+    return np.asarray(sums[..., :3] * inverse[..., None], dtype=np.float32)
+
+
+def find_effective_samples(sums: FloatArray) -> FloatArray:
+    """Return ``(sum w)^2 / sum w^2``, 0 where there is no weight."""
+    weight, squares = sums[..., WEIGHT], sums[..., SQUARED_WEIGHT]
+    # In two steps, because the square of a large weight overflows.
+    ratio = weight / np.maximum(squares, np.float32(1e-30))
+    return np.asarray(np.where(squares > 0.0, ratio * weight, (weight > 0.0)), dtype=np.float32)
+
+
+def find_variance(sums: FloatArray) -> FloatArray:
+    """Return the variance of the mean luminance over albedo: that of the samples, over how many they are worth."""
+    weight = np.maximum(sums[..., WEIGHT], np.float32(1e-30))
+    spread = sums[..., MOMENT] / weight - find_luminance(divide(sums)) ** 2
+    return np.asarray(np.maximum(spread, 0.0) / np.maximum(find_effective_samples(sums), 1.0), dtype=np.float32)
