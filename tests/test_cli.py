@@ -130,7 +130,7 @@ class TestProgram:
 
         monkeypatch.setattr("lobewise.io.describe_file", interrupt)
         assert run(["inspect", str(frame_file)]) == 130
-        assert capsys.readouterr().err == "lobewise: interrupted; no output was changed.\n"
+        assert capsys.readouterr().err == "lobewise: interrupted; every output is whole, or as it was.\n"
 
     def test_a_closed_pipe_is_no_failure(self, frame_file):
         code = f"from lobewise.cli import main; main(['inspect', '-a', {str(frame_file)!r}])"

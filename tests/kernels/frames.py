@@ -6,8 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.features import (
+    BandLimitFeature,
+    Feature,
+    NormalFeature,
+    PlaneFeature,
+    PositionFeature,
+    ScreenFeature,
+)
+from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, HitDistanceFeature, SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.hits import HitField
 
@@ -17,9 +24,11 @@ KINDS = [
     "screen",
     "position",
     "depth",
+    "plane",
     "normal",
     "band_limit",
     "diffuse",
+    "hit_distance",
     "sg",
     "ggx",
     "asg",
@@ -69,17 +78,24 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
         return PositionFeature(place, depth, pixel_angle=0.002, sigma=9.0)
     if kind == "depth":
         return PositionFeature(depth, depth, pixel_angle=0.002, sigma=9.0)
+    if kind == "plane":
+        footprint = rng.uniform(0.006, 0.01, shape).astype(np.float32)
+        return PlaneFeature(place, normal, footprint, 5.0)
     if kind == "normal":
         return NormalFeature(normal, 20.0)
     if kind == "band_limit":
         return BandLimitFeature(sharpness, pixel_angle=0.02, scale=1.0, largest_sigma=6.0)
     if kind == "diffuse":
         return DiffuseFeature(make_directions(rng, shape, 0.5), beta)
+    # Some see nothing.
+    inverse = rng.uniform(0.0, 4.0, shape).astype(np.float32)
+    inverse[inverse < 1.0] = 0.0
+    if kind == "hit_distance":
+        return HitDistanceFeature(inverse, rng.uniform(0.2, 0.6, shape).astype(np.float32))
     hits = None
     if kind.endswith("_hits"):
         # Steps of some hundredths, seen at some tenths: as much as the axes differ.
-        inverse = rng.uniform(0.0, 4.0, shape).astype(np.float32)
-        hits = HitField(place, np.where(inverse < 1.0, np.float32(0.0), inverse))
+        hits = HitField(place, inverse)
     if kind.startswith("sg"):
         return SgFeature(normal, sharpness, beta, hits)
     if kind.startswith(("ggx", "asg")):

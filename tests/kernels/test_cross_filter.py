@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.kernels.engine import count_compiled_kernels, run_filter
+from lobewise.frame import FloatArray
+from lobewise.kernels.engine import FilterOutput, count_compiled_kernels, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
 from lobewise.kernels.reference import filter_reference
+from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, make_radiance
 
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4: 3e-4 relative. GGX expands 1/|m|^2 to third order
@@ -16,7 +18,7 @@ RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
 # Kinds whose code is mostly that of another one run among the slow tests: each compiles six kernels.
 EVERY_KIND = [
-    pytest.param(kind, marks=pytest.mark.slow) if kind in ("depth", "coaxial") or kind.endswith("_hits") else kind
+    pytest.param(kind, marks=pytest.mark.slow) if kind in ("depth", "plane", "coaxial") or kind.endswith("_hits") else kind
     for kind in KINDS
 ]
 # One radius for all: each other one would compile every kernel again.
@@ -35,7 +37,7 @@ def test_image_and_weight_sum_agree_with_oracle(kind: str, form: str, shape: tup
     features = [make_feature(kind, shape)]
     radiance, mask = make_radiance(shape), make_mask(shape)
     out = run_filter(radiance, mask, features, form=form, radius=RADIUS)
-    image, total, effective = filter_reference(radiance, mask, features, form=form, radius=RADIUS)
+    image, total, effective, _ = filter_reference(radiance, mask, features, form=form, radius=RADIUS)
     tolerance = get_tolerance(kind, form)
     np.testing.assert_allclose(out.weight_sum, total, rtol=tolerance)
     np.testing.assert_allclose(out.effective_samples, effective, rtol=2.0 * tolerance)
@@ -54,7 +56,7 @@ def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, 
         impulse = np.zeros((*shape, 3), np.float32)
         impulse[at] = 1.0
         out = run_filter(impulse, mask, features, form=form, radius=RADIUS)
-        image, total, _ = filter_reference(impulse, mask, features, form=form, radius=RADIUS)
+        image, total, *_ = filter_reference(impulse, mask, features, form=form, radius=RADIUS)
         weights = image[..., 0] * total
         np.testing.assert_allclose(
             out.image[..., 0] * out.weight_sum, weights, rtol=2.0 * get_tolerance(kind, form), atol=2e-5
@@ -100,7 +102,7 @@ def test_features_multiply() -> None:
     radiance, mask = make_radiance(shape), make_mask(shape)
     features = [make_feature(kind, shape) for kind in ("screen", "position", "sg")]
     out = run_filter(radiance, mask, features, form="full", radius=RADIUS)
-    image, total, _ = filter_reference(radiance, mask, features, form="full", radius=RADIUS)
+    image, total, *_ = filter_reference(radiance, mask, features, form="full", radius=RADIUS)
     np.testing.assert_allclose(out.weight_sum, total, rtol=1e-3)
     np.testing.assert_allclose(out.image, image, rtol=2e-3)
 
@@ -113,7 +115,7 @@ def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
         radiance[at][1] = value
     features = [make_feature("sg", shape), ScreenFeature(2.0)]
     out = run_filter(radiance, make_mask(shape), features, form=form, radius=RADIUS)
-    image, total, _ = filter_reference(radiance, make_mask(shape), features, form=form, radius=RADIUS)
+    image, total, *_ = filter_reference(radiance, make_mask(shape), features, form=form, radius=RADIUS)
     assert np.isfinite(out.image).all()
     np.testing.assert_allclose(out.weight_sum, total, rtol=5e-3)
     np.testing.assert_allclose(out.image, image, rtol=5e-3)
@@ -132,7 +134,7 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     )
     radiance = make_radiance(shape)
     out = run_filter(radiance, mask, [poisoned], form=form, radius=RADIUS)
-    image, total, _ = filter_reference(radiance, mask, [feature], form=form, radius=RADIUS)
+    image, total, *_ = filter_reference(radiance, mask, [feature], form=form, radius=RADIUS)
     assert (out.image[~mask] == 0.0).all()
     assert (out.weight_sum[~mask] == 0.0).all()
     np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance("ggx", form))
@@ -152,6 +154,79 @@ def test_demodulation(form: str) -> None:
     lit = albedo > 1e-3
     np.testing.assert_allclose(out.image[lit], (2.5 * albedo)[lit], rtol=1e-5)
     assert (out.image[albedo == 0.0] == 0.0).all()
+
+
+def make_strictness(shape: tuple[int, int], low: float, high: float) -> FloatArray:
+    """Return a power per pixel, as often below 1 as above for ``low = 1 / high``."""
+    return np.exp(np.random.default_rng(shape).uniform(np.log(low), np.log(high), shape)).astype(np.float32)
+
+
+def run_strictly(
+    radiance: FloatArray, strictness: FloatArray, form: str, *, mask: FloatArray | None = None
+) -> FilterOutput:
+    """Return what the filter makes of ``radiance`` by positions, whose similarity with themselves is 1 exactly."""
+    shape = strictness.shape
+    usable = make_mask(shape) if mask is None else mask
+    features = [make_feature("position", shape)]
+    return run_filter(radiance, usable, features, form=form, radius=RADIUS, moment=True, strictness=strictness)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("shape", [(1, 7), (37, 29)], ids=str)
+def test_strictness_and_moment_agree_with_oracle(form: str, shape: tuple[int, int]) -> None:
+    radiance = make_radiance(shape).copy()
+    radiance[0, 3, 1] = np.nan
+    mask = np.random.default_rng(1).random(shape) > 0.1
+    strictness = make_strictness(shape, 0.25, 4.0)
+    out = run_strictly(radiance, strictness, form, mask=mask)
+    features = [make_feature("position", shape)]
+    reference = filter_reference(radiance, mask, features, form=form, radius=RADIUS, strictness=strictness)
+    # Four times the power is four times the error of the logarithm.
+    tolerance = 4.0 * get_tolerance("position", form)
+    for name, expected in reference._asdict().items():
+        np.testing.assert_allclose(getattr(out, name), expected, rtol=tolerance, err_msg=name)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_constant_stays_constant_however_strict(form: str) -> None:
+    shape = (33, 20)
+    radiance = np.broadcast_to(np.array([0.37, 0.21, 1.4], np.float32), (*shape, 3))
+    out = run_strictly(radiance, make_strictness(shape, 1e-3, 1e3), form)
+    np.testing.assert_allclose(out.image, radiance, rtol=3e-6)
+    np.testing.assert_allclose(out.moment, float(np.dot(LUMINANCE, radiance[0, 0])) ** 2, rtol=3e-6)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_strictness_1_changes_no_bit(form: str) -> None:
+    shape = (33, 20)
+    radiance = make_radiance(shape)
+    strict = run_strictly(radiance, np.ones(shape, np.float32), form)
+    plain = run_filter(radiance, make_mask(shape), [make_feature("position", shape)], form=form, radius=RADIUS)
+    for name in ("image", "weight_sum", "effective_samples"):
+        assert getattr(strict, name).tobytes() == getattr(plain, name).tobytes(), name
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_large_strictness_leaves_the_own_sample(form: str) -> None:
+    shape = (33, 20)
+    radiance = make_radiance(shape)
+    out = run_strictly(radiance, np.full(shape, 1e7, np.float32), form)
+    np.testing.assert_allclose(out.image, radiance, rtol=3e-6)
+    np.testing.assert_allclose(out.effective_samples, 1.0, rtol=3e-6)
+
+
+def test_without_modulation_the_light_is_left() -> None:
+    shape = (19, 18)
+    albedo = np.random.default_rng(2).uniform(0.05, 1.0, (*shape, 3)).astype(np.float32)
+    albedo[3, 4] = 0.0
+    radiance, mask, features = make_radiance(shape), make_mask(shape), [make_feature("position", shape)]
+    light = run_filter(radiance, mask, features, form="full", radius=RADIUS, albedo=albedo, modulate=False, moment=True)
+    image = run_filter(radiance, mask, features, form="full", radius=RADIUS, albedo=albedo).image
+    # The compiler may divide by the weight sum after the product: a rounding each.
+    np.testing.assert_allclose(light.image * albedo, image, rtol=3e-7)
+    reference = filter_reference(radiance, mask, features, form="full", radius=RADIUS, albedo=albedo, modulate=False)
+    np.testing.assert_allclose(light.image, reference.image, rtol=DEFAULT_RELATIVE)
+    np.testing.assert_allclose(light.moment, reference.moment, rtol=DEFAULT_RELATIVE)
 
 
 def test_another_size_or_parameter_does_not_compile_again() -> None:

@@ -1,18 +1,36 @@
-"""The verbs `denoise` and `upsample`."""
+"""The verbs `denoise` and `upsample`, for single files and for sequences."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from lobewise.cli.shared import Input, Output, parse_beta, parse_place
+from lobewise.cli.shared import Output, parse_beta, parse_place, show_progress
 from lobewise.errors import InputError, LobewiseError, describe_problem
+
+if TYPE_CHECKING:
+    from lobewise.frame import Result
+    from lobewise.sparse_frame import AnyFrame, SparseFrame
+
+    FrameT = TypeVar("FrameT", bound=AnyFrame)
+
+Source = Annotated[
+    Path,
+    typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
+]
+Beta = Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")]
+Device = Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")]
+Temporal = Annotated[bool, typer.Option("--temporal", help="With a sequence: let every frame know the ones before.")]
+Memory = Annotated[
+    float, typer.Option(metavar="0-1", help="With --temporal: share of its history that a frame keeps for the next.")
+]
 
 
 def denoise(
-    source: Input,
+    source: Source,
     output: Output,
     similarity: Annotated[
         str,
@@ -25,7 +43,7 @@ def denoise(
         str, typer.Option(metavar="full|separable|atrous", help="full is best, separable and atrous are faster.")
     ] = "full",
     radius: Annotated[int, typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.")] = 8,
-    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    beta: Beta = "auto",
     lobes: Annotated[int, typer.Option(metavar="1-4", help="With sg_mixture: Gaussians that stand for GGX.")] = 3,
     hit_distance: Annotated[
         bool | None,
@@ -43,37 +61,38 @@ def denoise(
             show_default="those in the file",
         ),
     ] = None,
-    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+    temporal: Temporal = False,
+    memory: Memory = 0.95,
+    device: Device = "auto",
 ) -> None:
-    """Denoise an EXR file; its other parts, channels and attributes are kept."""
-    from lobewise.cli.output import describe_result, print_line
+    """Denoise an EXR file, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
     from lobewise.io import read_frame, write_result
-    from lobewise.io.files import require_writable
     from lobewise.io.materials import read_lobe_table
 
-    require_writable(output)
     tables = [read_lobe_table(path) for path in material] if material else None
-    frame = read_frame(source, lobe_tables=tables)
-    try:
-        result = run_denoise(
-            frame,
-            similarity=similarity,
-            form=form,
-            radius=radius,
-            beta=parse_beta(beta),
-            lobes=lobes,
-            hit_distance="auto" if hit_distance is None else hit_distance,
-            device=device,
-        )
-    except LobewiseError as problem:
-        raise type(problem)(f"{source}: {problem}") from problem
-    write_result(output, result, source=source)
-    print_line(f"Wrote {output}: {describe_result(result)}.")
+    settings: dict[str, Any] = {
+        "similarity": similarity,
+        "form": form,
+        "radius": radius,
+        "beta": parse_beta(beta),
+        "lobes": lobes,
+        "hit_distance": "auto" if hit_distance is None else hit_distance,
+        "device": device,
+    }
+    _run(
+        source,
+        output,
+        read=lambda path: read_frame(path, lobe_tables=tables),
+        filter_one=lambda frame: run_denoise(frame, **settings),
+        write=lambda target, result, frame, path: write_result(target, result, source=path),
+        settings={**settings, "material": [str(path) for path in material or []]},
+        temporal={**settings, "memory": memory} if temporal else None,
+    )
 
 
 def upsample(
-    source: Input,
+    source: Source,
     output: Output,
     scale: Annotated[
         int | None,
@@ -88,7 +107,7 @@ def upsample(
     ] = "auto",
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
     radius: Annotated[int, typer.Option(metavar="N", help="Samples from the centre to the edge of the kernel.")] = 5,
-    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    beta: Beta = "auto",
     adaptive: Annotated[
         str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
     ] = "0%",
@@ -96,47 +115,165 @@ def upsample(
         str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
     ] = None,
     adaptive_spp: Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")] = 64,
-    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+    light: Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light rendered.")] = "all",
+    temporal: Temporal = False,
+    memory: Memory = 0.95,
+    device: Device = "auto",
 ) -> None:
-    """Bring sparsely shaded radiance to every pixel; the guides are kept."""
-    from lobewise.cli.output import describe_result, print_line
+    """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
     from lobewise.io import read_sparse_frame, write_frame
-    from lobewise.io.files import require_writable
     from lobewise.upsampling import upsample as run_upsample
 
-    budget = parse_percent(adaptive)
+    budget = _parse_percent(adaptive)
     if budget > 0.0 and scene is None:
         raise InputError(
             describe_problem("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
         )
-    require_writable(output)
-    frame = read_sparse_frame(source, scale=scale, place=None if place is None else parse_place(place))
-    try:
-        result = run_upsample(
-            frame, bilinear=bilinear, similarity=similarity, radius=radius, beta=parse_beta(beta), device=device
+    if bilinear and temporal:
+        raise InputError(
+            describe_problem("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
         )
-    except LobewiseError as problem:
-        raise type(problem)(f"{source}: {problem}") from problem
-    if budget > 0.0 and scene is not None:
+    where = None if place is None else parse_place(place)
+    settings: dict[str, Any] = {
+        "similarity": similarity,
+        "radius": radius,
+        "beta": parse_beta(beta),
+        "device": device,
+    }
+    shade = _Recomputing(scene, budget, adaptive_spp, light) if budget > 0.0 and scene is not None else None
+
+    def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:
+        done = result if shade is None else shade.improve(result, frame)
+        radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
+        write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
+
+    _run(
+        source,
+        output,
+        read=lambda path: read_sparse_frame(path, scale=scale, place=where),
+        filter_one=lambda frame: run_upsample(frame, bilinear=bilinear, **settings),
+        write=write,
+        settings={**settings, "bilinear": bilinear, "scale": scale, "place": place, "adaptive": [adaptive, scene]},
+        temporal={**settings, "memory": memory} if temporal else None,
+    )
+
+
+class _Recomputing:
+    """Shades the least supported pixels of a result again; the scene is loaded when the first one asks."""
+
+    def __init__(self, scene: str, budget: float, spp: int, light: str) -> None:
+        self._name, self._budget, self._spp, self._light = scene, budget, spp, light
+        self._scene: Any = None
+
+    def improve(self, result: Result, frame: SparseFrame) -> Result:
         from lobewise.adaptive import recompute
-        from lobewise.render import load_scene, render_pixels
+        from lobewise.cli.output import print_line
+        from lobewise.render import load_scene, render_pixels, set_camera
 
-        loaded = load_scene(scene, width=frame.width, height=frame.height)
-        result = recompute(
+        if self._scene is None:
+            self._scene = load_scene(self._name, width=frame.width, height=frame.height)
+        if frame.camera is not None:
+            set_camera(self._scene, frame.camera)
+        better = recompute(
             result,
-            lambda rows, columns: render_pixels(loaded, rows, columns, spp=adaptive_spp, seed=1),
-            samples=adaptive_spp / (frame.spp or 1),
-            budget=budget,
+            lambda rows, columns: render_pixels(self._scene, rows, columns, spp=self._spp, seed=1, light=self._light),
+            samples=self._spp / (frame.spp or 1),
+            budget=self._budget,
         )
-        print_line(f"Shaded {result.settings['recomputed']} pixels again, {adaptive_spp} spp.")
-    radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
-    whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
-    write_frame(output, whole)
-    print_line(f"Wrote {output}: {describe_result(result)}.")
+        print_line(f"Shaded {better.settings['recomputed']} pixels again, {self._spp} spp.")
+        return better
 
 
-def parse_percent(text: str) -> float:
+class _Alone:
+    """A filter that remembers nothing: every frame of a sequence by itself."""
+
+    def __init__(self, filter_one: Callable[[Any], Result]) -> None:
+        self._filter_one = filter_one
+
+    def add(self, frame: Any, *, cut: bool = False) -> Result:
+        return self._filter_one(frame)
+
+    def get_state(self) -> dict[str, Any]:
+        return {}
+
+    def set_state(self, state: Any) -> None:
+        pass
+
+
+def _run(
+    source: Path,
+    output: Path,
+    *,
+    read: Callable[[Path], FrameT],
+    filter_one: Callable[[FrameT], Result],
+    write: Callable[[Path, Result, FrameT, Path], None],
+    settings: dict[str, Any],
+    temporal: dict[str, Any] | None,
+) -> None:
+    """Filter one file, or every file of a pattern; mistakes in a file are told with its name."""
+    from lobewise.cli.output import describe_result, print_line, print_note
+    from lobewise.io.files import require_writable
+    from lobewise.io.sequence import is_pattern
+    from lobewise.sequence import filter_sequence
+    from lobewise.temporal import TemporalFilter
+
+    current = source
+
+    def read_one(path: Path) -> FrameT:
+        nonlocal current
+        current = path
+        return read(path)
+
+    if not is_pattern(source):
+        if temporal is not None:
+            raise InputError(
+                describe_problem(
+                    "--temporal",
+                    expected="a sequence such as 'in.####.exr'",
+                    got=repr(str(source)),
+                    action="put # in place of the digits of the number, and quote the name",
+                )
+            )
+        require_writable(output)
+        frame = read_one(source)
+        try:
+            result = filter_one(frame)
+        except LobewiseError as problem:
+            raise type(problem)(f"{source}: {problem}") from problem
+        write(output, result, frame, source)
+        print_line(f"Wrote {output}: {describe_result(result)}.")
+        return
+
+    active = TemporalFilter(**temporal) if temporal is not None else _Alone(filter_one)
+
+    class Named:
+        """The filter, whose complaints name the file."""
+
+        get_state, set_state = active.get_state, active.set_state
+
+        def add(self, frame: FrameT, *, cut: bool = False) -> Result:
+            try:
+                return active.add(frame, cut=cut)
+            except LobewiseError as problem:
+                raise type(problem)(f"{current}: {problem}") from problem
+
+    with show_progress() as progress:
+        report = filter_sequence(
+            source,
+            output,
+            Named,
+            read=read_one,
+            write=write,
+            fingerprint=repr([settings, temporal]),
+            progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
+            remark=print_note,
+        )
+    told = "" if report.last is None else f"; the last: {describe_result(report.last)}"
+    print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
+
+
+def _parse_percent(text: str) -> float:
     """Return the share that ``5%`` or ``5`` stands for."""
     try:
         percent = float(text.removesuffix("%"))

@@ -56,12 +56,12 @@ def run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; no output was changed.", EXIT_INTERRUPTED, debug)
+        return _fail("interrupted; every output is whole, or as it was.", EXIT_INTERRUPTED, debug)
     except Exception as problem:
         if hasattr(problem, "format_message"):
             # A mistake in the command line, told by the parser, whose class depends on typer's version.
             verb = next((word for word in arguments if not word.startswith("-")), "")
-            known = verb in {command.name for command in app.registered_commands}
+            known = verb in getattr(command, "commands", {})
             text = problem.format_message().rstrip(".")
             return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER, debug)
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]

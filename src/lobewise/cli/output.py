@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -67,8 +68,9 @@ def to_json(value: Any) -> str:
 def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
     """Print one line of figures per image; the best of each column stands out, and a missing one is none."""
     metrics = list(metrics)
-    table = Table(title=Text(f"against {reference}"), title_justify="left")
-    table.add_column("image", overflow="fold")
+    # Without lines between them seven figures and a name fit 80 columns.
+    table = Table(title=Text(f"against {reference}"), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("image", overflow="fold", min_width=12)
     best: dict[str, float | None] = {}
     for metric in metrics:
         table.add_column(metric, justify="right", no_wrap=True)
@@ -78,7 +80,7 @@ def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tupl
         cells = []
         for metric in metrics:
             stands_out = best[metric] is not None and figures[metric] == best[metric]
-            cells.append(Text(_format(figures[metric]), style="bold" if stands_out else ""))
+            cells.append(Text(_format(figures[metric], digits=4), style="bold" if stands_out else ""))
         table.add_row(Text(path), *cells)
     _Console().print(table)
 
@@ -162,9 +164,9 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
         console.print(Text(note), soft_wrap=True)
 
 
-def _format(value: Any) -> str:
+def _format(value: Any, digits: int = 5) -> str:
     if value is None:
         return "none"
     if isinstance(value, float):
-        return "inf" if math.isinf(value) else f"{value:.5g}"
+        return "inf" if math.isinf(value) else f"{value:.{digits}g}"
     return str(value)

@@ -1,4 +1,4 @@
-"""The oracle: the cross filter as slow float64 loops over taps, written from the definition, without Halide.
+"""The oracle: cross filter and reprojection as slow float64 loops over taps, from the definition, without Halide.
 
 It shares nothing with the kernels but the features' NumPy similarities, which are themselves written a second time.
 """
@@ -6,30 +6,49 @@ It shares nothing with the kernels but the features' NumPy similarities, which a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels.features import Feature
+from lobewise.lobes.hits import HitField
 
 FloatImage = NDArray[np.float64]
 
 B_SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 6.0
 ATROUS_STEPS = (1, 2, 4, 8, 16)
 ALBEDO_FLOOR = 1e-3
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+SNAP = 2e-3
+
+
+class ReferenceOutput(NamedTuple):
+    """What a filter run gives, float64; see `engine.FilterOutput`."""
+
+    image: FloatImage
+    weight_sum: FloatImage
+    effective_samples: FloatImage
+    moment: FloatImage
 
 
 def make_first_sums(radiance: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | None) -> FloatImage:
-    """Return the image (height, width, 5) that the first pass sums: radiance over albedo, and twice its weight."""
+    """Return the image (height, width, 6) that the first pass sums.
+
+    Radiance over albedo, twice its weight, its squared luminance.
+    """
     colour = radiance.astype(np.float64)
     good = mask & np.isfinite(colour).all(axis=-1) & (colour >= 0.0).all(axis=-1)
     if albedo is not None:
         tint = albedo.astype(np.float64)
         good &= np.isfinite(tint).all(axis=-1) & (tint >= 0.0).all(axis=-1) & (tint.max(axis=-1) > ALBEDO_FLOOR)
         colour = colour / np.where(tint > ALBEDO_FLOOR, tint, ALBEDO_FLOOR)
-    sums = np.ones((*mask.shape, 5))
+    sums = np.ones((*mask.shape, 6))
     sums[..., :3] = colour
+    with np.errstate(invalid="ignore"):
+        sums[..., 5] = (colour @ LUMINANCE) ** 2
     sums[~good] = 0.0
     return sums
 
@@ -51,9 +70,13 @@ def list_passes(form: str, radius: int) -> list[list[tuple[int, int, float]]]:
 
 
 def sum_taps(
-    sums: FloatImage, mask: NDArray[np.bool_], features: Sequence[Feature], taps: list[tuple[int, int, float]]
+    sums: FloatImage,
+    mask: NDArray[np.bool_],
+    features: Sequence[Feature],
+    taps: list[tuple[int, int, float]],
+    strictness: FloatArray | None,
 ) -> FloatImage:
-    """Return one pass over ``sums`` (height, width, 5)."""
+    """Return one pass over ``sums`` (height, width, 6)."""
     height, width = mask.shape
     out = np.zeros_like(sums)
     for dy, dx, profile in taps:
@@ -72,7 +95,11 @@ def sum_taps(
             weight = weight * similarity
         if not features:
             weight = np.where(both, weight, 0.0)
-        out[i] += np.concatenate([weight[..., None] * sums[j][..., :4], (weight**2)[..., None] * sums[j][..., 4:]], -1)
+        if strictness is not None:
+            weight = weight ** strictness[i].astype(np.float64)
+        factors = np.repeat(weight[..., None], sums.shape[2], axis=-1)
+        factors[..., 4] = weight**2
+        out[i] += factors * sums[j]
     return out
 
 
@@ -84,19 +111,65 @@ def filter_reference(
     form: str,
     radius: int,
     albedo: FloatArray | None = None,
-) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """Return image (height, width, 3), weight sum and effective samples (height, width); see `engine.run_filter`.
+    modulate: bool = True,
+    strictness: FloatArray | None = None,
+) -> ReferenceOutput:
+    """Return what the filter gives; see `engine.run_filter`.
 
     Pixels outside the mask are 0.
     """
     sums = make_first_sums(radiance, mask, albedo)
     for taps in list_passes(form, radius):
-        sums = sum_taps(sums, mask, features, taps)
+        sums = sum_taps(sums, mask, features, taps, strictness)
     total, squares = sums[..., 3], sums[..., 4]
     with np.errstate(invalid="ignore", divide="ignore"):
         image = np.where(total[..., None] > 0.0, sums[..., :3] / total[..., None], 0.0)
         effective = np.where(squares > 0.0, total**2 / squares, np.where(total > 0.0, 1.0, 0.0))
-    if albedo is not None:
+        moment = np.where(total > 0.0, sums[..., 5] / total, 0.0)
+    if albedo is not None and modulate:
         tint = albedo.astype(np.float64)
         image = image * np.where(np.isfinite(tint) & (tint >= 0.0), tint, 0.0)
-    return image, total, effective
+    return ReferenceOutput(image, total, effective, moment)
+
+
+def stack_frames(before: Feature, now: Feature) -> Feature:
+    """Return a feature of one image that has the rows of the frame before and below them those of this one.
+
+    Its parameters are those of this frame. A feature of the distance on the screen has no meaning between two frames.
+    """
+    both = copy(now)
+    for name, value in vars(now).items():
+        old = getattr(before, name)
+        if isinstance(value, np.ndarray):
+            setattr(both, name, np.concatenate([old, value]))
+        elif isinstance(value, HitField):
+            setattr(both, name, HitField(*(np.concatenate(pair) for pair in zip(old, value, strict=True))))
+    return both
+
+
+def reproject_reference(
+    past: FloatArray,
+    places: FloatArray,
+    masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    features: tuple[Sequence[Feature], Sequence[Feature]],
+) -> FloatImage:
+    """Return what every pixel brings along from the frame before, (height, width, 8); see `engine.run_reprojection`."""
+    height, width = masks[1].shape
+    pairs = [stack_frames(*pair) for pair in zip(*features, strict=True)]
+    out = np.zeros((height, width, 8))
+    for y, x in np.argwhere(masks[1]):
+        column, row = (float(value) for value in places[y, x])
+        if not (-1.0 < column < width and -1.0 < row < height):
+            continue
+        column, row = (round(value) if abs(value - round(value)) < SNAP else value for value in (column, row))
+        left, top = int(np.floor(column)), int(np.floor(row))
+        for k_y, k_x in ((top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)):
+            bilinear = (1.0 - abs(row - k_y)) * (1.0 - abs(column - k_x))
+            if not (0 <= k_y < height and 0 <= k_x < width and masks[0][k_y, k_x]):
+                continue
+            i, k = (np.array([y + height]), np.array([x])), (np.array([k_y]), np.array([k_x]))
+            agrees = float(np.prod([feature.get_similarity(i, k)[0] for feature in pairs]))
+            values = np.append(past[k_y, k_x].astype(np.float64), 1.0)
+            values[4] *= agrees
+            out[y, x] += bilinear * agrees * values
+    return out

@@ -16,6 +16,7 @@ from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR
 from lobewise.kernels.engine import FilterOutput, run_filter, run_upsampling
 from lobewise.kernels.features import Feature
 from lobewise.sparse_frame import AnyFrame, SparseFrame
@@ -197,8 +198,8 @@ class TemporalFilter:
         """Return the sums of this frame and its history, and what a tap that matches fully counts in them."""
         scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
         where = slice(place[0], None, scale), slice(place[1], None, scale)
-        samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where)
         own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
+        samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where, ALBEDO_FLOOR / own)
         if history is not None:
             history = fade(history, self._find_trust(layer, samples, history, scale, place, own, chosen.device))
             frames = history[..., FRAMES] + np.float32(1.0)

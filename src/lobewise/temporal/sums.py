@@ -51,15 +51,22 @@ def find_luminance(image: FloatArray) -> FloatArray:
 
 
 def gather_samples(
-    radiance: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], where: tuple[slice, slice]
+    radiance: FloatArray,
+    albedo: FloatArray | None,
+    mask: NDArray[np.bool_],
+    where: tuple[slice, slice],
+    floor: float = ALBEDO_FLOOR,
 ) -> Samples:
-    """Return the samples of a layer, with the same ones left out that the filter leaves out."""
+    """Return the samples of a layer but the bad ones.
+
+    As in the filter, an albedo below ``floor`` tells nothing of the light. Without noise a lower one still does.
+    """
     good = find_good(radiance) & mask[where]
     if albedo is not None:
         tint = albedo[where]
-        good &= find_good(tint) & (np.maximum(np.maximum(tint[..., 0], tint[..., 1]), tint[..., 2]) > ALBEDO_FLOOR)
+        good &= find_good(tint) & (np.maximum(np.maximum(tint[..., 0], tint[..., 1]), tint[..., 2]) > floor)
         with np.errstate(invalid="ignore", over="ignore"):
-            radiance = np.asarray(radiance / np.maximum(tint, np.float32(ALBEDO_FLOOR)), dtype=np.float32)
+            radiance = np.asarray(radiance / np.maximum(tint, np.float32(floor)), dtype=np.float32)
     return Samples(where, np.where(good[..., None], radiance, np.float32(0.0)).astype(np.float32), good)
 
 
