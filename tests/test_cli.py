@@ -365,7 +365,7 @@ class TestCompare:
             assert row.keys() == expected.keys()
             for metric, value in expected.items():
                 assert row[metric] == (None if np.isinf(value) else pytest.approx(value, rel=1e-6))
-                assert ("inf" if np.isinf(value) else f"{value:.5g}") in out
+                assert ("inf" if np.isinf(value) else f"{value:.4g}") in out
 
     def test_the_best_stands_out(self, files, tmp_path, capsys, monkeypatch):
         monkeypatch.chdir(tmp_path)
@@ -376,7 +376,7 @@ class TestCompare:
         bold = set(re.findall(r"\x1b\[1m *([0-9.]+)\x1b\[0m", capsys.readouterr().out))
         figures = [evaluate(files[name], files["r"]) for name in "ab"]
         best = {name: (max if name == "psnr" else min)(row[name] for row in figures) for name in figures[0]}
-        assert bold == {f"{value:.5g}" for value in best.values()}
+        assert bold == {f"{value:.4g}" for value in best.values()}
 
     def test_json_on_standard_output_is_alone(self, files, tmp_path, capsys, monkeypatch):
         monkeypatch.chdir(tmp_path)

