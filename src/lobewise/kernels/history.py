@@ -100,6 +100,9 @@ def make_reprojection(features: Sequence[Feature]) -> ReprojectionFuncs:
         i, j = now.read(part, x, y), before.read(part, near_x, near_y)
         exponent = exponent + feature.log2_similarity(i, j, own, nowhere, stage)
     usable = inside & (mask_before[near_x, near_y] != 0) & (mask_now[own_x, own_y] != 0)
+    # What is no number is no history; it would spread by a pixel with every frame.
+    seen = [past[k, near_x, near_y] for k in range(HISTORY_CHANNELS)]
+    usable = usable & ~expressions.is_bad(sum(seen[1:], seen[0]))
     stage(hl.select(usable, expressions.exp2(exponent), hl.f32(0.0)))
 
     sums = hl.Func("sums")
@@ -109,6 +112,8 @@ def make_reprojection(features: Sequence[Feature]) -> ReprojectionFuncs:
     tap_y = hl.clamp(row + taps.y, 0, height - 1)
     taken = [past[k, tap_x, tap_y] for k in range(HISTORY_CHANNELS)]
     agrees = stages[-1][x, y, taps.x, taps.y]
+    # 0 times what is no number would be none either.
+    taken = [hl.select(agrees > hl.f32(0.0), value, hl.f32(0.0)) for value in taken]
     bilinear = hl.select(taps.x == 0, one - right, right) * hl.select(taps.y == 0, one - down, down)
     weight = bilinear * agrees
     factors = [weight] * (HISTORY_CHANNELS + 1)

@@ -61,7 +61,7 @@ def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> No
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
     xi, xo = hl.Var("xi"), hl.Var("xo")
     out.bound(c, 0, HISTORY_CHANNELS + 1).reorder(c, x, y).unroll(c)
-    out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, y).vectorize(xi).parallel(y, 4).never_partition_all()
+    out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, y).vectorize(xi).parallel(y, 4, tail).never_partition_all()
     funcs.sums.compute_at(out, xo).vectorize(x, lanes)
     funcs.sums.update().reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes).unroll(funcs.taps.x)
     funcs.sums.update().unroll(funcs.taps.y)
