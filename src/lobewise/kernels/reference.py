@@ -156,20 +156,25 @@ def reproject_reference(
     """Return what every pixel brings along from the frame before, (height, width, 8); see `engine.run_reprojection`."""
     height, width = masks[1].shape
     pairs = [stack_frames(*pair) for pair in zip(*features, strict=True)]
+    with np.errstate(invalid="ignore"):
+        inside = (places > -1.0).all(axis=-1) & (places < np.array([width, height])).all(axis=-1)
+    rows, columns = np.nonzero(inside & masks[1])
+    where = places[rows, columns].astype(np.float64)
+    where = np.where(np.abs(where - np.rint(where)) < SNAP, np.rint(where), where)
+    first = np.floor(where).astype(np.intp)
     out = np.zeros((height, width, 8))
-    for y, x in np.argwhere(masks[1]):
-        column, row = (float(value) for value in places[y, x])
-        if not (-1.0 < column < width and -1.0 < row < height):
+    for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        k_x, k_y = first[:, 0] + right, first[:, 1] + down
+        taken = (k_x >= 0) & (k_x < width) & (k_y >= 0) & (k_y < height)
+        taken[taken] &= masks[0][k_y[taken], k_x[taken]] & np.isfinite(past[k_y[taken], k_x[taken]]).all(axis=-1)
+        if not taken.any():
             continue
-        column, row = (round(value) if abs(value - round(value)) < SNAP else value for value in (column, row))
-        left, top = int(np.floor(column)), int(np.floor(row))
-        for k_y, k_x in ((top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)):
-            bilinear = (1.0 - abs(row - k_y)) * (1.0 - abs(column - k_x))
-            if not (0 <= k_y < height and 0 <= k_x < width and masks[0][k_y, k_x]):
-                continue
-            i, k = (np.array([y + height]), np.array([x])), (np.array([k_y]), np.array([k_x]))
-            agrees = float(np.prod([feature.get_similarity(i, k)[0] for feature in pairs]))
-            values = np.append(past[k_y, k_x].astype(np.float64), 1.0)
-            values[4] *= agrees
-            out[y, x] += bilinear * agrees * values
+        y, x, k_x, k_y = rows[taken], columns[taken], k_x[taken], k_y[taken]
+        weight = (1.0 - np.abs(where[taken, 0] - k_x)) * (1.0 - np.abs(where[taken, 1] - k_y))
+        agrees = np.ones(weight.shape)
+        for feature in pairs:
+            agrees = agrees * feature.get_similarity((y + height, x), (k_y, k_x))
+        values = np.concatenate([past[k_y, k_x].astype(np.float64), np.ones((*weight.shape, 1))], axis=-1)
+        values[:, 4] *= agrees
+        out[y, x] += (weight * agrees)[:, None] * values
     return out
