@@ -6,6 +6,8 @@ image, which lies behind a flat mirror as far as the thing lies before it, and n
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from lobewise.frame import Camera, FloatArray
@@ -37,7 +39,9 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
         slope = np.einsum("...k,...k->...", dn, dx) / np.maximum(square, 1e-20)
         pad = [(0, 0), (0, 0)]
         pad[axis] = (1, 1)
-        sides = np.pad(slope, pad, mode="edge") if slope.shape[axis] else np.zeros((*position.shape[:2],), np.float32)
+        # A single row or column has no neighbour in its direction; it counts as flat.
+        mode: Literal["edge", "constant"] = "edge" if slope.shape[axis] else "constant"
+        sides = np.pad(slope, pad, mode=mode)
         first, second = (sides[:-1], sides[1:]) if axis == 0 else (sides[:, :-1], sides[:, 1:])
         return np.asarray(np.where(np.abs(first) < np.abs(second), first, second), dtype=np.float32)
 

@@ -27,7 +27,6 @@ from lobewise.temporal.sums import (
     FRAMES,
     LARGEST_OWN_WEIGHT,
     WEIGHT,
-    Samples,
     add_own_samples,
     divide,
     fade,
@@ -37,17 +36,11 @@ from lobewise.temporal.sums import (
     gather_samples,
     make_sums,
 )
+from lobewise.temporal.trust import find_trust
 from lobewise.upsampling import DEFAULT_RADIUS, spread
 
 BORROWED_ERROR = 0.005
 """Squared relative error that a neighbour's radiance has as an estimate of the pixel's own, noise aside."""
-
-TRUST_RADIUS = 2
-"""Samples from the centre to the edge of the window in which history and samples are compared."""
-TRUST_FROM, TRUST_TO = 8.0, 4.0
-"""Standard errors of that comparison from which a history counts nothing, and up to which it counts whole."""
-TRUST_FLOOR = 0.02
-"""Relative difference that is no change."""
 
 
 class TemporalFilter:
@@ -201,7 +194,7 @@ class TemporalFilter:
         own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
         samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where, ALBEDO_FLOOR / own)
         if history is not None:
-            history = fade(history, self._find_trust(layer, samples, history, scale, place, own, chosen.device))
+            history = fade(history, find_trust(layer, samples, history, scale, place, own, chosen.device))
             frames = history[..., FRAMES] + np.float32(1.0)
             unit = np.asarray(frames**self.temporal.strictness, dtype=np.float32)
         else:
@@ -224,48 +217,6 @@ class TemporalFilter:
         if history is not None:
             sums += history
         return sums, unit
-
-    @staticmethod
-    def _find_trust(
-        layer: Layer,
-        samples: Samples,
-        history: FloatArray,
-        scale: int,
-        place: tuple[int, int],
-        own: float,
-        device: str,
-    ) -> FloatArray:
-        """Return how far this frame's samples bear out the history, 0 to 1, shape (height, width).
-
-        At the shaded pixels sample and history are two estimates of one thing, and around each of them the
-        lobe-weighted mean of their difference is held against its own deviation. What holds for the samples holds for
-        the pixels that resemble them.
-        """
-        there = history[samples.where]
-        # A history that was only ever borrowed is not held against samples that have no noise.
-        known = samples.good & (there[..., WEIGHT] > 0.5 * own)
-        if not known.any():
-            return np.ones(layer.mask.shape, np.float32)
-        before = find_luminance(divide(there))
-        difference = np.where(known, samples.luminance - before, np.float32(0.0))
-        with np.errstate(over="ignore"):
-            pieces = np.stack([np.maximum(difference, 0.0), np.maximum(-difference, 0.0), difference**2], axis=-1)
-        pieces = np.where(known[..., None], pieces, np.float32(np.nan))
-        grid: dict[str, Any] = {"scale": scale, "place": place, "device": device}
-        near = run_upsampling(pieces, layer.mask, layer.features, radius=TRUST_RADIUS, shaded_only=True, **grid)
-        mean = near.image[..., 0] - near.image[..., 1]
-        count = near.effective_samples
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            error = np.sqrt(np.maximum(near.image[..., 2] - mean**2, 0.0) / (count - 1.0))
-            excess = np.abs(mean) / (error + TRUST_FLOOR * (before + np.abs(mean)))
-            low = np.clip((TRUST_FROM - excess) / (TRUST_FROM - TRUST_TO), 0.0, 1.0)
-        # One sample alone tells nothing of its deviation.
-        low = np.where(np.isfinite(low) & (count > 1.5) & known, low, 1.0).astype(np.float32)
-        if scale == 1:
-            return low
-        trusted = np.repeat(low[..., None], 3, axis=-1)
-        spreading = run_upsampling(trusted, layer.mask, layer.features, radius=1, **grid)
-        return np.where(spreading.weight_sum > 0.0, spreading.image[..., 0], np.float32(1.0))
 
     @staticmethod
     def _make_result(

@@ -17,6 +17,9 @@ from lobewise.lobes.vectors import LUMINANCE
 WEIGHT, SQUARED_WEIGHT, MOMENT, FRAMES = 3, 4, 5, 6
 """Channels beside the weighted radiance over albedo, 0 to 2."""
 
+SMALLEST_WEIGHT = 1e-12
+"""Weight sum to which a smaller one is raised: a pixel that resembles nothing keeps the little that it has."""
+
 LARGEST_OWN_WEIGHT = 1e8
 """Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
 
@@ -76,28 +79,48 @@ def make_sums(output: FilterOutput, factor: FloatArray) -> FloatArray:
     height, width = output.weight_sum.shape
     sums = np.empty((height, width, HISTORY_CHANNELS), np.float32)
     weight = output.weight_sum * factor
-    np.multiply(output.image, weight[..., None], out=sums[..., :3])
+    weight = np.where(weight > 0.0, np.maximum(weight, np.float32(SMALLEST_WEIGHT)), np.float32(0.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        np.multiply(output.image, weight[..., None], out=sums[..., :3])
+        np.multiply(output.moment, weight, out=sums[..., MOMENT])
     sums[..., WEIGHT] = weight
     sums[..., SQUARED_WEIGHT] = weight * weight / np.maximum(output.effective_samples, np.float32(1.0))
-    np.multiply(output.moment, weight, out=sums[..., MOMENT])
     sums[..., FRAMES] = weight > 0.0
     return sums
 
 
-def add_own_samples(sums: FloatArray, samples: Samples, bonus: FloatArray) -> None:
-    """Add to the sums of the shaded pixels their own sample, ``bonus`` (full size) times on top of what it counts."""
+def add_own_samples(
+    sums: FloatArray, samples: Samples, bonus: FloatArray, counted: FloatArray | float = 0.0
+) -> None:
+    """Add to the sums of the shaded pixels their own sample.
+
+    Parameters
+    ----------
+    sums : array, shape (height, width, 7)
+        Changed in place.
+    samples : Samples
+        What to add; bad ones are left out.
+    bonus : array, shape (height, width)
+        Its weight.
+    counted : array, shape (height, width), or float
+        The weight that it has in the sums already, so that both together count as one sample.
+    """
+    before = np.broadcast_to(np.asarray(counted, dtype=np.float32), bonus.shape)[samples.where]
     more = np.where(samples.good, bonus[samples.where], np.float32(0.0))
     part = sums[samples.where]
-    part[..., :3] += more[..., None] * samples.radiance
-    part[..., WEIGHT] += more
-    part[..., SQUARED_WEIGHT] += more * more
-    part[..., MOMENT] += more * samples.luminance**2
+    # A sum that overflows is dropped as history; see `lobewise.kernels.history`.
+    with np.errstate(over="ignore"):
+        part[..., :3] += more[..., None] * samples.radiance
+        part[..., WEIGHT] += more
+        part[..., SQUARED_WEIGHT] += more * (more + 2.0 * before)
+        part[..., MOMENT] += more * samples.luminance**2
 
 
 def fade(sums: FloatArray, share: float | FloatArray) -> FloatArray:
     """Return sums whose samples count ``share`` as much as before, a number or an image."""
     factor = np.asarray(share, dtype=np.float32)
-    faded = sums * (factor[..., None] if factor.ndim else factor)
+    with np.errstate(invalid="ignore"):
+        faded = sums * (factor[..., None] if factor.ndim else factor)
     faded[..., SQUARED_WEIGHT] *= factor
     return np.asarray(faded, dtype=np.float32)
 
@@ -105,20 +128,24 @@ def fade(sums: FloatArray, share: float | FloatArray) -> FloatArray:
 def divide(sums: FloatArray) -> FloatArray:
     """Return the mean radiance over albedo, 0 where there is no weight, (height, width, 3)."""
     weight = sums[..., WEIGHT]
-    inverse = np.where(weight > 0.0, np.float32(1.0) / np.maximum(weight, np.float32(1e-30)), np.float32(0.0))
-    return np.asarray(sums[..., :3] * inverse[..., None], dtype=np.float32)
+    some = np.where(weight > 0.0, weight, np.float32(np.inf))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sums[..., :3] / some[..., None], dtype=np.float32)
 
 
 def find_effective_samples(sums: FloatArray) -> FloatArray:
-    """Return ``(sum w)^2 / sum w^2``, 0 where there is no weight."""
+    """Return ``(sum w)^2 / sum w^2``, at least 1, and 0 where there is no weight."""
     weight, squares = sums[..., WEIGHT], sums[..., SQUARED_WEIGHT]
     # In two steps, because the square of a large weight overflows.
-    ratio = weight / np.maximum(squares, np.float32(1e-30))
-    return np.asarray(np.where(squares > 0.0, ratio * weight, (weight > 0.0)), dtype=np.float32)
+    count = weight / np.maximum(squares, np.float32(1e-30)) * weight
+    # Between the pixels of a history the sums are interpolated one by one, which does not keep it at 1.
+    return np.asarray(np.where(weight > 0.0, np.maximum(count, 1.0), 0.0), dtype=np.float32)
 
 
 def find_variance(sums: FloatArray) -> FloatArray:
     """Return the variance of the mean luminance over albedo: that of the samples, over how many they are worth."""
-    weight = np.maximum(sums[..., WEIGHT], np.float32(1e-30))
-    spread = sums[..., MOMENT] / weight - find_luminance(divide(sums)) ** 2
+    weight = sums[..., WEIGHT]
+    some = np.where(weight > 0.0, weight, np.float32(np.inf))
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = sums[..., MOMENT] / some - find_luminance(divide(sums)) ** 2
     return np.asarray(np.maximum(spread, 0.0) / np.maximum(find_effective_samples(sums), 1.0), dtype=np.float32)
