@@ -89,9 +89,7 @@ def make_sums(output: FilterOutput, factor: FloatArray) -> FloatArray:
     return sums
 
 
-def add_own_samples(
-    sums: FloatArray, samples: Samples, bonus: FloatArray, counted: FloatArray | float = 0.0
-) -> None:
+def add_own_samples(sums: FloatArray, samples: Samples, bonus: FloatArray, counted: FloatArray | float = 0.0) -> None:
     """Add to the sums of the shaded pixels their own sample.
 
     Parameters

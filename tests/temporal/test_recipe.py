@@ -1,0 +1,363 @@
+"""TemporalFilter against what must hold over time, on scenes whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lobewise import TemporalFilter
+from lobewise.denoising import denoise
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.kernels.features import ScreenFeature
+from lobewise.metrics import find_disoccluded, rel_mse
+from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
+from lobewise.upsampling import upsample
+from tests.temporal.scenes import make_camera, make_frame
+
+NOISE = 0.5
+"""Relative variance of a sample: that of some ten paths."""
+STILL = make_camera()
+
+
+def make_still(count: int, scale: int = 1, **options) -> list:
+    """Return frames of one camera that differ in their noise alone, sparse ones at the places of their turn."""
+    frames = [make_frame(STILL, STILL if k else None, noise=NOISE, seed=k, **options) for k in range(count)]
+    if scale == 1:
+        return frames
+    places = list_places(scale)
+    return [make_sparse(frame, scale, places[k % len(places)]) for k, frame in enumerate(frames)]
+
+
+def find_truth(**options) -> np.ndarray:
+    return make_frame(STILL, **options).radiance.color
+
+
+def run(frames, **settings):
+    active = TemporalFilter(**settings)
+    return [active.add(frame) for frame in frames]
+
+
+def assert_same(a, b) -> None:
+    """Two results have the same bits."""
+    for name in ("image", "diffuse", "specular", "weight_sum", "effective_samples", "variance", "bad_pixels"):
+        first, second = getattr(a, name), getattr(b, name)
+        assert (first is None) == (second is None)
+        assert first is None or np.array_equal(first, second), name
+
+
+class TestStill:
+    @pytest.mark.parametrize("scale", [2, 3, 4])
+    def test_without_noise_it_becomes_what_full_resolution_would_be(self, scale):
+        rng = np.random.default_rng(7)
+        frame = make_frame(STILL)
+        # Detail at every pixel, which no neighbour tells anything of.
+        texture = rng.uniform(0.1, 1.0, (*frame.shape, 3)).astype(np.float32)
+        lit = Radiance(2.0 * texture + 0.1, diffuse=texture, specular=texture)  # 0.1 is emission
+        still = np.zeros_like(texture)
+        frame = replace(frame, radiance=lit, variance=Radiance(still, diffuse=still, specular=still))
+        active = TemporalFilter()
+        for place in list_places(scale):
+            result = active.add(make_sparse(frame, scale, place))
+        assert np.abs(result.image / lit.color - 1.0).max() < 1e-3
+        assert np.abs(upsample(make_sparse(frame, scale)).image / lit.color - 1.0).max() > 0.1
+
+    @pytest.mark.parametrize("scale", [1, 4])
+    def test_noise_falls_as_frames_are_added(self, scale):
+        errors = [rel_mse(result.image, find_truth()) for result in run(make_still(16, scale))]
+        assert errors[15] < 0.4 * errors[0]
+        assert errors[15] < errors[3] < errors[0]
+
+    def test_the_first_frame_is_that_of_the_recipe_without_time(self):
+        for frame, alone in ((make_still(1)[0], denoise), (make_still(1, 4)[0], upsample)):
+            own = TemporalFilter().add(frame)
+            expected = alone(frame).image
+            # A pixel's own sample counts a little more over time.
+            assert np.abs(own.image - expected).max() < 0.02 * expected.max()
+
+    def test_no_memory_is_the_first_frame_again_and_again(self):
+        frames = make_still(3, 4)
+        active = TemporalFilter(memory=0.0, strictness=0.0)
+        for frame in frames:
+            assert np.abs(active.add(frame).image - TemporalFilter().add(frame).image).max() < 1e-5
+
+    def test_a_constant_stays_that_constant(self):
+        frame = make_frame(STILL)
+        flat = np.full_like(frame.radiance.color, 0.5)
+        frame = replace(frame, radiance=Radiance(2.0 * flat, diffuse=flat, specular=flat))
+        for result in run([make_sparse(frame, 4, place) for place in list_places(4)[:6]]):
+            assert np.abs(result.image - 1.0).max() < 1e-5
+
+    def test_variance_tells_the_error(self):
+        truth = find_truth()
+        results = run(make_still(12))
+        luminance = np.array([0.2126, 0.7152, 0.0722])
+        squared = [float(np.mean(((result.image - truth) @ luminance) ** 2)) for result in results]
+        told = [float(result.variance.mean()) for result in results]
+        # The samples of a window differ in more than noise, and the kernel's bias is in the error: an estimate.
+        for k in (0, 3, 11):
+            assert 0.2 < told[k] / squared[k] < 5.0
+        assert told[11] < told[0]
+
+    def test_support_grows(self):
+        results = run(make_still(5, 4))
+        assert (results[4].effective_samples.mean() > 2.0 * results[0].effective_samples.mean()).all()
+        assert results[0].settings["history_share"] == 0.0
+        assert results[4].settings["history_share"] == 1.0
+
+
+class TestMotion:
+    @pytest.mark.parametrize("scale", [1, 4])
+    @pytest.mark.parametrize("motion", [True, False], ids=["vectors", "camera"])
+    def test_a_moving_camera_keeps_its_history(self, scale, motion):
+        cameras = [make_camera(turn=0.004 * k, shift=0.01 * k) for k in range(12)]
+        active = TemporalFilter()
+        for k, camera in enumerate(cameras):
+            before = cameras[k - 1] if k else None
+            frame = make_frame(camera, before, noise=NOISE, seed=k, motion=motion)
+            frame = frame if scale == 1 else make_sparse(frame, scale, list_places(scale)[k % 16])
+            result = active.add(frame)
+        truth = make_frame(cameras[-1]).radiance.color
+        alone = TemporalFilter().add(frame)
+        assert result.settings["history_share"] > 0.9
+        assert rel_mse(result.image, truth) < 0.5 * rel_mse(alone.image, truth)
+
+    def test_wrong_motion_is_noticed(self):
+        # Vectors that point at other pixels of the floor, whose pattern of light differs: lobes must tell.
+        frames = make_still(8)
+        wrong = np.full((*frames[0].shape, 2), 0.0, np.float32)
+        wrong[..., 0] = 9.0
+        frames = [replace(frame, gbuffer=replace(frame.gbuffer, motion=wrong)) for frame in frames]
+        truth = find_truth()
+        assert rel_mse(run(frames)[-1].image, truth) < 1.5 * rel_mse(TemporalFilter().add(frames[-1]).image, truth)
+
+    def test_nothing_tells_where_things_were(self):
+        frames = [replace(frame, camera=None, gbuffer=replace(frame.gbuffer, motion=None)) for frame in make_still(3)]
+        results = run(frames, similarity="normal")
+        assert [result.settings["history_share"] for result in results] == [0.0, 0.0, 0.0]
+        assert_same(results[2], TemporalFilter(similarity="normal").add(frames[2]))
+
+    def test_motion_vectors_do_without_a_camera(self):
+        still = np.zeros((*make_frame(STILL).shape, 2), np.float32)
+        frames = [replace(frame, camera=None, gbuffer=replace(frame.gbuffer, motion=still)) for frame in make_still(6)]
+        results = run(frames, similarity="normal")
+        assert results[5].settings["history_share"] == 1.0
+        assert rel_mse(results[5].image, find_truth()) < rel_mse(results[0].image, find_truth())
+
+    def test_places_that_are_no_numbers_have_no_history(self):
+        frames = make_still(2)
+        broken = np.zeros((*frames[0].shape, 2), np.float32)
+        broken[:24] = np.nan
+        broken[0, 0] = np.inf
+        frames[1] = replace(frames[1], gbuffer=replace(frames[1].gbuffer, motion=broken))
+        result = run(frames)[1]
+        assert np.isfinite(result.image).all()
+        assert result.settings["history_share"] == pytest.approx(0.5, abs=0.01)
+
+
+class TestGhosts:
+    STEP = 0.06
+    """World units a frame: about two pixels."""
+
+    @pytest.mark.parametrize("scale", [1, 4])
+    def test_what_a_card_uncovers_has_no_trail(self, scale):
+        ratios = []
+        for seed in range(4):
+            active = TemporalFilter()
+            frames = []
+            for k in range(10):
+                place = self.STEP * (k - 4)
+                frame = make_frame(
+                    STILL,
+                    STILL if k else None,
+                    card=place,
+                    card_before=place - self.STEP,
+                    noise=NOISE,
+                    seed=100 * seed + k,
+                )
+                frames.append(frame if scale == 1 else make_sparse(frame, scale, list_places(scale)[k]))
+                result = active.add(frames[-1])
+            old, older = frames[-3], frames[-4]
+            uncovered = find_disoccluded(old.gbuffer, STILL, older.gbuffer, STILL)
+            uncovered &= old.gbuffer.alpha_u == frames[-1].gbuffer.alpha_u
+            assert 10 < np.count_nonzero(uncovered) < 400
+            truth = make_frame(STILL, card=self.STEP * 5).radiance.color
+            alone = TemporalFilter().add(frames[-1])
+            ratios.append(rel_mse(result.image, truth, uncovered) / rel_mse(alone.image, truth, uncovered))
+        assert np.mean(ratios) < 1.3
+
+    @pytest.mark.parametrize("scale", [1, 4])
+    def test_a_light_that_goes_out_leaves_no_trail(self, scale):
+        frames = [
+            make_frame(STILL, STILL if k else None, light=1.0 if k < 8 else 0.1, noise=NOISE, seed=k) for k in range(11)
+        ]
+        if scale > 1:
+            frames = [make_sparse(frame, scale, list_places(scale)[k]) for k, frame in enumerate(frames)]
+        truth = find_truth(light=0.1)
+        last = run(frames)[-1]
+        assert rel_mse(last.image, truth) < 1.3 * rel_mse(TemporalFilter().add(frames[-1]).image, truth)
+
+    def test_noise_alone_is_not_taken_for_a_change(self):
+        results = run(make_still(16))
+        # Twenty frames are what 0.95 can hold; what sixteen hold of them if all is kept is 11.2.
+        gained = results[-1].effective_samples.mean() / results[0].effective_samples.mean()
+        assert gained > 4.0
+
+
+class TestCuts:
+    def test_a_cut_is_a_fresh_start(self):
+        frames = make_still(4, 4)
+        active = TemporalFilter()
+        for frame in frames[:3]:
+            active.add(frame)
+        assert_same(active.add(frames[3], cut=True), TemporalFilter().add(frames[3]))
+
+    @pytest.mark.parametrize("vectors", [True, False], ids=["vectors", "camera"])
+    def test_an_unannounced_cut_is_one_too(self, vectors):
+        frames = make_still(3, 4)
+        far = make_camera(turn=2.8, shift=30.0)
+        after = make_frame(far, STILL if vectors else None, noise=NOISE, seed=9)
+        after = make_sparse(after, 4, (1, 2))
+        active = TemporalFilter()
+        for frame in frames:
+            active.add(frame)
+        assert_same(active.add(after), TemporalFilter().add(after))
+
+    def test_another_size_is_one_too(self):
+        active = TemporalFilter()
+        active.add(make_still(1)[0])
+        small = make_sparse(make_still(1)[0], 2)
+        crop = GBuffer(
+            **{
+                name: getattr(small.gbuffer, name)[::2, ::2]
+                for name in ("depth", "position", "normal", "alpha_u", "diffuse_albedo", "specular_albedo")
+            }
+        )
+        frame = Frame(small.radiance, crop, STILL, variance=small.variance, spp=4)
+        assert_same(active.add(frame), TemporalFilter().add(frame))
+
+    def test_another_scale_is_none(self):
+        active = TemporalFilter()
+        for frame in make_still(4, 4):
+            active.add(frame)
+        finer = make_sparse(make_frame(STILL, STILL, noise=NOISE, seed=77), 2)
+        assert active.add(finer).settings["history_share"] == 1.0
+
+    def test_reset_forgets(self):
+        frames = make_still(2)
+        active = TemporalFilter()
+        active.add(frames[0])
+        active.reset()
+        assert_same(active.add(frames[1]), TemporalFilter().add(frames[1]))
+
+
+class TestState:
+    @pytest.mark.parametrize("scale", [1, 4])
+    def test_a_sequence_goes_on_from_its_state(self, scale):
+        cameras = [make_camera(shift=0.02 * k) for k in range(5)]
+        frames = [
+            make_frame(camera, cameras[k - 1] if k else None, noise=NOISE, seed=k) for k, camera in enumerate(cameras)
+        ]
+        if scale > 1:
+            frames = [make_sparse(frame, scale, list_places(scale)[k]) for k, frame in enumerate(frames)]
+        first = TemporalFilter()
+        whole = [first.add(frame) for frame in frames]
+        second = TemporalFilter()
+        for frame in frames[:3]:
+            second.add(frame)
+        state = {name: np.array(value) for name, value in second.get_state().items()}
+        third = TemporalFilter()
+        third.set_state(state)
+        for k in (3, 4):
+            assert_same(third.add(frames[k]), whole[k])
+
+    def test_the_state_of_a_new_filter_is_that_of_a_new_filter(self):
+        active = TemporalFilter()
+        assert active.get_state() == {}
+        active.add(make_still(1)[0])
+        active.set_state({})
+        assert active.get_state() == {}
+
+    def test_it_does_not_grow(self):
+        active = TemporalFilter()
+        sizes = []
+        for frame in make_still(5):
+            active.add(frame)
+            sizes.append(sum(value.nbytes for value in active.get_state().values()))
+        assert sizes[1] == sizes[4]
+
+    def test_a_state_of_something_else_is_refused(self):
+        with pytest.raises(InputError, match="what get_state returned"):
+            TemporalFilter().set_state({"similarity": np.array("ggx")})
+
+    def test_a_failed_frame_leaves_the_history_as_it_was(self):
+        frames = make_still(3)
+        active, other = TemporalFilter(), TemporalFilter()
+        for each in (active, other):
+            each.add(frames[0])
+            each.add(frames[1])
+        bad = np.full_like(frames[2].radiance.color, np.nan)
+        with pytest.raises(InputError):
+            active.add(replace(frames[2], radiance=Radiance(bad)))
+        with pytest.raises(MissingChannelError):
+            active.add(replace(frames[2], gbuffer=GBuffer(depth=frames[2].gbuffer.depth)))
+        assert_same(active.add(frames[2]), other.add(frames[2]))
+
+
+class TestSettings:
+    @pytest.mark.parametrize("similarity", ["normal", "sg", "sg_mixture", "asg", "ggx"])
+    def test_every_similarity_works(self, similarity):
+        frames = make_still(6, 4)
+        results = run(frames, similarity=similarity)
+        assert results[-1].settings["history_share"] == 1.0
+        assert rel_mse(results[-1].image, find_truth()) < rel_mse(results[0].image, find_truth())
+
+    @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+    def test_every_form_works(self, form):
+        results = run(make_still(6), form=form)
+        assert rel_mse(results[-1].image, find_truth()) < rel_mse(results[0].image, find_truth())
+
+    def test_radiance_that_is_not_apart(self):
+        results = run(make_still(6, apart=False))
+        assert results[-1].diffuse is None
+        assert rel_mse(results[-1].image, find_truth()) < 0.6 * rel_mse(results[0].image, find_truth())
+
+    def test_features_of_ones_own(self):
+        active = TemporalFilter()
+        narrow = [active.add(frame, features=[ScreenFeature(0.3)]) for frame in make_still(2)]
+        assert narrow[0].effective_samples.mean() < run(make_still(1))[0].effective_samples.mean()
+
+    def test_bad_pixels_are_filled_and_leave_no_trace(self):
+        frames = make_still(4)
+        broken = np.array(frames[2].radiance.color)
+        broken[10, 10:13] = [[np.nan], [np.inf], [-1.0]]
+        frames[2] = replace(frames[2], radiance=replace(frames[2].radiance, color=broken, diffuse=broken))
+        results = run(frames)
+        assert results[2].bad_pixel_count == 3
+        for result in results:
+            assert np.isfinite(result.image).all()
+            assert (result.image >= 0.0).all()
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("memory", 1.5), ("memory", -0.1), ("plane_sigma", 0.0), ("strictness", np.nan)]
+    )
+    def test_numbers_out_of_range(self, name, value):
+        with pytest.raises(InputError, match=name):
+            TemporalFilter(**{name: value})
+
+    def test_unknown_setting(self):
+        with pytest.raises(InputError, match="memry"):
+            TemporalFilter(memry=0.9)
+
+    def test_upsampling_has_one_form(self):
+        with pytest.raises(InputError, match="form"):
+            TemporalFilter(form="atrous").add(make_still(1, 4)[0])
+
+    def test_sparse_and_whole_frames_may_follow_each_other(self):
+        active = TemporalFilter()
+        for k, frame in enumerate(make_still(4)):
+            result = active.add(frame if k % 2 else make_sparse(frame, 4))
+        assert isinstance(make_sparse(frame, 4), SparseFrame)
+        assert result.settings["history_share"] == 1.0
