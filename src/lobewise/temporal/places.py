@@ -15,6 +15,8 @@ from lobewise.motion import project_points
 
 FAR = 1e6
 """Distance, in distances from the camera, at which what a lobe does not hit is taken to be."""
+EDGE = 4.0
+"""Ratio of the squared steps to the neighbours on both sides of a pixel from which the longer one leads elsewhere."""
 
 
 def add_grid(motion: FloatArray) -> FloatArray:
@@ -30,20 +32,27 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     """Return the mean curvature of the surface at each pixel, 1/world unit, > 0 for convex, shape (height, width).
 
     From how the normals of the neighbours open, ``(dn . dx) / |dx|^2``, along rows and along columns, each time of the
-    side that is flatter, so that the edge of an object does not count.
+    side that is much nearer or else of the one that is flatter, so that neither the edge of an object counts nor a
+    crease. A single row or column counts as flat in the other direction.
     """
 
     def along(axis: int) -> FloatArray:
         dx, dn = np.diff(position, axis=axis), np.diff(normal, axis=axis)
         square = np.einsum("...k,...k->...", dx, dx)
         slope = np.einsum("...k,...k->...", dn, dx) / np.maximum(square, 1e-20)
+        # What is no number is no neighbour.
+        square = np.where(np.isfinite(slope), square, np.inf)
+        mode: Literal["edge", "constant"] = "edge" if slope.shape[axis] else "constant"
         pad = [(0, 0), (0, 0)]
         pad[axis] = (1, 1)
-        # A single row or column has no neighbour in its direction; it counts as flat.
-        mode: Literal["edge", "constant"] = "edge" if slope.shape[axis] else "constant"
-        sides = np.pad(slope, pad, mode=mode)
-        first, second = (sides[:-1], sides[1:]) if axis == 0 else (sides[:, :-1], sides[:, 1:])
-        return np.asarray(np.where(np.abs(first) < np.abs(second), first, second), dtype=np.float32)
+
+        def get_sides(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+            padded = np.moveaxis(np.pad(values, pad, mode=mode), axis, 0)
+            return np.moveaxis(padded[:-1], 0, axis), np.moveaxis(padded[1:], 0, axis)
+
+        (first, second), (near, far) = get_sides(slope), get_sides(square)
+        flatter = np.where(np.abs(first) < np.abs(second), first, second)
+        return np.where(near > EDGE * far, second, np.where(far > EDGE * near, first, flatter))
 
     with np.errstate(invalid="ignore", over="ignore"):
         curvature = 0.5 * (along(0) + along(1))
@@ -71,11 +80,11 @@ def find_virtual_places(
     eye = camera.position.astype(np.float32)
     view = position - eye
     distance = np.sqrt(np.einsum("...k,...k->...", view, view))
-    t = np.where(np.isinf(hit_distance), np.float32(FAR) * distance, hit_distance)
-    opening = 1.0 + 2.0 * curvature * t
-    # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
-    behind = np.where(opening > 0.0, t / np.maximum(opening, 1e-6), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        t = np.where(np.isinf(hit_distance), np.float32(FAR) * distance, hit_distance)
+        opening = 1.0 + 2.0 * curvature * t
+        # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
+        behind = np.where(opening > 0.0, t / np.maximum(opening, 1e-6), np.nan)
         image = position + view * (behind / distance)[..., None]
     known = (hit_distance > 0.0) & np.isfinite(behind)
     image = np.where(known[..., None], image, previous.position - previous.forward)
