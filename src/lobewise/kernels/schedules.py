@@ -63,8 +63,7 @@ def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> No
     out.bound(c, 0, HISTORY_CHANNELS + 1).reorder(c, x, y).unroll(c)
     out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, y).vectorize(xi).parallel(y, 4, tail).never_partition_all()
     funcs.sums.compute_at(out, xo).vectorize(x, lanes)
-    funcs.sums.update().reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes).unroll(funcs.taps.x)
-    funcs.sums.update().unroll(funcs.taps.y)
+    funcs.sums.update().reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes)
     for stage in funcs.stages:
         stage.compute_at(funcs.sums, funcs.taps.y).vectorize(x, lanes)
     if funcs.planes is not None:
