@@ -49,6 +49,14 @@ def test_upsampling_page_runs() -> None:
     np.testing.assert_allclose(names["image"], 0.5, rtol=1e-5)
 
 
+def test_temporal_page_runs() -> None:
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "temporal.md").read_text(), flags=re.S):
+        exec(compile(block, "temporal.md", "exec"), names)
+    assert names["result"].image.shape == (48, 64, 3)
+    np.testing.assert_allclose(names["result"].image.mean(), 0.5, rtol=0.05)
+
+
 def test_readme_commands_exist() -> None:
     from typer.main import get_command
 
