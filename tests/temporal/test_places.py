@@ -234,6 +234,17 @@ def test_planes_are_flat() -> None:
     assert (estimate_curvature(points, normal) == 0.0).all()
 
 
+def test_a_crease_does_not_count() -> None:
+    # A roof whose ridge runs down the image between two columns.
+    slope = np.where(np.arange(WIDTH) < WIDTH // 2, -1.0, 1.0)
+    normal = np.stack([0.6 * slope, 0.0 * slope, 0.0 * slope + 0.8], axis=-1)
+    rays = cast(CAMERA)
+    reach = -(normal @ CAMERA.position) / np.sum(normal * rays, axis=-1)
+    points = CAMERA.position + reach[..., None] * rays
+    field = np.broadcast_to(normal, points.shape).astype(np.float32)
+    assert (estimate_curvature(points.astype(np.float32), field) == 0.0).all()
+
+
 def test_the_edge_of_a_sphere_before_a_plane_does_not_count() -> None:
     points, normal = hit_sphere(CAMERA, np.array([0.0, 0.0, -2.0]), 2.0)
     plane = CAMERA.position + cast(CAMERA) / -cast(CAMERA)[..., 2:] * 9.0

@@ -77,7 +77,8 @@ def test_a_mean_does_not_depend_on_how_much_it_weighs(weight: float) -> None:
 
 
 def test_no_weight_is_black_and_no_sample() -> None:
-    nothing = np.zeros((*SHAPE, HISTORY_CHANNELS), np.float32)
+    nothing = np.ones((*SHAPE, HISTORY_CHANNELS), np.float32)
+    nothing[..., WEIGHT] = 0.0
     for value in (divide(nothing), find_effective_samples(nothing), find_variance(nothing)):
         assert (value == 0.0).all()
 
