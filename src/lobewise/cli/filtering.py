@@ -23,6 +23,14 @@ Source = Annotated[
 ]
 Beta = Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")]
 Device = Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")]
+Adaptive = Annotated[
+    str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
+]
+Scene = Annotated[
+    str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
+]
+AdaptiveSpp = Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")]
+Light = Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")]
 Temporal = Annotated[bool, typer.Option("--temporal", help="With a sequence: let every frame know the ones before.")]
 Memory = Annotated[
     float, typer.Option(metavar="0-1", help="With --temporal: share of its history that a frame keeps for the next.")
@@ -61,6 +69,10 @@ def denoise(
             show_default="those in the file",
         ),
     ] = None,
+    adaptive: Adaptive = "0%",
+    scene: Scene = None,
+    adaptive_spp: AdaptiveSpp = 64,
+    light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = 0.95,
     device: Device = "auto",
@@ -70,6 +82,7 @@ def denoise(
     from lobewise.io import read_frame, write_result
     from lobewise.io.materials import read_lobe_table
 
+    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
     settings: dict[str, Any] = {
         "similarity": similarity,
@@ -85,8 +98,8 @@ def denoise(
         output,
         read=lambda path: read_frame(path, lobe_tables=tables),
         filter_one=lambda frame: run_denoise(frame, **settings),
-        write=lambda target, result, frame, path: write_result(target, result, source=path),
-        settings={**settings, "material": [str(path) for path in material or []]},
+        write=lambda target, result, frame, path: write_result(target, shade(result, frame), source=path),
+        settings={**settings, "material": [str(path) for path in material or []], "adaptive": [adaptive, scene]},
         temporal={**settings, "memory": memory} if temporal else None,
     )
 
@@ -108,14 +121,10 @@ def upsample(
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
     radius: Annotated[int, typer.Option(metavar="N", help="Samples from the centre to the edge of the kernel.")] = 5,
     beta: Beta = "auto",
-    adaptive: Annotated[
-        str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
-    ] = "0%",
-    scene: Annotated[
-        str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
-    ] = None,
-    adaptive_spp: Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")] = 64,
-    light: Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light rendered.")] = "all",
+    adaptive: Adaptive = "0%",
+    scene: Scene = None,
+    adaptive_spp: AdaptiveSpp = 64,
+    light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = 0.95,
     device: Device = "auto",
@@ -125,11 +134,6 @@ def upsample(
     from lobewise.io import read_sparse_frame, write_frame
     from lobewise.upsampling import upsample as run_upsample
 
-    budget = _parse_percent(adaptive)
-    if budget > 0.0 and scene is None:
-        raise InputError(
-            describe_problem("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
-        )
     if bilinear and temporal:
         raise InputError(
             describe_problem("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
@@ -141,10 +145,10 @@ def upsample(
         "beta": parse_beta(beta),
         "device": device,
     }
-    shade = _Recomputing(scene, budget, adaptive_spp, light) if budget > 0.0 and scene is not None else None
+    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
 
     def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:
-        done = result if shade is None else shade.improve(result, frame)
+        done = shade(result, frame)
         radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
         write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
 
@@ -159,30 +163,36 @@ def upsample(
     )
 
 
-class _Recomputing:
-    """Shades the least supported pixels of a result again; the scene is loaded when the first one asks."""
+def _make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) -> Callable[[Result, AnyFrame], Result]:
+    """Return what shades the least supported pixels of a result again; the scene is loaded when it is first needed."""
+    budget = _parse_percent(adaptive)
+    if budget == 0.0:
+        return lambda result, frame: result
+    if scene is None:
+        raise InputError(
+            describe_problem("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
+        )
+    loaded: list[Any] = []
 
-    def __init__(self, scene: str, budget: float, spp: int, light: str) -> None:
-        self._name, self._budget, self._spp, self._light = scene, budget, spp, light
-        self._scene: Any = None
-
-    def improve(self, result: Result, frame: SparseFrame) -> Result:
+    def improve(result: Result, frame: AnyFrame) -> Result:
         from lobewise.adaptive import recompute
         from lobewise.cli.output import print_line
         from lobewise.render import load_scene, render_pixels, set_camera
 
-        if self._scene is None:
-            self._scene = load_scene(self._name, width=frame.width, height=frame.height)
+        if not loaded:
+            loaded.append(load_scene(scene, width=frame.width, height=frame.height))
         if frame.camera is not None:
-            set_camera(self._scene, frame.camera)
+            set_camera(loaded[0], frame.camera)
         better = recompute(
             result,
-            lambda rows, columns: render_pixels(self._scene, rows, columns, spp=self._spp, seed=1, light=self._light),
-            samples=self._spp / (frame.spp or 1),
-            budget=self._budget,
+            lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=light),
+            samples=spp / (frame.spp or 1),
+            budget=budget,
         )
-        print_line(f"Shaded {better.settings['recomputed']} pixels again, {self._spp} spp.")
+        print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
         return better
+
+    return improve
 
 
 class _Alone:

@@ -213,7 +213,7 @@ class TemporalFilter:
             output = run_filter(layer.radiance, layer.mask, layer.features, form=chosen.form, **common)
         # A kernel that is k times narrower holds a k-th of the samples, which are worth as much.
         sums = make_sums(output, unit)
-        add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32))
+        add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32), counted=unit)
         if history is not None:
             sums += history
         return sums, unit
