@@ -13,7 +13,8 @@ import lobewise
 from lobewise.errors import InputError
 from lobewise.kernels.engine import run_filter
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+FOLDER = Path(__file__).parents[1] / "examples"
+FEATURES = [FOLDER / "object_id.py", FOLDER / "spectral_lobe.py"]
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -21,7 +22,7 @@ def load(path: Path) -> dict[str, Any]:
     return runpy.run_path(str(path), run_name="example")
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", FEATURES, ids=lambda path: path.stem)
 def test_own_feature_lowers_the_error_in_every_form(path: Path) -> None:
     errors = load(path)["main"]()
     assert set(errors) == {"full", "separable", "atrous"}
@@ -29,8 +30,17 @@ def test_own_feature_lowers_the_error_in_every_form(path: Path) -> None:
         assert guided < 0.6 * plain
 
 
+def test_every_example_is_tested() -> None:
+    assert set(FOLDER.glob("*.py")) == {*FEATURES, FOLDER / "sequence.py"}
+
+
+def test_a_history_lowers_the_error_of_an_own_engine() -> None:
+    errors = load(FOLDER / "sequence.py")["main"]()
+    assert errors["with its history"] < 0.7 * errors["alone"]
+
+
 def test_object_id_shares_all_or_nothing() -> None:
-    names = load(EXAMPLES[0])
+    names = load(FEATURES[0])
     ids = np.array([[0, 0, 1, 1, 3]])  # any real dtype will do
     image = np.arange(15.0, dtype=np.float32).reshape(1, 5, 3)
     out = run_filter(image, np.ones((1, 5), bool), [names["ObjectId"](ids)], form="full", radius=4)
@@ -40,7 +50,7 @@ def test_object_id_shares_all_or_nothing() -> None:
 
 
 def test_spectral_lobe_is_the_overlap_of_two_bands() -> None:
-    names = load(EXAMPLES[1])
+    names = load(FEATURES[1])
     mean = np.array([[500.0, 520.0, 600.0]], np.float32)
     deviation = np.array([[20.0, 35.0, 50.0]], np.float32)
     wavelength = np.linspace(200.0, 1000.0, 20001)[:, None]
@@ -55,13 +65,13 @@ def test_spectral_lobe_is_the_overlap_of_two_bands() -> None:
 
 
 def test_feature_of_another_size_is_named() -> None:
-    names = load(EXAMPLES[0])
+    names = load(FEATURES[0])
     frame, ids, _ = names["make_frame"](32)
     with pytest.raises(InputError, match=r"an array of feature 'object id'.*\(32, 32\).*\(16, 16\)"):
         lobewise.denoise(frame, features=[names["ObjectId"](ids[:16, :16])])
 
 
 def test_feature_without_oracle_says_so() -> None:
-    feature = load(EXAMPLES[0])["ObjectId"](np.zeros((2, 2)))
+    feature = load(FEATURES[0])["ObjectId"](np.zeros((2, 2)))
     with pytest.raises(InputError, match=r"feature 'object id': expected a get_similarity.*write one in ObjectId"):
         feature.get_similarity((np.array([0]), np.array([0])), (np.array([0]), np.array([1])))

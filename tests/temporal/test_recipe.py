@@ -250,9 +250,10 @@ class TestState:
     @pytest.mark.parametrize("scale", [1, 4])
     def test_a_sequence_goes_on_from_its_state(self, scale):
         cameras = [make_camera(shift=0.02 * k) for k in range(5)]
-        frames = [
-            make_frame(camera, cameras[k - 1] if k else None, noise=NOISE, seed=k) for k, camera in enumerate(cameras)
-        ]
+        frames = []
+        for k, camera in enumerate(cameras):
+            card = {"card": 0.1 * k, "card_before": 0.1 * (k - 1)}  # moves by itself, which the history allows for
+            frames.append(make_frame(camera, cameras[k - 1] if k else None, noise=NOISE, seed=k, **card))
         if scale > 1:
             frames = [make_sparse(frame, scale, list_places(scale)[k]) for k, frame in enumerate(frames)]
         first = TemporalFilter()

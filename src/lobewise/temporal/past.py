@@ -40,12 +40,15 @@ class Past:
         Of every layer by its name; see `lobewise.kernels.history`.
     marks : dict of Marks
         Of every layer by its name, if they were made already.
+    allowance : array, shape (height, width), optional
+        With which they are made; see `lobewise.temporal.marks.make_marks`.
     """
 
     guides: Guides
     similarity: str
     sums: dict[str, FloatArray]
     marks: dict[str, Marks] = field(default_factory=dict)
+    allowance: FloatArray | None = None
 
 
 class Recollection:
@@ -55,6 +58,8 @@ class Recollection:
     ----------
     marks : dict of Marks
         Of this frame.
+    allowance : array, shape (height, width), or None
+        With which they were made.
     share : float
         Share of the pixels, 0 to 1, that found theirs.
     """
@@ -72,14 +77,14 @@ class Recollection:
         self._past: Past | None = None
         self._places: tuple[FloatArray, FloatArray | None] | None = None
         self.share = 0.0
-        allowance: FloatArray | None = None
+        self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
-            self._places, allowance = _find_all_places(guides, past.guides)
-        self.marks = make_marks(guides, settings, temporal, allowance, apart)
+            self._places, self.allowance = _find_all_places(guides, past.guides)
+        self.marks = make_marks(guides, settings, temporal, self.allowance, apart)
         if past is None or self._places is None:
             return
         # The marks of a past that was read from a file are made again.
-        self._old = past.marks or make_marks(past.guides, settings, temporal, None, apart)
+        self._old = past.marks or make_marks(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
         found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         self.share = 0.0 if found is None else float(np.mean(found[..., AGREEMENT] > AGREES))
@@ -136,6 +141,8 @@ def pack_past(past: Past) -> dict[str, NDArray[Any]]:
     """Return a past as arrays by name."""
     packed: dict[str, NDArray[Any]] = {"similarity": np.array(past.similarity)}
     packed |= {f"sums/{name}": value for name, value in past.sums.items()}
+    if past.allowance is not None:
+        packed["allowance"] = past.allowance
     parts: list[tuple[str, Any]] = [("gbuffer", past.guides.gbuffer), ("camera", past.guides.camera)]
     parts += [(f"table{number:04d}", table) for number, table in enumerate(past.guides.lobe_tables)]
     for prefix, part in parts:
@@ -156,15 +163,41 @@ def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
     parts: dict[str, dict[str, Any]] = {}
     for name, value in packed.items():
         prefix, _, key = name.partition("/")
-        parts.setdefault(prefix, {})[key] = value.item() if value.ndim == 0 else value
+        array = np.asarray(value)
+        parts.setdefault(prefix, {})[key] = array.item() if array.ndim == 0 else array
     try:
-        camera = Camera(**parts["camera"]) if "camera" in parts else None
+        camera = _unpack_camera(parts["camera"]) if "camera" in parts else None
         tables = [LobeTable(**parts[name]) for name in sorted(parts) if name.startswith("table")]
         guides = Guides(GBuffer(**parts["gbuffer"]), camera, tuple(tables))
-        return Past(guides, str(packed["similarity"]), parts.get("sums", {}))
-    except (KeyError, TypeError, ValueError, LobewiseError) as problem:
+        size = guides.shape
+        sums = {
+            name: _take_image(name, value, (*size, HISTORY_CHANNELS)) for name, value in parts.get("sums", {}).items()
+        }
+        allowance = _take_image("allowance", packed["allowance"], size) if "allowance" in packed else None
+        return Past(guides, str(packed["similarity"]), sums, allowance=allowance)
+    except (AssertionError, KeyError, TypeError, ValueError, LobewiseError):
         raise InputError(
             describe_problem(
-                "state", expected="what get_state returned", got=str(problem)[:200], action="start the sequence again"
+                "state",
+                expected="what get_state returned",
+                got=f"{len(packed)} arrays that do not belong together",
+                action="start the sequence again",
             )
         ) from None
+
+
+def _unpack_camera(values: Mapping[str, Any]) -> Camera:
+    """Return a camera; made orthonormal once more, its directions would differ in the last bit."""
+    camera = Camera(**values)
+    for name in ("forward", "up"):
+        exact = np.array(values[name], dtype=np.float64)
+        exact.setflags(write=False)
+        object.__setattr__(camera, name, exact)
+    return camera
+
+
+def _take_image(name: str, value: NDArray[Any], shape: tuple[int, ...]) -> FloatArray:
+    """Return ``value`` as float32; raise ValueError unless it is real and has this shape."""
+    if value.shape != shape or value.dtype.kind != "f":
+        raise ValueError(f"{name}: {value.dtype} of shape {value.shape}")
+    return np.asarray(value, dtype=np.float32)

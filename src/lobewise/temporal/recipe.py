@@ -156,7 +156,8 @@ class TemporalFilter:
             name: self._join(frame, layer, recollection.recall(name), chosen, noise) for name, layer in layers.items()
         }
         result = self._make_result(frame, layers, sums, chosen, bad, recollection.share)
-        self._past = Past(guides, chosen.similarity, {name: each[0] for name, each in sums.items()}, recollection.marks)
+        kept = {name: each[0] for name, each in sums.items()}
+        self._past = Past(guides, chosen.similarity, kept, recollection.marks, recollection.allowance)
         return replace(result, seconds=time.perf_counter() - start)
 
     def _resolve(self, frame: AnyFrame) -> DenoiseSettings:
