@@ -60,15 +60,15 @@ ALPHA_BINS = (0.0, 0.045, 0.1, 0.2, 0.35, 1.0)
 """Limits between which roughness is counted together; the floor's tiles have 0.03 to 0.6."""
 
 PLACE_GRID: dict[str, tuple[Any, ...]] = {
-    "radius": (3, 5, 7, 9, 12),
-    "screen_sigma": (10.0, 20.0, 40.0, 100.0),
-    "position_sigma": (8.0, 16.0, 24.0, 40.0),
+    "radius": (2, 3, 5, 7, 9, 12, 16),
+    "screen_sigma": (3.0, 6.0, 10.0, 20.0, 40.0, 100.0),
+    "position_sigma": (4.0, 8.0, 16.0, 24.0, 40.0, 64.0),
 }
 GEOMETRY_GRID = {**PLACE_GRID, "normal_exponent": (4.0, 16.0, 32.0, 64.0, 128.0, 256.0, 1024.0)}
 LOBE_GRID = {
     **PLACE_GRID,
     "beta": (0.5, 1.0, 2.0, 4.0, 8.0),
-    "diffuse_beta": (1.0, 2.0, 4.0, 8.0, 16.0, 32.0),
+    "diffuse_beta": (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
     "tau": (0.03, 0.06, 0.09, 0.12, 0.16, 0.2),
 }
 STARTS: tuple[dict[str, Any], ...] = (
