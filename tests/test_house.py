@@ -12,6 +12,7 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
 ROOMS = [
     "errors",
+    "chunks",
     "lobe_table",
     "frame",
     "sparse_frame",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.chunks import Chunk, run_chunks
 from lobewise.frame import Camera, FloatArray
 
 
-def project_points(camera: Camera, points: FloatArray, width: int, height: int) -> FloatArray:
+def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int, height: int) -> FloatArray:
     """Return the pixel coordinates of world points, shape (..., 2): column and row, pixel centres at .5.
 
     A point behind the camera has no image; its coordinates are not finite.
@@ -42,10 +46,18 @@ def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth
         Pixels, previous minus current, x right and y down.
     """
     height, width = depth.shape
-    rays = camera.make_ray_directions(width, height).astype(np.float64)
-    points = np.where(depth[..., None] > 0, position, rays + previous.position)
-    before = project_points(previous, points, width, height)
-    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    motion = before - np.stack([column, row], axis=-1)
+    rays = None if (depth > 0).all() else camera.make_ray_directions(width, height)
     outside = np.array([2.0 * width, 2.0 * height])
-    return np.where(np.isfinite(motion), motion, outside).astype(np.float32)
+    motion = np.empty((height, width, 2), np.float32)
+
+    def work(chunk: Chunk) -> None:
+        points = position[chunk].astype(np.float64)
+        if rays is not None:
+            points = np.where(depth[chunk][..., None] > 0, points, rays[chunk] + previous.position)
+        step = project_points(previous, points, width, height).astype(np.float64)
+        step[..., 0] -= np.arange(width)[chunk[1]] + 0.5
+        step[..., 1] -= np.arange(height)[chunk[0], None] + 0.5
+        motion[chunk] = np.where(np.isfinite(step), step, outside)
+
+    run_chunks(work, height, width)
+    return motion

@@ -146,9 +146,12 @@ def make_side(
     features: Sequence[Feature],
     scalars: Sequence[Sequence[hl.Expr]],
     variables: tuple[hl.Var, hl.Var, hl.Var],
+    strided: bool = False,
 ) -> _Side:
-    """Return the planes of every feature on the grid of ``mask``."""
+    """Return the planes of every feature on the grid of ``mask``; ``strided`` arrays are a part of larger ones."""
     x, y, c = variables
+    if strided:
+        mask.dim(0).set_stride(hl.Expr())
     clamped = hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1)
 
     # Guides: the input channels of every feature side by side, harmless where a pixel has no meaning.
@@ -159,6 +162,8 @@ def make_side(
         for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
             deep = array.ndim == 3
             param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"{name}{number}_{slot}")
+            if strided and not deep:
+                param.dim(0).set_stride(hl.Expr())
             arrays.append(param)
             for k in range(count):
                 value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
@@ -225,12 +230,12 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
     ]
-    side = make_side("tap", mask, features, scalars, (x, y, c))
+    side = make_side("tap", mask, features, scalars, (x, y, c), key.paired)
     centre, own_mask, own_albedo = side, mask, albedo
     if key.paired:
         own_mask = hl.ImageParam(hl.UInt(8), 2, "own_mask")
         own_albedo = hl.ImageParam(hl.Float(32), 3, "own_albedo")
-        centre = make_side("centre", own_mask, features, scalars, (x, y, c))
+        centre = make_side("centre", own_mask, features, scalars, (x, y, c), strided=True)
 
     # Taps.
     r = key.radius
@@ -264,6 +269,8 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
     strictness = hl.ImageParam(hl.Float(32), 2, "strictness")
     if key.strict:
+        if key.paired:
+            strictness.dim(0).set_stride(hl.Expr())
         power = strictness[hl.clamp(x, 0, own_mask.width() - 1), hl.clamp(y, 0, own_mask.height() - 1)]
         exponent = exponent * power
     log_weight = hl.Func("log_weight")

@@ -332,31 +332,23 @@ def run_upsampling(
     parameters = [value for feature in features for value in feature.get_parameters()]
     bits = np.ascontiguousarray(mask).view(np.uint8)
     tints = [] if albedo is None else [np.ascontiguousarray(albedo, dtype=np.float32)]
-
-    def cut(part: tuple[slice, slice]) -> tuple[list[NDArray[Any]], NDArray[Any], list[NDArray[Any]]]:
-        """Return albedo, mask and arrays of one pixel of every block, each contiguous."""
-        own_tints, own_bits = [np.ascontiguousarray(tint[part]) for tint in tints], np.ascontiguousarray(bits[part])
-        return own_tints, own_bits, [np.ascontiguousarray(array[part]) for array in arrays]
-
-    def lend(array: NDArray[Any]) -> Any:
-        return hl.Buffer(_borrow(array))
-
+    powers = [] if strictness is None else [np.ascontiguousarray(strictness, dtype=np.float32)]
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
     source = np.ascontiguousarray(radiance, dtype=np.float32)
-    tap_tints, tap_bits, tap_arrays = cut(shaded)
-    taps = [lend(source), *map(lend, tap_tints), lend(tap_bits), *map(lend, tap_arrays), 1, *parameters]
+    guides: list[NDArray[Any]] = [bits, *arrays]
     whole = np.empty((*size, key.channels) if shaded_only else (height, width, key.channels), dtype=np.float32)
+
+    def lend(held: Sequence[NDArray[Any]], part: tuple[slice, slice]) -> list[Any]:
+        """Return the buffers of one pixel of every block; nothing is copied."""
+        return [hl.Buffer(_borrow(array)[part]) for array in held]
+
+    taps = [hl.Buffer(_borrow(source)), *lend(tints, shaded), *lend(guides, shaded), 1, *parameters]
     blocks = [place] if shaded_only else np.ndindex(min(scale, height), min(scale, width))
     for row, column in blocks:
         part = slice(row, None, scale), slice(column, None, scale)
-        own_tints, own_bits, own_arrays = cut(part)
-        own_tints = own_tints if key.modulate else []
-        target = np.empty((*own_bits.shape, key.channels), dtype=np.float32)
         shift = float(scale), float(place[1] - column), float(place[0] - row)
-        own_powers = [] if strictness is None else [np.ascontiguousarray(strictness[part], dtype=np.float32)]
-        own = [*map(lend, own_tints), lend(own_bits), *map(lend, own_arrays), *shift, *map(lend, own_powers)]
-        kernel(*taps, *own, lend(target))
-        whole[... if shaded_only else part] = target
+        own = [*lend(tints if key.modulate else [], part), *lend(guides, part), *shift, *lend(powers, part)]
+        kernel(*taps, *own, hl.Buffer(whole if shaded_only else whole[part]))
     return _split_output(whole)
 
 

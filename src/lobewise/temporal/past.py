@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.chunks import map_chunks
 from lobewise.denoising.layers import find_places
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
@@ -76,6 +77,7 @@ class Recollection:
         self._device = settings.device
         self._past: Past | None = None
         self._places: tuple[FloatArray, FloatArray | None] | None = None
+        self._rest: FloatArray | None = None
         self.share = 0.0
         self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
@@ -86,7 +88,10 @@ class Recollection:
         # The marks of a past that was read from a file are made again.
         self._old = past.marks or make_marks(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
-        found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
+        # What only place and normal tell apart tells how much of the image goes on.
+        rest = past.sums.get("rest")
+        found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32) if rest is None else rest)
+        self._rest = found if rest is not None else None
         self.share = 0.0 if found is None else float(np.mean(found[..., AGREEMENT] > AGREES))
         if self.share < temporal.cut_share:
             self._past, self.share = None, 0.0
@@ -95,8 +100,10 @@ class Recollection:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
         if self._past is None or name not in self._past.sums:
             return None
-        found = self._find(name, self._past.sums[name])
-        return None if found is None else fade(found[..., :AGREEMENT], self._temporal.memory)
+        found = self._rest if name == "rest" else self._find(name, self._past.sums[name])
+        if found is None:
+            return None
+        return map_chunks(lambda sums: fade(sums[..., :AGREEMENT], self._temporal.memory), found)
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
         old, new = self._old.get(name), self.marks[name]
@@ -109,10 +116,24 @@ class Recollection:
         if not new.virtual or virtual is None:
             return found
         other = run_reprojection(sums, virtual, masks, (old.virtual, new.virtual), device=self._device)
-        # The better one counts more, and where one finds nothing the other alone.
-        squares = [each[..., AGREEMENT:] ** 2 for each in (found, other)]
-        share = squares[1] / np.maximum(squares[0] + squares[1], np.float32(1e-12))
-        return np.asarray(found + share * (other - found), dtype=np.float32)
+        return map_chunks(_prefer_better, found, other)
+
+
+def _find_allowance(motion: FloatArray, by_camera: FloatArray) -> FloatArray:
+    """Return how many pixels surfaces moved beside the camera's motion; 0 where nobody knows."""
+    step = motion - by_camera
+    return np.asarray(np.nan_to_num(np.hypot(step[..., 0], step[..., 1]), posinf=0.0), dtype=np.float32)
+
+
+def _prefer_better(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return what two places hold: the one that agrees better counts more, and where one holds nothing the other alone.
+
+    Each is (height, width, 8), with the agreement last.
+    """
+    square = first[..., AGREEMENT:] ** 2
+    other = second[..., AGREEMENT:] ** 2
+    share = other / np.maximum(square + other, np.float32(1e-12))
+    return np.asarray(first + share * (second - first), dtype=np.float32)
 
 
 def _find_all_places(
@@ -128,7 +149,7 @@ def _find_all_places(
     by_camera = compute_motion(camera, previous, position, depth)
     allowance = None
     if motion is not None:
-        allowance = np.nan_to_num(np.hypot(*np.moveaxis(motion - by_camera, -1, 0)), posinf=0.0)
+        allowance = map_chunks(_find_allowance, motion, by_camera)
     virtual = None
     distance = guides.gbuffer.hit_distance
     if distance is not None and guides.gbuffer.normal is not None:

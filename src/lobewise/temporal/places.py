@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from lobewise.chunks import map_chunks
 from lobewise.frame import Camera, FloatArray
 from lobewise.motion import project_points
 
@@ -78,15 +79,19 @@ def find_virtual_places(
     """
     height, width = hit_distance.shape
     eye = camera.position.astype(np.float32)
-    view = position - eye
-    distance = np.sqrt(np.einsum("...k,...k->...", view, view))
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        t = np.where(np.isinf(hit_distance), np.float32(FAR) * distance, hit_distance)
-        opening = 1.0 + 2.0 * curvature * t
-        # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
-        behind = np.where(opening > 0.0, t / np.maximum(opening, 1e-6), np.nan)
-        image = position + view * (behind / distance)[..., None]
-    known = (hit_distance > 0.0) & np.isfinite(behind)
-    image = np.where(known[..., None], image, previous.position - previous.forward)
-    places = project_points(previous, image.astype(np.float64), width, height)
-    return np.asarray(places - np.float32(0.5), dtype=np.float32)
+    nowhere = (previous.position - previous.forward).astype(np.float32)
+
+    def find(position: FloatArray, curvature: FloatArray, hit_distance: FloatArray) -> FloatArray:
+        view = position - eye
+        distance = np.sqrt(np.einsum("...k,...k->...", view, view))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            t = np.where(np.isinf(hit_distance), np.float32(FAR) * distance, hit_distance)
+            opening = 1.0 + 2.0 * curvature * t
+            # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
+            behind = np.where(opening > 0.0, t / np.maximum(opening, np.float32(1e-6)), np.float32(np.nan))
+            image = position + view * (behind / distance)[..., None]
+        known = (hit_distance > 0.0) & np.isfinite(behind)
+        image = np.where(known[..., None], image, nowhere)
+        return project_points(previous, image.astype(np.float64), width, height) - np.float32(0.5)
+
+    return map_chunks(find, position, curvature, hit_distance)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.chunks import map_chunks
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_unfiltered, refill
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
@@ -26,15 +27,11 @@ from lobewise.temporal.settings import TemporalSettings
 from lobewise.temporal.sums import (
     FRAMES,
     LARGEST_OWN_WEIGHT,
-    WEIGHT,
     add_own_samples,
-    divide,
     fade,
-    find_effective_samples,
-    find_luminance,
-    find_variance,
     gather_samples,
     make_sums,
+    summarize,
 )
 from lobewise.temporal.trust import find_trust
 from lobewise.upsampling import DEFAULT_RADIUS, spread
@@ -195,7 +192,8 @@ class TemporalFilter:
         own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
         samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where, ALBEDO_FLOOR / own)
         if history is not None:
-            history = fade(history, find_trust(layer, samples, history, scale, place, own, chosen.device))
+            trust = find_trust(layer, samples, history, scale, place, own, chosen.device)
+            history = map_chunks(fade, history, trust)
             frames = history[..., FRAMES] + np.float32(1.0)
             unit = np.asarray(frames**self.temporal.strictness, dtype=np.float32)
         else:
@@ -213,10 +211,10 @@ class TemporalFilter:
         else:
             output = run_filter(layer.radiance, layer.mask, layer.features, form=chosen.form, **common)
         # A kernel that is k times narrower holds a k-th of the samples, which are worth as much.
-        sums = make_sums(output, unit)
+        assert output.moment is not None
+        gathered = output.image, output.weight_sum, output.effective_samples, output.moment, unit
+        sums = map_chunks(make_sums, *gathered, *([] if history is None else [history]))
         add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32), counted=unit)
-        if history is not None:
-            sums += history
         return sums, unit
 
     @staticmethod
@@ -231,11 +229,9 @@ class TemporalFilter:
         outputs = {}
         variance = np.zeros(frame.shape, np.float32)
         for name, layer in layers.items():
-            total, unit = sums[name]
-            tint = layer.albedo if layer.albedo is not None else np.ones((1, 1, 3), np.float32)
-            tint = np.where(find_good(tint)[..., None], tint, np.float32(0.0))
-            outputs[name] = FilterOutput(divide(total) * tint, total[..., WEIGHT] / unit, find_effective_samples(total))
-            variance += find_variance(total) * find_luminance(tint) ** 2
+            told = map_chunks(summarize, *sums[name], *([] if layer.albedo is None else [layer.albedo]))
+            outputs[name] = FilterOutput(told[..., :3], told[..., 3], told[..., 4])
+            variance += told[..., 5]
         sparse = isinstance(frame, SparseFrame)
         parts = {
             name: output.image if sparse else keep_unfiltered(layers[name], output) for name, output in outputs.items()

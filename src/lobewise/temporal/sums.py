@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from lobewise.denoising.recipe import find_good
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.history import HISTORY_CHANNELS
 from lobewise.lobes.vectors import LUMINANCE
 
@@ -73,19 +72,41 @@ def gather_samples(
     return Samples(where, np.where(good[..., None], radiance, np.float32(0.0)).astype(np.float32), good)
 
 
-def make_sums(output: FilterOutput, factor: FloatArray) -> FloatArray:
-    """Return what this frame's filter gathered as sums, every weight times ``factor``, (height, width, 7)."""
-    assert output.moment is not None
-    height, width = output.weight_sum.shape
+def make_sums(
+    image: FloatArray,
+    weight_sum: FloatArray,
+    effective_samples: FloatArray,
+    moment: FloatArray,
+    factor: FloatArray,
+    history: FloatArray | None = None,
+) -> FloatArray:
+    """Return what this frame's filter gathered as sums, every weight times ``factor``, and the history's with them.
+
+    Parameters
+    ----------
+    image, weight_sum, effective_samples, moment
+        See `lobewise.kernels.engine.FilterOutput`.
+    factor : array, shape (height, width)
+        What a weight of 1 counts.
+    history : array, shape (height, width, 7), optional
+        Sums that are added.
+
+    Returns
+    -------
+    array, shape (height, width, 7)
+    """
+    height, width = weight_sum.shape
     sums = np.empty((height, width, HISTORY_CHANNELS), np.float32)
-    weight = output.weight_sum * factor
+    weight = weight_sum * factor
     weight = np.where(weight > 0.0, np.maximum(weight, np.float32(SMALLEST_WEIGHT)), np.float32(0.0))
     with np.errstate(over="ignore", invalid="ignore"):
-        np.multiply(output.image, weight[..., None], out=sums[..., :3])
-        np.multiply(output.moment, weight, out=sums[..., MOMENT])
-    sums[..., WEIGHT] = weight
-    sums[..., SQUARED_WEIGHT] = weight * weight / np.maximum(output.effective_samples, np.float32(1.0))
-    sums[..., FRAMES] = weight > 0.0
+        np.multiply(image, weight[..., None], out=sums[..., :3])
+        np.multiply(moment, weight, out=sums[..., MOMENT])
+        sums[..., WEIGHT] = weight
+        sums[..., SQUARED_WEIGHT] = weight * weight / np.maximum(effective_samples, np.float32(1.0))
+        sums[..., FRAMES] = weight > 0.0
+        if history is not None:
+            sums += history
     return sums
 
 
@@ -147,3 +168,26 @@ def find_variance(sums: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore"):
         spread = sums[..., MOMENT] / some - find_luminance(divide(sums)) ** 2
     return np.asarray(np.maximum(spread, 0.0) / np.maximum(find_effective_samples(sums), 1.0), dtype=np.float32)
+
+
+def summarize(sums: FloatArray, unit: FloatArray, albedo: FloatArray | None = None) -> FloatArray:
+    """Return what sums tell of every pixel, (height, width, 6): radiance, weight sum, effective samples, variance.
+
+    Parameters
+    ----------
+    sums : array, shape (height, width, 7)
+    unit : array, shape (height, width)
+        What a weight of 1 counts in them.
+    albedo : array, shape (height, width, 3), optional
+        Multiplies the radiance, and its square the variance of the luminance.
+    """
+    told = np.empty((*unit.shape, 6), np.float32)
+    told[..., :3] = divide(sums)
+    told[..., 3] = sums[..., WEIGHT] / unit
+    told[..., 4] = find_effective_samples(sums)
+    told[..., 5] = find_variance(sums)
+    if albedo is not None:
+        tint = np.where(find_good(albedo)[..., None], albedo, np.float32(0.0))
+        told[..., :3] *= tint
+        told[..., 5] *= find_luminance(tint) ** 2
+    return told

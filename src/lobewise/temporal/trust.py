@@ -63,5 +63,5 @@ def find_trust(
         excess = np.where(np.isfinite(high) & (count > 1.5) & known, np.maximum(excess, high), excess)
     low = np.clip((TRUST_FROM - excess) / (TRUST_FROM - TRUST_TO), 0.0, 1.0).astype(np.float32)
     trusted = np.repeat(low[..., None], 3, axis=-1)
-    spreading = run_upsampling(trusted, layer.mask, layer.features, radius=TRUST_RADIUS, **grid)
+    spreading = run_upsampling(trusted, layer.mask, layer.features, radius=TRUST_RADIUS if scale == 1 else 1, **grid)
     return np.where(spreading.weight_sum > 0.0, spreading.image[..., 0], np.float32(1.0))

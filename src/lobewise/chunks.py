@@ -6,6 +6,10 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 # Largest number of pixels worked on at a time: some thirty float32 arrays of this length fit a core's L2 cache.
 CHUNK_PIXELS = 16384
@@ -46,6 +50,22 @@ def run_chunks(work: Callable[[Chunk], None], height: int, width: int, threads: 
         # one task per thread, every n-th chunk each: a task per chunk would spend its time in the queue
         for done in [pool.submit(_run_all, work, todo[start::threads]) for start in range(threads)]:
             done.result()
+
+
+def map_chunks(function: Callable[..., NDArray[Any]], *images: NDArray[Any]) -> NDArray[Any]:
+    """Return ``function(*images)``, computed piece by piece; it must not look from one pixel at another.
+
+    Every array begins with (height, width); the function gets the same piece of each and returns one of its own.
+    """
+    first = function(*(image[:1, :1] for image in images))
+    height, width = images[0].shape[:2]
+    whole: NDArray[Any] = np.empty((height, width, *first.shape[2:]), first.dtype)
+
+    def work(chunk: Chunk) -> None:
+        whole[chunk] = function(*(image[chunk] for image in images))
+
+    run_chunks(work, height, width)
+    return whole
 
 
 def _run_all(work: Callable[[Chunk], None], chunks: list[Chunk]) -> None:
