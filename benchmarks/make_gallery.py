@@ -1,6 +1,6 @@
 """Write the pictures of docs/gallery.md, each a row of panels, and the errors that stand under them.
 
-python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed plastic measured upsampling
+python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality brushed plastic measured upsampling chain animation
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ import numpy as np
 import lobewise
 import merl_bsdf
 from common import describe_machine, fetch_frame, fetch_image, write_json
+from lobewise.adaptive import recompute
 from lobewise.denoising import denoise
 from lobewise.display import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.materials import read_merl
 from lobewise.io.png import encode_png
-from lobewise.metrics import rel_mse
-from lobewise.render import render_frame, render_reference
-from lobewise.sparse_frame import make_sparse
+from lobewise.metrics import Flicker, rel_mse
+from lobewise.render import render_frame, render_pixels, render_reference, set_camera
+from lobewise.sparse_frame import SparseFrame, make_sparse
 from lobewise.upsampling import upsample
 from quality import fetch, fetch_reference, find_anisotropic
+from upsampling import FLICKER_SPP, FLICKERING, ORBIT, SCALE, Cache, run_alone, run_through
 
 ROOT = Path(__file__).parents[1]
 RESULT = ROOT / "benchmarks" / "results" / "gallery.json"
@@ -34,6 +36,7 @@ SPP = 4
 MEASURED_SIZE = 384
 MEASURED_SPP = 16
 UPSAMPLING_SPP = 16
+CHAIN_ADAPTIVE_SPP = 64
 MEASURED_REFERENCE_SPP = 2048
 
 
@@ -117,11 +120,67 @@ def make_upsampling(arguments: argparse.Namespace) -> dict[str, Any]:
     return {name: {"rel_mse": rel_mse(image, reference)} for name, image in images.items()}
 
 
+def make_chain(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The chain of the paper: shaded, geometry-aware, lobe-aware, over time, with pixels shaded again; reference."""
+    cache = Cache(arguments.cache, arguments.pieces)
+    shot = ORBIT["indirect"]
+    frames = cache.fetch_shot(shot, SCALE)
+    last = frames[-1]
+    assert isinstance(last, SparseFrame)
+    reference, _ = cache.fetch_mean(shot, shot.frames - 1)
+    over_time = list(run_through(frames))[-1]
+    scene, cameras = shot.open()
+    set_camera(scene, cameras[-1])
+    better = recompute(
+        over_time,
+        lambda rows, columns: render_pixels(scene, rows, columns, spp=CHAIN_ADAPTIVE_SPP, seed=9, light="indirect"),
+        samples=CHAIN_ADAPTIVE_SPP / SPP,
+    )
+    shaded = last.radiance.color.repeat(SCALE, axis=0).repeat(SCALE, axis=1)[: last.height, : last.width]
+    images = {
+        "shaded": shaded,
+        "normal": upsample(last, similarity="normal").image,
+        "ggx": upsample(last).image,
+        "with time": over_time.image,
+        "with adaptive pixels": better.image,
+    }
+    write_row("chain", [*images.values(), reference], (slice(150, 400), slice(180, 430)))
+    return {name: {"rel_mse": rel_mse(image, reference)} for name, image in images.items()}
+
+
+def make_animation(arguments: argparse.Namespace) -> dict[str, Any]:
+    """A sequence: every frame upsampled by itself, and with the frames before it."""
+    from PIL import Image
+
+    frames = Cache(arguments.cache, 1).fetch_shot(FLICKERING, SCALE)
+    alone = [run_alone(frame).image for frame in frames]
+    together = [result.image for result in run_through(frames)]
+    exposure = choose_exposure(together[-1])
+    pictures = []
+    for pair in zip(alone, together, strict=True):
+        panels = [map_tones(image, exposure) for image in pair]
+        gap = np.full((panels[0].shape[0], GAP, 3), 255, dtype=np.uint8)
+        pictures.append(Image.fromarray(np.concatenate([panels[0], gap, panels[1]], axis=1)))
+    target = ROOT / "docs" / "images" / "sequence.webp"
+    forth_and_back = [*pictures[1:], *pictures[-2:0:-1]]  # so that it goes round without a jump
+    pictures[0].save(target, save_all=True, append_images=forth_and_back, duration=80, loop=0, quality=75, method=6)
+    print(f"{target}: {target.stat().st_size / 1e3:.0f} kB")
+    flicker = {}
+    for name, images in (("alone", alone), ("with time", together)):
+        measured = Flicker()
+        for index, image in enumerate(images):
+            measured.add(image, Cache(arguments.cache, 1).fetch_pair(FLICKERING, index, FLICKER_SPP)[0])
+        flicker[name] = {"flicker": measured.get_mean()}
+    return flicker
+
+
 MAKERS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
     "brushed": make_brushed,
     "plastic": make_plastic,
     "measured": make_measured,
     "upsampling": make_upsampling,
+    "chain": make_chain,
+    "animation": make_animation,
 }
 SAMPLES = {"measured": MEASURED_SPP, "upsampling": UPSAMPLING_SPP}
 
@@ -131,13 +190,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("picture", nargs="+", choices=MAKERS, help="which picture to make")
     parser.add_argument("--cache", type=Path, required=True, help="folder for frames and references")
+    parser.add_argument("--pieces", type=int, default=8, help="renders that make the reference of `chain`")
     parser.add_argument("--material", type=Path, action="append", help="a MERL file of your own for `measured`")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     result = json.loads(RESULT.read_text()) if RESULT.exists() else {}
     for name in arguments.picture:
         errors = MAKERS[name](arguments)
-        print(name, {key: round(value["rel_mse"], 5) for key, value in errors.items()})
+        print(name, {key: {k: round(v, 5) for k, v in value.items()} for key, value in errors.items()})
         result[name] = {
             "spp": SAMPLES.get(name, SPP),
             "errors": errors,
