@@ -218,6 +218,16 @@ class TestCuts:
             active.add(frame)
         assert_same(active.add(after), TemporalFilter().add(after))
 
+    def test_the_same_floor_in_another_shot_is_one_too(self):
+        # Nearly all of the floor is in both pictures, but nothing where it was; the second frame must not remember.
+        after = [make_camera(turn=2.2 + 0.01 * k, shift=3.5) for k in range(2)]
+        frames = [make_frame(after[0], STILL, noise=NOISE, seed=8), make_frame(after[1], after[0], noise=NOISE, seed=9)]
+        active, fresh = TemporalFilter(), TemporalFilter()
+        for frame in make_still(3):
+            active.add(frame)
+        for frame in frames:
+            assert_same(active.add(frame), fresh.add(frame))
+
     def test_another_size_is_one_too(self):
         active = TemporalFilter()
         active.add(make_still(1)[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,9 @@ from lobewise.temporal.settings import TemporalSettings
 from lobewise.temporal.sums import fade
 
 AGREES = 0.1
-"""Agreement from which a pixel counts as found."""
+"""Agreement from which a pixel counts as found, and continues the frame before."""
+LARGEST_STEP = 0.25
+"""Part of the image's longer side that such a pixel may have moved by: what jumps further is seen in another shot."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,14 @@ class Recollection:
         rest = past.sums.get("rest")
         found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32) if rest is None else rest)
         self._rest = found if rest is not None else None
-        self.share = 0.0 if found is None else float(np.mean(found[..., AGREEMENT] > AGREES))
+        if found is not None:
+            reach = LARGEST_STEP * max(guides.shape)
+            places = self._places[0]
+            near = map_chunks(partial(_find_near, reach=reach), places, add_grid(np.zeros_like(places)))
+            self.share = float(np.mean((found[..., AGREEMENT] > AGREES) & near))
         if self.share < temporal.cut_share:
-            self._past, self.share = None, 0.0
+            self._past, self.share, self.allowance = None, 0.0, None
+            self.marks = make_marks(guides, settings, temporal, None, apart)
 
     def recall(self, name: str) -> FloatArray | None:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
@@ -117,6 +125,12 @@ class Recollection:
             return found
         other = run_reprojection(sums, virtual, masks, (old.virtual, new.virtual), device=self._device)
         return map_chunks(_prefer_better, found, other)
+
+
+def _find_near(places: FloatArray, grid: FloatArray, reach: float) -> NDArray[np.bool_]:
+    """Return which pixels moved less than ``reach``."""
+    step = np.abs(places - grid)
+    return np.asarray((step[..., 0] < reach) & (step[..., 1] < reach))
 
 
 def _find_allowance(motion: FloatArray, by_camera: FloatArray) -> FloatArray:

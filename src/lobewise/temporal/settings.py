@@ -25,14 +25,15 @@ class TemporalSettings:
         How the kernel narrows as the history grows, 0 (not) to 1: weights are raised to the power
         ``frames**strictness`` of the frames that a pixel's history is worth.
     cut_share : float
-        Share of pixels, 0 to 1, that must find their history; where fewer do it is a camera cut and all is dropped.
+        Share of pixels, 0 to 1, that must find their history within a quarter of the image; where fewer do it is a
+        camera cut and all is dropped.
     """
 
     memory: float = 0.95
     beta: float = 1.0
     plane_sigma: float = 2.0
     strictness: float = 0.5
-    cut_share: float = 0.25
+    cut_share: float = 0.4
 
     def __post_init__(self) -> None:
         for name in ("memory", "strictness", "cut_share", "beta", "plane_sigma"):
