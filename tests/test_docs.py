@@ -86,7 +86,8 @@ def test_published_figures_come_from_the_results() -> None:
     paper = json.loads((results / "paper_table.json").read_text())
     hits = json.loads((results / "hit_distance.json").read_text())
     gallery = json.loads((results / "gallery.json").read_text())
-    page = publisher.make_results_page(quality, filters, paper, hits)
+    upsampling = json.loads((results / "upsampling.json").read_text())
+    page = publisher.make_results_page(quality, filters, paper, hits, upsampling)
     assert (ROOT / "docs" / "results.md").read_text() == page
     assert (ROOT / "docs" / "gallery.md").read_text() == publisher.make_gallery_page(gallery)
 
