@@ -155,7 +155,14 @@ class TestDenoise:
         assert "radius 3, beta 2.5" in text
         assert "bad pixel" not in text
 
-    @pytest.mark.parametrize(("similarity", "form"), [("normal", "full"), ("sg", "separable"), ("ggx", "atrous")])
+    @pytest.mark.parametrize(
+        ("similarity", "form"),
+        [
+            ("normal", "full"),
+            pytest.param("sg", "separable", marks=pytest.mark.slow),
+            pytest.param("ggx", "atrous", marks=pytest.mark.slow),
+        ],
+    )
     def test_choices_arrive(self, similarity, form, frame_file, tmp_path):
         out = tmp_path / "out.exr"
         line = ["denoise", str(frame_file), "-o", str(out), "--similarity", similarity, "--form", form]

@@ -14,6 +14,8 @@ from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 from lobewise.upsampling import upsample
 from tests.test_denoising import SHAPE, make_frame
 
+SLOW = pytest.mark.slow  # kernels are compiled
+
 
 def make_clean_frame() -> Any:
     """Return the glossy and the rough half of `make_frame` without noise, and what they look like."""
@@ -24,7 +26,9 @@ def make_clean_frame() -> Any:
     return frame.with_changes(radiance=Radiance(color=truth, diffuse=dark, specular=truth)), truth
 
 
-@pytest.mark.parametrize("similarity", ["sg", "sg_mixture", "asg", "ggx"])
+@pytest.mark.parametrize(
+    "similarity", [*(pytest.param(name, marks=SLOW) for name in ("sg", "sg_mixture", "asg")), "ggx"]
+)
 @pytest.mark.parametrize(("scale", "place"), [(2, (0, 1)), (4, (2, 1))])
 def test_edge_of_gloss_stays_where_the_guides_have_it(similarity: str, scale: int, place: tuple[int, int]) -> None:
     frame, truth = make_clean_frame()

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from lobewise import chunks
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import Camera, GBuffer, LobeKind
-from lobewise.lobes import chunks
 from lobewise.lobes.brdf import reflect, reflect_sg
 from lobewise.lobes.field import LobeField, build_lobe_field, default_tau
 from lobewise.lobes.roughness import sg_sharpness_from_ggx

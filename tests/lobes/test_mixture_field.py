@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lobewise import chunks
 from lobewise.errors import InputError
 from lobewise.frame import Camera, GBuffer, LobeKind
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes import chunks
 from lobewise.lobes.mixture import make_ggx_mixture, make_lambert_lobe
 from lobewise.lobes.mixture_field import build_mixture_field
 from lobewise.lobes.sg import sg_integral

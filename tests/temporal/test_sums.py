@@ -25,6 +25,7 @@ from lobewise.temporal.sums import (
     find_variance,
     gather_samples,
     make_sums,
+    summarize,
 )
 
 SHAPE = (5, 6)
@@ -139,18 +140,53 @@ def test_variance_of_a_constant_is_nothing_but_rounding() -> None:
     assert ((variance >= 0.0) & (variance < 1e-6)).all()
 
 
+def gather(output: FilterOutput, factor: FloatArray, history: FloatArray | None = None) -> FloatArray:
+    """Return the sums of a filter's output."""
+    assert output.moment is not None
+    return make_sums(output.image, output.weight_sum, output.effective_samples, output.moment, factor, history)
+
+
+def test_a_history_is_added() -> None:
+    weights, radiances = make_samples()
+    ones = np.ones(SHAPE, np.float32)
+    output = make_output(weights, radiances)
+    history = np.random.default_rng(3).random((*SHAPE, 7)).astype(np.float32)
+    np.testing.assert_allclose(gather(output, ones, history), gather(output, ones) + history, rtol=TOLERANCE)
+
+
+@pytest.mark.parametrize("albedo", [None, 0.25])
+def test_a_summary_is_what_the_sums_tell_one_by_one(albedo: float | None) -> None:
+    sums = gather(make_output(*make_samples()), np.ones(SHAPE, np.float32))
+    unit = np.random.default_rng(4).uniform(1.0, 3.0, SHAPE).astype(np.float32)
+    tint = [] if albedo is None else [np.full((*SHAPE, 3), albedo, np.float32)]
+    told = summarize(sums, unit, *tint)
+    factor = 1.0 if albedo is None else albedo
+    np.testing.assert_allclose(told[..., :3], factor * divide(sums), rtol=TOLERANCE)
+    np.testing.assert_allclose(told[..., 3], sums[..., WEIGHT] / unit, rtol=TOLERANCE)
+    np.testing.assert_array_equal(told[..., 4], find_effective_samples(sums))
+    np.testing.assert_allclose(told[..., 5], factor**2 * find_variance(sums), rtol=TOLERANCE)
+
+
+def test_a_summary_has_no_light_where_the_albedo_is_none() -> None:
+    sums = gather(make_output(*make_samples()), np.ones(SHAPE, np.float32))
+    tint = np.full((*SHAPE, 3), np.nan, np.float32)
+    told = summarize(sums, np.ones(SHAPE, np.float32), tint)
+    assert (told[..., :3] == 0.0).all()
+    assert (told[..., 5] == 0.0).all()
+
+
 def test_what_a_filter_gathered_are_its_sums() -> None:
     weights, radiances = make_samples()
     factor = np.random.default_rng(2).uniform(0.5, 8.0, SHAPE).astype(np.float32)
     expected = add_up(weights * factor[..., None], radiances)
-    np.testing.assert_allclose(make_sums(make_output(weights, radiances), factor), expected, rtol=TOLERANCE)
+    np.testing.assert_allclose(gather(make_output(weights, radiances), factor), expected, rtol=TOLERANCE)
 
 
 def test_what_resembles_nothing_keeps_the_little_that_it_has() -> None:
     output = make_output(*make_samples())
     output.weight_sum[0, 0] = 1e-36
     output.weight_sum[1, 1] = 0.0
-    sums = make_sums(output, np.ones(SHAPE, np.float32))
+    sums = gather(output, np.ones(SHAPE, np.float32))
     assert sums[0, 0, WEIGHT] == np.float32(SMALLEST_WEIGHT)
     np.testing.assert_allclose(divide(sums)[0, 0], output.image[0, 0], rtol=TOLERANCE)
     np.testing.assert_allclose(find_effective_samples(sums)[0, 0], output.effective_samples[0, 0], rtol=TOLERANCE)
@@ -234,7 +270,7 @@ def test_luminance_takes_the_first_three_channels() -> None:
 def test_samples_that_overflow_are_no_warning() -> None:
     ones = np.ones(SHAPE, np.float32)
     huge = np.full((*SHAPE, 3), 1e38, np.float32)
-    sums = make_sums(FilterOutput(huge, 100.0 * ones, ones, np.full(SHAPE, np.inf, np.float32)), ones)
+    sums = gather(FilterOutput(huge, 100.0 * ones, ones, np.full(SHAPE, np.inf, np.float32)), ones)
     add_own_samples(sums, make_own(huge, ones > 0.0), ones)
     assert np.isinf(sums[..., [0, 1, 2, MOMENT]]).all()
     divide(fade(sums, 0.0))
