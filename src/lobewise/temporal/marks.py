@@ -18,9 +18,9 @@ from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import default_tau
 from lobewise.temporal.settings import TemporalSettings
 
-HIT_TOLERANCE = 0.3
+HIT_TOLERANCE = 0.08
 """Standard deviation of the logarithm of a mirror's hit distance: what of a frame's change is no change of the hit."""
-HIT_TOLERANCE_PER_LOBE = 5.0
+HIT_TOLERANCE_PER_LOBE = 1.5
 """How much of it a lobe adds for each radian that it is wide: its hit distance is an average over what it sees."""
 
 
