@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import find_bad_pixels, find_good, refill
+from lobewise.denoising.recipe import find_bad_pixels, find_good, refill, require_some_good
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Frame, Result
@@ -74,15 +74,7 @@ def upsample(
         )
     chosen = resolve_settings(frame, asked, frame.scale)
     bad = find_bad_pixels(Frame(frame.radiance))
-    if bad.all():
-        raise InputError(
-            describe_problem(
-                "radiance",
-                expected="at least one sample that is finite and not negative",
-                got=f"{bad.size} bad samples of {bad.size}",
-                action="check the render or the channel mapping",
-            )
-        )
+    require_some_good(bad, "sample")
     if bilinear:
         everywhere = np.ones(frame.shape, dtype=bool)
         tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)

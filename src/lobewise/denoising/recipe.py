@@ -38,6 +38,19 @@ def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     return bad
 
 
+def require_some_good(bad: NDArray[np.bool_], what: str) -> None:
+    """Raise InputError if all of ``bad`` are; ``what`` they are is a pixel or a sample."""
+    if bad.all():
+        raise InputError(
+            describe_problem(
+                "radiance",
+                expected=f"at least one {what} that is finite and not negative",
+                got=f"{bad.size} bad {what}s of {bad.size}",
+                action="check the render or the channel mapping",
+            )
+        )
+
+
 def refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
     """Return ``image`` with the pixels of ``holes`` replaced by the mean of the nearest others on the screen."""
     everywhere = np.ones(holes.shape, dtype=bool)
@@ -103,15 +116,7 @@ def denoise(
         require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
     chosen = resolve_settings(frame, replace(settings or DenoiseSettings(), **changes))
     bad = find_bad_pixels(frame)
-    if bad.all():
-        raise InputError(
-            describe_problem(
-                "radiance",
-                expected="at least one pixel that is finite and not negative",
-                got=f"{bad.size} bad pixels of {bad.size}",
-                action="check the render or the channel mapping",
-            )
-        )
+    require_some_good(bad, "pixel")
     layers = make_layers(frame, chosen, features)
     outputs = [
         run_filter(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lobewise.chunks import map_chunks
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_unfiltered, refill
+from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_unfiltered, refill, require_some_good
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
@@ -136,15 +136,7 @@ class TemporalFilter:
         start = time.perf_counter()
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
-        if bad.all():
-            raise InputError(
-                describe_problem(
-                    "radiance",
-                    expected="at least one sample that is finite and not negative",
-                    got=f"{bad.size} bad samples of {bad.size}",
-                    action="check the render or the channel mapping",
-                )
-            )
+        require_some_good(bad, "sample")
         layers = self._make_layers(frame, chosen, features)
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)
