@@ -135,6 +135,7 @@ def make_chain(arguments: argparse.Namespace) -> dict[str, Any]:
         over_time,
         lambda rows, columns: render_pixels(scene, rows, columns, spp=CHAIN_ADAPTIVE_SPP, seed=9, light="indirect"),
         samples=CHAIN_ADAPTIVE_SPP / SPP,
+        frame=last,
     )
     shaded = last.radiance.color.repeat(SCALE, axis=0).repeat(SCALE, axis=1)[: last.height, : last.width]
     images = {

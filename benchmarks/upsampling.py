@@ -359,6 +359,7 @@ def run_adaptive(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
             result,
             lambda y, x: render_pixels(scene, y, x, spp=spp, seed=9, light=light),
             samples=spp / SPP,
+            frame=last,
         )
         seconds = time.perf_counter() - begin
         cells = {

@@ -128,3 +128,35 @@ def test_numbers_are_checked(change: dict[str, float], words: str) -> None:
 def test_count_is_checked() -> None:
     with pytest.raises(InputError, match=r"re-computed radiance: expected 9 pixels"):
         recompute(make_result(0.0), lambda rows, columns: Radiance(np.ones((1, 1, 3))), samples=1.0)
+
+
+def test_new_pixels_are_filtered_among_themselves() -> None:
+    frame, truth = make_clean_frame()
+    result = upsample(make_sparse(frame, 4))
+    rng = np.random.default_rng(5)
+
+    def shade(rows: Any, columns: Any) -> Radiance:
+        color = truth[rows, columns][:, None] * rng.gamma(2.0, 0.5, (len(rows), 1, 1))
+        return Radiance(color, diffuse=np.zeros_like(color), specular=color)
+
+    mask = find_unsupported(result, budget=0.3, quality=10.0)
+    options: dict[str, Any] = {"samples": 1.0, "budget": 0.3, "quality": 10.0}
+    alone = recompute(result, shade, **options)
+    together = recompute(result, shade, frame=frame, **options)
+    assert rel_mse(together.image, truth, mask) < 0.7 * rel_mse(alone.image, truth, mask)
+    np.testing.assert_array_equal(together.image[~mask], result.image[~mask])
+    assert (together.weight_sum[mask] >= alone.weight_sum[mask]).all()
+
+
+def test_a_new_pixel_without_a_like_counts_as_it_is() -> None:
+    frame, truth = make_clean_frame()
+    result = upsample(make_sparse(frame, 4))
+    one = 1.5 / result.weight_sum.size
+    mask = find_unsupported(result, budget=one, quality=10.0)
+    assert mask.sum() == 1
+    shade = lambda rows, columns: Radiance(truth[rows, columns][:, None])  # noqa: E731
+    options: dict[str, Any] = {"samples": 4.0, "budget": one, "quality": 10.0}
+    alone, together = recompute(result, shade, **options), recompute(result, shade, frame=frame, **options)
+    np.testing.assert_allclose(together.image[mask], alone.image[mask], rtol=1e-3)
+    bad = recompute(result, lambda rows, columns: Radiance(np.full((1, 1, 3), np.nan)), frame=frame, **options)
+    np.testing.assert_array_equal(bad.image, result.image)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising import denoise, find_bad_pixels
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import FloatArray, Radiance, Result
+from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.sparse_frame import AnyFrame
 
 Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
 """Takes rows and columns of pixels and returns their radiance, of shape (count, 1), for instance `render_pixels`."""
@@ -61,12 +63,21 @@ def find_unsupported(
 
 
 def recompute(
-    result: Result, shade: Shade, *, samples: float, budget: float = 0.05, least: float = 0.05, quality: float = 0.5
+    result: Result,
+    shade: Shade,
+    *,
+    samples: float,
+    frame: AnyFrame | None = None,
+    budget: float = 0.05,
+    least: float = 0.05,
+    quality: float = 0.5,
 ) -> Result:
     """Shade the least supported pixels again, and merge what comes back with what was there.
 
     A pixel's estimate F of weight sum W becomes ``(W F + n I) / (W + n)``, I the new radiance and n what it is worth.
-    Source: Tokuyoshi 2015, slide "Adaptive Sampling": re-computation for low-weight pixels.
+    Source: Tokuyoshi 2015, slide "Adaptive Sampling": re-computation for low-weight pixels. Departs: with ``frame`` the
+    new radiance is filtered among the new pixels first, because unsupported pixels come in rows along edges, and a new
+    neighbour often resembles what no old sample does; n then counts what was gathered.
 
     Parameters
     ----------
@@ -77,6 +88,8 @@ def recompute(
         is supported.
     samples : float
         Samples of the new radiance over those of one sample of the result (``spp`` by ``spp``), > 0.
+    frame : Frame or SparseFrame, optional
+        What the result was made of: its guides tell which of the new pixels are alike.
     budget, least, quality
         See `find_unsupported`.
 
@@ -111,14 +124,18 @@ def recompute(
                 action="return one for each pixel",
             )
         )
+    worth = np.full((count, 1), samples, np.float32)
+    if frame is not None:
+        new, gathered = _filter_among(new, frame, where, samples)
+        worth = worth * np.maximum(gathered, np.float32(1.0))[:, None]
     weight = result.weight_sum[where][:, None]
-    image = _merge(result.image, new.color, where, weight, samples)
+    image = _merge(result.image, new.color, where, weight, worth)
     assert image is not None
-    diffuse = _merge(result.diffuse, new.diffuse, where, weight, samples)
-    specular = _merge(result.specular, new.specular, where, weight, samples)
+    diffuse = _merge(result.diffuse, new.diffuse, where, weight, worth)
+    specular = _merge(result.specular, new.specular, where, weight, worth)
     total, effective = result.weight_sum.copy(), result.effective_samples.copy()
-    total[where] += np.float32(samples)
-    effective[where] += np.float32(samples)
+    total[where] += worth[:, 0]
+    effective[where] += worth[:, 0]
     return replace(
         result,
         image=image,
@@ -130,18 +147,47 @@ def recompute(
     )
 
 
+def _filter_among(
+    new: Radiance, frame: AnyFrame, where: tuple[NDArray[np.intp], ...], samples: float
+) -> tuple[Radiance, FloatArray]:
+    """Return the new radiance, filtered among the new pixels alone, and the sum of the weights, both (count, ...)."""
+    shape = frame.gbuffer.shape
+    if shape is None:
+        return new, np.ones(where[0].size, np.float32)
+
+    def spread(part: FloatArray | None) -> FloatArray | None:
+        if part is None:
+            return None
+        # What is no number neither gives nor takes.
+        image = np.full((*shape, 3), np.nan, np.float32)
+        image[where] = part[:, 0]
+        return image
+
+    color = spread(new.color)
+    assert color is not None
+    radiance = Radiance(color, diffuse=spread(new.diffuse), specular=spread(new.specular))
+    if find_bad_pixels(Frame(radiance)).all():
+        return new, np.ones(where[0].size, np.float32)
+    spp = max(1, round(samples * (frame.spp or 1)))
+    whole = Frame(radiance, frame.gbuffer, frame.camera, spp=spp, lobe_tables=frame.lobe_tables)
+    clean = denoise(whole)
+    parts = [None if part is None else part[where][:, None] for part in (clean.image, clean.diffuse, clean.specular)]
+    assert parts[0] is not None
+    return Radiance(parts[0], diffuse=parts[1], specular=parts[2]), clean.weight_sum[where]
+
+
 def _merge(
     old: FloatArray | None,
     new: FloatArray | None,
     where: tuple[NDArray[np.intp], ...],
     weight: FloatArray,
-    samples: float,
+    worth: FloatArray,
 ) -> FloatArray | None:
     if old is None or new is None:
         return old
     fresh = new[:, 0]
     good = np.isfinite(fresh).all(axis=-1, keepdims=True) & (fresh >= 0.0).all(axis=-1, keepdims=True)
-    n = np.where(good, np.float32(samples), np.float32(0.0))
+    n = np.where(good, worth, np.float32(0.0))
     image = old.copy()
     blend = (weight * old[where] + n * np.where(good, fresh, np.float32(0.0))) / np.maximum(weight + n, 1e-12)
     # A pixel without weight whose new sample is bad keeps what it was filled with.

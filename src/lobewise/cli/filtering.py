@@ -187,6 +187,7 @@ def _make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) ->
             result,
             lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=light),
             samples=spp / (frame.spp or 1),
+            frame=frame,
             budget=budget,
         )
         print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
