@@ -62,9 +62,9 @@ ALPHA_BINS = (0.0, 0.045, 0.1, 0.2, 0.35, 1.0)
 PLACE_GRID: dict[str, tuple[Any, ...]] = {
     "radius": (2, 3, 5, 7, 9, 12, 16),
     "screen_sigma": (3.0, 6.0, 10.0, 20.0, 40.0, 100.0),
-    "position_sigma": (4.0, 8.0, 16.0, 24.0, 40.0, 64.0),
+    "position_sigma": (4.0, 8.0, 16.0, 24.0, 40.0, 64.0, 96.0),
 }
-GEOMETRY_GRID = {**PLACE_GRID, "normal_exponent": (4.0, 16.0, 32.0, 64.0, 128.0, 256.0, 1024.0)}
+GEOMETRY_GRID = {**PLACE_GRID, "normal_exponent": (1.0, 4.0, 16.0, 32.0, 64.0, 128.0, 256.0, 1024.0)}
 LOBE_GRID = {
     **PLACE_GRID,
     "beta": (0.5, 1.0, 2.0, 4.0, 8.0),
