@@ -80,13 +80,13 @@ def test_published_figures_come_from_the_results() -> None:
     results = ROOT / "benchmarks" / "results"
     quality = json.loads((results / "quality.json").read_text())
     filters = json.loads((results / "filters.json").read_text())
+    upsampling = json.loads((results / "upsampling.json").read_text())
     readme = (ROOT / "README.md").read_text()
     block = readme.split(publisher.START)[1].split(publisher.END)[0].strip()
-    assert block == publisher.make_readme_figures(quality, filters).strip()
+    assert block == publisher.make_readme_figures(quality, filters, upsampling).strip()
     paper = json.loads((results / "paper_table.json").read_text())
     hits = json.loads((results / "hit_distance.json").read_text())
     gallery = json.loads((results / "gallery.json").read_text())
-    upsampling = json.loads((results / "upsampling.json").read_text())
     page = publisher.make_results_page(quality, filters, paper, hits, upsampling)
     assert (ROOT / "docs" / "results.md").read_text() == page
     assert (ROOT / "docs" / "gallery.md").read_text() == publisher.make_gallery_page(gallery)
