@@ -21,6 +21,13 @@ def test_mapping_pieces_is_mapping_the_whole(shape: tuple[int, int]) -> None:
     assert whole.dtype == np.float64
 
 
+def test_several_results_come_back_as_several() -> None:
+    image = np.random.default_rng(2).random((200, 300))
+    doubled, flags = chunks.map_chunks(lambda each: (2.0 * each, each > 0.5), image)
+    np.testing.assert_array_equal(doubled, 2.0 * image)
+    np.testing.assert_array_equal(flags, image > 0.5)
+
+
 def test_what_goes_wrong_in_a_piece_is_told() -> None:
     def work(image: np.ndarray) -> np.ndarray:
         if image.size > 1:

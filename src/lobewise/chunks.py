@@ -52,20 +52,24 @@ def run_chunks(work: Callable[[Chunk], None], height: int, width: int, threads: 
             done.result()
 
 
-def map_chunks(function: Callable[..., NDArray[Any]], *images: NDArray[Any]) -> NDArray[Any]:
+def map_chunks(function: Callable[..., Any], *images: NDArray[Any]) -> Any:
     """Return ``function(*images)``, computed piece by piece; it must not look from one pixel at another.
 
-    Every array begins with (height, width); the function gets the same piece of each and returns one of its own.
+    Every array begins with (height, width); the function gets the same piece of each and returns one of its own, or a
+    tuple of them, and so does this.
     """
     first = function(*(image[:1, :1] for image in images))
+    several = isinstance(first, tuple)
     height, width = images[0].shape[:2]
-    whole: NDArray[Any] = np.empty((height, width, *first.shape[2:]), first.dtype)
+    wholes = tuple(np.empty((height, width, *part.shape[2:]), part.dtype) for part in (first if several else (first,)))
 
     def work(chunk: Chunk) -> None:
-        whole[chunk] = function(*(image[chunk] for image in images))
+        pieces = function(*(image[chunk] for image in images))
+        for whole, piece in zip(wholes, pieces if several else (pieces,), strict=True):
+            whole[chunk] = piece
 
     run_chunks(work, height, width)
-    return whole
+    return wholes if several else wholes[0]
 
 
 def _run_all(work: Callable[[Chunk], None], chunks: list[Chunk]) -> None:

@@ -159,20 +159,20 @@ def test_a_summary_is_what_the_sums_tell_one_by_one(albedo: float | None) -> Non
     sums = gather(make_output(*make_samples()), np.ones(SHAPE, np.float32))
     unit = np.random.default_rng(4).uniform(1.0, 3.0, SHAPE).astype(np.float32)
     tint = [] if albedo is None else [np.full((*SHAPE, 3), albedo, np.float32)]
-    told = summarize(sums, unit, *tint)
+    image, weight_sum, effective, variance = summarize(sums, unit, *tint)
     factor = 1.0 if albedo is None else albedo
-    np.testing.assert_allclose(told[..., :3], factor * divide(sums), rtol=TOLERANCE)
-    np.testing.assert_allclose(told[..., 3], sums[..., WEIGHT] / unit, rtol=TOLERANCE)
-    np.testing.assert_array_equal(told[..., 4], find_effective_samples(sums))
-    np.testing.assert_allclose(told[..., 5], factor**2 * find_variance(sums), rtol=TOLERANCE)
+    np.testing.assert_allclose(image, factor * divide(sums), rtol=TOLERANCE)
+    np.testing.assert_allclose(weight_sum, sums[..., WEIGHT] / unit, rtol=TOLERANCE)
+    np.testing.assert_array_equal(effective, find_effective_samples(sums))
+    np.testing.assert_allclose(variance, factor**2 * find_variance(sums), rtol=TOLERANCE)
 
 
 def test_a_summary_has_no_light_where_the_albedo_is_none() -> None:
     sums = gather(make_output(*make_samples()), np.ones(SHAPE, np.float32))
     tint = np.full((*SHAPE, 3), np.nan, np.float32)
-    told = summarize(sums, np.ones(SHAPE, np.float32), tint)
-    assert (told[..., :3] == 0.0).all()
-    assert (told[..., 5] == 0.0).all()
+    image, _, _, variance = summarize(sums, np.ones(SHAPE, np.float32), tint)
+    assert (image == 0.0).all()
+    assert (variance == 0.0).all()
 
 
 def test_what_a_filter_gathered_are_its_sums() -> None:

@@ -29,6 +29,12 @@ def find_good(image: FloatArray) -> NDArray[np.bool_]:
     return good
 
 
+def blacken_bad(image: FloatArray) -> FloatArray:
+    """Return ``image`` with 0 where a pixel is not finite or negative."""
+    good = find_good(image)
+    return image if good.all() else np.where(good[..., None], image, np.float32(0.0))
+
+
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     """Return where any radiance of the frame is NaN, infinite or negative, shape (height, width)."""
     bad = np.zeros(frame.shape, dtype=bool)
@@ -140,8 +146,8 @@ def denoise(
     weight_sum, effective_samples = find_support(layers, outputs)
     return Result(
         image=image,
-        diffuse=np.nan_to_num(parts[0]) if apart else None,
-        specular=np.nan_to_num(parts[1]) if apart else None,
+        diffuse=blacken_bad(parts[0]) if apart else None,
+        specular=blacken_bad(parts[1]) if apart else None,
         weight_sum=weight_sum,
         effective_samples=effective_samples,
         bad_pixels=bad,

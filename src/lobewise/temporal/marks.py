@@ -152,5 +152,5 @@ def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
     widest = alpha_u if alpha_v is None else np.maximum(alpha_u, alpha_v)
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.where(distance > 0.0, 1.0 / distance, 0.0)
-    tolerance = HIT_TOLERANCE + HIT_TOLERANCE_PER_LOBE * np.nan_to_num(widest)
+    tolerance = HIT_TOLERANCE + HIT_TOLERANCE_PER_LOBE * np.where(widest > 0.0, widest, np.float32(0.0))
     return (HitDistanceFeature(inverse.astype(np.float32), tolerance.astype(np.float32)),)

@@ -111,7 +111,8 @@ class Recollection:
         found = self._rest if name == "rest" else self._find(name, self._past.sums[name])
         if found is None:
             return None
-        return map_chunks(lambda sums: fade(sums[..., :AGREEMENT], self._temporal.memory), found)
+        faded: FloatArray = map_chunks(lambda sums: fade(sums[..., :AGREEMENT], self._temporal.memory), found)
+        return faded
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
         old, new = self._old.get(name), self.marks[name]
@@ -124,7 +125,8 @@ class Recollection:
         if not new.virtual or virtual is None:
             return found
         other = run_reprojection(sums, virtual, masks, (old.virtual, new.virtual), device=self._device)
-        return map_chunks(_prefer_better, found, other)
+        better: FloatArray = map_chunks(_prefer_better, found, other)
+        return better
 
 
 def _find_near(places: FloatArray, grid: FloatArray, reach: float) -> NDArray[np.bool_]:

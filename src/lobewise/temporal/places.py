@@ -94,4 +94,5 @@ def find_virtual_places(
         image = np.where(known[..., None], image, nowhere)
         return project_points(previous, image.astype(np.float64), width, height) - np.float32(0.5)
 
-    return map_chunks(find, position, curvature, hit_distance)
+    places: FloatArray = map_chunks(find, position, curvature, hit_distance)
+    return places

@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from lobewise.chunks import map_chunks
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import compose, find_bad_pixels, find_good, keep_unfiltered, refill, require_some_good
+from lobewise.denoising.recipe import (
+    blacken_bad,
+    compose,
+    find_bad_pixels,
+    find_good,
+    keep_unfiltered,
+    refill,
+    require_some_good,
+)
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
@@ -221,9 +229,9 @@ class TemporalFilter:
         outputs = {}
         variance = np.zeros(frame.shape, np.float32)
         for name, layer in layers.items():
-            told = map_chunks(summarize, *sums[name], *([] if layer.albedo is None else [layer.albedo]))
-            outputs[name] = FilterOutput(told[..., :3], told[..., 3], told[..., 4])
-            variance += told[..., 5]
+            *told, own_variance = map_chunks(summarize, *sums[name], *([] if layer.albedo is None else [layer.albedo]))
+            outputs[name] = FilterOutput(*told)
+            variance += own_variance
         sparse = isinstance(frame, SparseFrame)
         parts = {
             name: output.image if sparse else keep_unfiltered(layers[name], output) for name, output in outputs.items()
@@ -242,8 +250,8 @@ class TemporalFilter:
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
             image=image,
-            diffuse=np.nan_to_num(parts["diffuse"]) if "diffuse" in parts else None,
-            specular=np.nan_to_num(parts["specular"]) if "diffuse" in parts else None,
+            diffuse=blacken_bad(parts["diffuse"]) if "diffuse" in parts else None,
+            specular=blacken_bad(parts["specular"]) if "diffuse" in parts else None,
             weight_sum=weight_sum,
             effective_samples=effective_samples,
             bad_pixels=bad,

@@ -170,8 +170,10 @@ def find_variance(sums: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(spread, 0.0) / np.maximum(find_effective_samples(sums), 1.0), dtype=np.float32)
 
 
-def summarize(sums: FloatArray, unit: FloatArray, albedo: FloatArray | None = None) -> FloatArray:
-    """Return what sums tell of every pixel, (height, width, 6): radiance, weight sum, effective samples, variance.
+def summarize(
+    sums: FloatArray, unit: FloatArray, albedo: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what sums tell of every pixel: radiance (height, width, 3), weight sum, effective samples, variance.
 
     Parameters
     ----------
@@ -181,13 +183,9 @@ def summarize(sums: FloatArray, unit: FloatArray, albedo: FloatArray | None = No
     albedo : array, shape (height, width, 3), optional
         Multiplies the radiance, and its square the variance of the luminance.
     """
-    told = np.empty((*unit.shape, 6), np.float32)
-    told[..., :3] = divide(sums)
-    told[..., 3] = sums[..., WEIGHT] / unit
-    told[..., 4] = find_effective_samples(sums)
-    told[..., 5] = find_variance(sums)
+    image, variance = divide(sums), find_variance(sums)
     if albedo is not None:
         tint = np.where(find_good(albedo)[..., None], albedo, np.float32(0.0))
-        told[..., :3] *= tint
-        told[..., 5] *= find_luminance(tint) ** 2
-    return told
+        image = image * tint
+        variance = variance * find_luminance(tint) ** 2
+    return image, sums[..., WEIGHT] / unit, find_effective_samples(sums), variance
