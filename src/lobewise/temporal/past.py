@@ -80,7 +80,7 @@ class Recollection:
         self._device = settings.device
         self._past: Past | None = None
         self._places: tuple[FloatArray, FloatArray | None] | None = None
-        self._rest: FloatArray | None = None
+        self._found: dict[str, FloatArray | None] = {}
         self.share = 0.0
         self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
@@ -92,9 +92,11 @@ class Recollection:
         self._old = past.marks or make_marks(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
         # What only place and normal tell apart tells how much of the image goes on.
-        rest = past.sums.get("rest")
-        found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32) if rest is None else rest)
-        self._rest = found if rest is not None else None
+        name = next((name for name in ("rest", "diffuse") if name in past.sums), None)
+        if name is None:
+            found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
+        else:
+            found = self._found[name] = self._find(name, past.sums[name])
         if found is not None:
             reach = LARGEST_STEP * max(guides.shape)
             places = self._places[0]
@@ -108,7 +110,7 @@ class Recollection:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
         if self._past is None or name not in self._past.sums:
             return None
-        found = self._rest if name == "rest" else self._find(name, self._past.sums[name])
+        found = self._found[name] if name in self._found else self._find(name, self._past.sums[name])
         if found is None:
             return None
         faded: FloatArray = map_chunks(lambda sums: fade(sums[..., :AGREEMENT], self._temporal.memory), found)
