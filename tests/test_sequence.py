@@ -150,6 +150,31 @@ class TestGoingOn:
         assert list_outputs(folder) == whole
         assert not (folder / KEPT).exists()
 
+    @pytest.mark.parametrize("step", ["read", "add", "write"])
+    def test_an_interrupt_loses_nothing_that_was_done(self, step, whole, folder):
+        class Interrupted(Running):
+            def add(self, frame, *, cut=False):
+                result = super().add(frame, cut=cut)
+                if step == "add" and frame[0, 0] == NUMBERS[3]:
+                    raise KeyboardInterrupt
+                return result
+
+        def read(path):
+            if step == "read" and path.name == f"in.{NUMBERS[3]:04d}.npy":
+                raise KeyboardInterrupt
+            return np.load(path)
+
+        def write(target, result, frame, source):
+            if step == "write" and frame[0, 0] == NUMBERS[3]:
+                raise KeyboardInterrupt
+            save(target, result, frame, source)
+
+        with pytest.raises(KeyboardInterrupt):
+            run(Interrupted, seconds=1e9, read=read, write=write)
+        done = run(seconds=1e9)
+        assert (done.resumed_after, done.written) == (NUMBERS[2], 4)
+        assert list_outputs(folder) == whole
+
     def test_stopped_again_and_again(self, whole, folder):
         for at in NUMBERS[1:]:
             stop(at)

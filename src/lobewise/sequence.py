@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, LobewiseError, describe_problem
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.sequence import FramePattern
 
@@ -40,7 +40,7 @@ class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
         """Return the result of the next frame; ``cut`` says that it does not continue the one before."""
 
     def get_state(self) -> State:
-        """Return all that it remembers, as arrays."""
+        """Return all that it remembers, as arrays that later frames do not change."""
 
     def set_state(self, state: State) -> None:
         """Remember what `get_state` gave, so that every further result has the same bits."""
@@ -89,9 +89,10 @@ def filter_sequence(
     One frame is in memory at a time, beside what the filter remembers. Where a number is missing the next frame is
     given to the filter as a cut, as is the first.
 
-    From time to time what the filter remembers is kept in a checkpoint beside the outputs. A run with the same sources,
-    outputs, fingerprint and version of the library goes on after its last frame, and writes the same files as a run
-    that was not stopped. A checkpoint that is damaged, or of another run, is left unused. At the end it is removed.
+    From time to time, and when it is interrupted, what the filter remembers is kept in a checkpoint beside the outputs.
+    A run with the same sources, outputs, fingerprint and version of the library goes on after its last frame, and
+    writes the same files as a run that was not stopped. A checkpoint that is damaged, or of another run, is left
+    unused. At the end it is removed.
 
     Parameters
     ----------
@@ -166,9 +167,16 @@ def filter_sequence(
     saved = time.monotonic()
     for index in range(start, len(frames)):
         number, path = frames[index]
-        frame = read(path)
-        last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
-        write(output.name(number), last, frame, path)
+        before = active.get_state() if index else {}
+        try:
+            frame = read(path)
+            last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
+            write(output.name(number), last, frame, path)
+        except KeyboardInterrupt:
+            if index:
+                with suppress(LobewiseError):
+                    run.save(kept, before)
+            raise
         # Before the next one is read: frames can be large.
         del frame
         run.mark_done()
