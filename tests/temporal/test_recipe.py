@@ -64,6 +64,42 @@ class TestStill:
         assert np.abs(result.image / lit.color - 1.0).max() < 1e-3
         assert np.abs(upsample(make_sparse(frame, scale)).image / lit.color - 1.0).max() > 0.1
 
+    @pytest.mark.parametrize("moving", [False, True], ids=["still", "turning"])
+    def test_a_background_is_known_again(self, moving):
+        rng = np.random.default_rng(3)
+        above = np.arange(48) < 20  # rows of sky over the floor, as detailed as it can be
+        texture = rng.uniform(0.1, 1.0, (48, 200, 3)).astype(np.float32)
+        active = TemporalFilter()
+        angle = make_camera().get_pixel_angle(48)
+        for k in range(16):
+            # The sky is infinitely far and moves by whole pixels, as the middle row does when the camera turns.
+            camera = make_camera(turn=4 * angle * k if moving else 0.0)
+            frame = make_frame(camera)
+            motion = np.zeros((*frame.shape, 2), np.float32)
+            motion[..., 0] = 4.0 if moving else 0.0
+            sky = np.where(above[:, None, None], texture[:, 4 * k : 4 * k + 64] if moving else texture[:, :64], 0.0)
+            diffuse, specular = (
+                np.where(above[:, None, None], 0.0, p) for p in (frame.radiance.diffuse, frame.radiance.specular)
+            )
+            guides = replace(
+                frame.gbuffer,
+                depth=np.where(above[:, None], 0.0, frame.gbuffer.depth),
+                normal=np.where(above[:, None, None], 0.0, frame.gbuffer.normal),
+                motion=motion if k else None,
+            )
+            dark = np.zeros_like(sky)
+            frame = replace(
+                frame,
+                radiance=Radiance(sky + diffuse + specular, diffuse=diffuse, specular=specular),
+                gbuffer=guides,
+                variance=Radiance(dark, diffuse=dark, specular=dark),
+            )
+            result = active.add(make_sparse(frame, 4, list_places(4)[k]))
+        # What came into view since is not known yet.
+        known = np.s_[:20, : 64 - 4 * 15] if moving else np.s_[:20]
+        error = np.abs(result.image[known] - sky[known])
+        assert error.max() < 1e-3
+
     @pytest.mark.parametrize("scale", [1, 4])
     def test_noise_falls_as_frames_are_added(self, scale):
         errors = [rel_mse(result.image, find_truth()) for result in run(make_still(16, scale))]

@@ -18,6 +18,8 @@ from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import default_tau
 from lobewise.temporal.settings import TemporalSettings
 
+FAR = 1e8
+"""Distance of the background, world units."""
 HIT_TOLERANCE = 0.08
 """Standard deviation of the logarithm of a mirror's hit distance: what of a frame's change is no change of the hit."""
 HIT_TOLERANCE_PER_LOBE = 1.5
@@ -105,7 +107,9 @@ def make_marks(
     plane = _make_plane(guides, temporal, surface, allowance)
     normal = guides.gbuffer.normal
     assert normal is not None
-    facing = NormalFeature(_hide(normal, surface), settings.normal_exponent)
+    # The background faces the camera from far away, so that it is itself again and no surface.
+    looking = normal if surface.all() else np.where(surface[..., None], normal, -_make_rays(guides))
+    facing = NormalFeature(looking, settings.normal_exponent)
     marks = {"rest": Marks(everywhere, (*plane, facing))}
     same = replace(
         settings,
@@ -124,9 +128,12 @@ def make_marks(
     return marks
 
 
-def _hide(image: FloatArray, surface: NDArray[np.bool_]) -> FloatArray:
-    """Return ``image`` with 0 where there is no surface."""
-    return np.where(surface[..., None], image, np.float32(0.0))
+def _make_rays(guides: Guides) -> FloatArray:
+    """Return the directions in which the pixels look, (height, width, 3); without a camera one for all."""
+    height, width = guides.shape
+    if guides.camera is None:
+        return np.broadcast_to(np.array([0.0, 0.0, -1.0], np.float32), (height, width, 3))
+    return guides.camera.make_ray_directions(width, height)
 
 
 def _make_plane(
@@ -140,8 +147,11 @@ def _make_plane(
     if allowance is not None:
         footprint = footprint * (1.0 + allowance / np.float32(temporal.plane_sigma))
     footprint = np.where(surface, footprint, np.float32(1.0)).astype(np.float32)
-    normal = _hide(guides.gbuffer.normal, surface)
-    return (PlaneFeature(_hide(position, surface), normal, footprint, temporal.plane_sigma),)
+    normal = np.where(surface[..., None], guides.gbuffer.normal, np.float32(0.0))
+    if not surface.all():
+        away = guides.camera.position.astype(np.float32) + np.float32(FAR) * _make_rays(guides)
+        position = np.where(surface[..., None], position, away)
+    return (PlaneFeature(position, normal, footprint, temporal.plane_sigma),)
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
