@@ -17,12 +17,14 @@ def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int
     A point behind the camera has no image; its coordinates are not finite.
     """
     half_width, half_height = camera.get_half_extent(width, height)
-    offset = points - camera.position
-    ahead = offset @ camera.forward
-    scale = np.divide(1.0, ahead, out=np.full_like(ahead, np.nan), where=ahead > 0)
-    x = (offset @ camera.right) * scale / half_width
-    y = (offset @ camera.up) * scale / half_height
-    return np.stack([(x + 1.0) * 0.5 * width, (1.0 - y) * 0.5 * height], axis=-1).astype(np.float32)
+    # Points that are not finite have no image either.
+    with np.errstate(invalid="ignore", over="ignore"):
+        offset = points - camera.position
+        ahead = offset @ camera.forward
+        scale = np.divide(1.0, ahead, out=np.full_like(ahead, np.nan), where=ahead > 0)
+        x = (offset @ camera.right) * scale / half_width
+        y = (offset @ camera.up) * scale / half_height
+        return np.stack([(x + 1.0) * 0.5 * width, (1.0 - y) * 0.5 * height], axis=-1).astype(np.float32)
 
 
 def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth: FloatArray) -> FloatArray:
@@ -38,7 +40,7 @@ def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth
         Where the surface points were then, in the world: where they are now, unless an object moved. Ignored where the
         depth is 0.
     depth : (height, width)
-        Distances along the rays, 0 where there is no surface.
+        Distances along the rays; 0, or not finite, where there is no surface.
 
     Returns
     -------
@@ -46,14 +48,15 @@ def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth
         Pixels, previous minus current, x right and y down.
     """
     height, width = depth.shape
-    rays = None if (depth > 0).all() else camera.make_ray_directions(width, height)
+    found = (depth > 0) & np.isfinite(depth)
+    rays = None if found.all() else camera.make_ray_directions(width, height)
     outside = np.array([2.0 * width, 2.0 * height])
     motion = np.empty((height, width, 2), np.float32)
 
     def work(chunk: Chunk) -> None:
         points = position[chunk].astype(np.float64)
         if rays is not None:
-            points = np.where(depth[chunk][..., None] > 0, points, rays[chunk] + previous.position)
+            points = np.where(found[chunk][..., None], points, rays[chunk] + previous.position)
         step = project_points(previous, points, width, height).astype(np.float64)
         step[..., 0] -= np.arange(width)[chunk[1]] + 0.5
         step[..., 1] -= np.arange(height)[chunk[0], None] + 0.5

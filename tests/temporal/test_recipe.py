@@ -175,6 +175,25 @@ class TestMotion:
         assert results[5].settings["history_share"] == 1.0
         assert rel_mse(results[5].image, find_truth()) < rel_mse(results[0].image, find_truth())
 
+    @pytest.mark.parametrize("nothing", [np.inf, np.nan, -1.0])
+    def test_guides_without_a_surface_may_hold_anything(self, nothing):
+        cameras = [STILL, make_camera(shift=0.02)]
+        active = TemporalFilter()
+        for k, camera in enumerate(cameras):
+            frame = make_frame(camera, noise=NOISE, seed=k)
+            holes = {}
+            for name in ("depth", "position", "normal", "alpha_u"):
+                image = np.array(getattr(frame.gbuffer, name))
+                image[:10] = nothing
+                holes[name] = image
+            distance = np.full(frame.shape, 2.0, np.float32)
+            distance[20:24] = np.array([np.nan, -1.0, np.inf, 0.0])[:, None]
+            guides = replace(frame.gbuffer, **holes, hit_distance=distance)
+            result = active.add(make_sparse(replace(frame, gbuffer=guides), 4))
+        assert np.isfinite(result.image).all()
+        assert np.isfinite(result.variance).all()
+        assert result.settings["history_share"] > 0.7
+
     def test_places_that_are_no_numbers_have_no_history(self):
         frames = make_still(2)
         broken = np.zeros((*frames[0].shape, 2), np.float32)
