@@ -378,7 +378,7 @@ def run_reprojection(
     Returns
     -------
     array, shape (height, width, 8)
-        The sums here, and how much of each place agrees, 0 to 1.
+        The sums here, and how much of each place agrees, 0 to 1 (and what `exp2` errs).
     """
     size = masks[1].shape
     kernel = _cache.get_reprojection(device, features[1])

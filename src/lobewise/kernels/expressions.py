@@ -33,8 +33,8 @@ def _evaluate_polynomial(coefficients: Sequence[float], x: hl.Expr) -> hl.Expr:
 def exp2(x: hl.Expr) -> hl.Expr:
     """Return ``2**min(x, 0)`` as float32; exactly 0 below -127, relative error 1e-5 above -100.
 
-    The result is in [0, 1] for every ``x`` that is not NaN, which the filter relies on: a similarity is at most 1
-    whatever rounding makes of it, and a tap that is switched off is multiplied by 0.
+    The result is in [0, 1 + 3e-6] for every ``x`` that is not NaN, which the filter relies on: a similarity is at most
+    1, but for the polynomial's error, whatever rounding makes of it, and a tap that is switched off is multiplied by 0.
     """
     shifted = hl.clamp(x + hl.f32(_EXPONENT_BIAS), hl.f32(0.0), hl.f32(_EXPONENT_BIAS))
     whole = hl.i32(shifted)

@@ -6,7 +6,7 @@ k as it was. The features are those of the filter; only the two pixels of a pair
 
 Channels of the sums, in and out: 0-2 the weighted radiance over albedo, 3 the weight sum, 4 the sum of squared weights,
 5 the weighted squared luminance, 6 how many frames they stand for. Out has one more, 7, ``sum_k b_k v(i, k)``: how much
-of the place agrees, 0 to 1.
+of the place agrees, 0 to 1 (and what `exp2` errs).
 """
 
 from __future__ import annotations

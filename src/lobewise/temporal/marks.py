@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +41,9 @@ class Guides:
         assert self.gbuffer.shape is not None
         return self.gbuffer.shape
 
-    def as_frame(self) -> Frame:
-        """Return a black frame with these guides."""
+    @cached_property
+    def frame(self) -> Frame:
+        """A black frame with these guides."""
         black = np.broadcast_to(np.float32(0.0), (*self.shape, 3))
         return Frame(Radiance(black), self.gbuffer, self.camera, lobe_tables=self.lobe_tables)
 
@@ -101,7 +103,7 @@ def make_marks(
     apart : bool
         Whether diffuse and specular radiance are.
     """
-    frame = guides.as_frame()
+    frame = guides.frame
     surface = find_surface(frame)
     everywhere = np.ones(guides.shape, dtype=bool)
     plane = _make_plane(guides, temporal, surface, allowance)
@@ -142,7 +144,7 @@ def _make_plane(
     if not guides.is_placed:
         return ()
     assert guides.camera is not None and guides.gbuffer.normal is not None
-    position, depth = find_places(guides.as_frame())
+    position, depth = find_places(guides.frame)
     footprint = depth * np.float32(guides.camera.get_pixel_angle(guides.shape[0]))
     if allowance is not None:
         footprint = footprint * (1.0 + allowance / np.float32(temporal.plane_sigma))

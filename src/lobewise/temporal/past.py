@@ -163,7 +163,7 @@ def _find_all_places(
         if motion is None:
             return None, None
         return (add_grid(motion), None), None
-    position, depth = find_places(guides.as_frame())
+    position, depth = find_places(guides.frame)
     by_camera = compute_motion(camera, previous, position, depth)
     allowance = None
     if motion is not None:

@@ -38,6 +38,21 @@ def find_trust(
     At the shaded pixels sample and history are two estimates of one thing, and around each of them the
     lobe-weighted mean of their difference is held against its own deviation, colour by colour. What holds for the
     samples holds for the pixels that resemble them.
+
+    Parameters
+    ----------
+    layer : Layer
+        What is filtered, and by which features.
+    samples : Samples
+        Those of this frame.
+    history : array, shape (height, width, 7)
+        Sums; see `lobewise.kernels.history`.
+    scale, place : int and (int, int)
+        Which pixels were shaded; 1 and (0, 0) for a whole frame.
+    own : float
+        What a pixel's own sample counts in the sums, >= 1.
+    device : str
+        Where the kernels run.
     """
     there = history[samples.where]
     # A history that was only ever borrowed is not held against samples that have no noise.
