@@ -11,7 +11,6 @@ just that distance.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,51 +20,11 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Camera, FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
-from lobewise.render.paths import Sums, dispatch_surface
-from lobewise.render.surface import Surface, make_no_surface
+from lobewise.render.paths import Sums
+from lobewise.render.points import find_points
 
 Moves = Mapping[str, ArrayLike]
 """By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
-
-MOST_LAYERS = 32
-"""How many transparent surfaces the pixel-centre ray may pass."""
-
-OPAQUE_FROM = 0.5
-"""Opacity from which a masked surface is the one that a pixel shows."""
-
-
-@dataclass
-class _Layers:
-    ray: Any
-    si: Any
-    surface: Surface
-    count: Any
-    active: Any
-
-
-def _find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
-    """Return the first hit that is more opaque than not, and its guides."""
-
-    def look(ray: Any, active: Any) -> tuple[Any, Surface]:
-        si = scene.ray_intersect(ray, active)
-        return si, dispatch_surface(materials, si.bsdf(ray), si, active & si.is_valid())
-
-    if not any(material.can_be_transparent for material in materials.values()):
-        return look(ray, mi.Bool(True))
-
-    def go_on(state: _Layers) -> Any:
-        return state.active
-
-    def pass_through(state: _Layers) -> tuple[_Layers]:
-        state.si, state.surface = look(state.ray, state.active)
-        state.ray = state.si.spawn_ray(state.ray.d)
-        state.count += 1
-        state.active = state.si.is_valid() & (state.surface.opacity < OPAQUE_FROM) & (state.count < MOST_LAYERS)
-        return (state,)
-
-    start = _Layers(ray, dr.zeros(mi.SurfaceInteraction3f), make_no_surface(), mi.UInt32(0), mi.Bool(True))
-    end = dr.while_loop((start,), go_on, pass_through, label="layers")[0]
-    return end.si, end.surface
 
 
 def trace_guides(
@@ -83,14 +42,11 @@ def trace_guides(
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
-    x = (mi.Float(pixel % width) + 0.5) / mi.Float(width)
-    y = (mi.Float(pixel // width) + 0.5) / mi.Float(height)
-    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-    si, surface = _find_first_opaque(scene, materials, ray)
-    found = si.is_valid()
+    points = find_points(scene, materials, pixel, (width, height))
+    si, surface, found = points.si, points.surface, points.active
 
     shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
-    view = -ray.d
+    view = -points.ray.d
     out = 2.0 * dr.dot(view, surface.normal) * surface.normal - view
     shiny &= dr.dot(out, si.n) * dr.dot(view, si.n) > 0  # a strong normal map can mirror the ray into the surface
     mirrored = scene.ray_intersect(si.spawn_ray(out), shiny)

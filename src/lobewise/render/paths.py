@@ -12,6 +12,7 @@ from typing import Any
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
+from lobewise.render.rays import make_rng
 from lobewise.render.split import find_diffuse_share
 from lobewise.render.surface import Surface, describe_material, make_no_surface
 
@@ -31,6 +32,8 @@ class PathSettings:
         Whether to compute radiance; without it paths end after the first bounce has told what it hits.
     guides : bool
         Whether to split radiance by lobe and to sum albedos, hits and squares.
+    albedo : bool
+        With ``guides``: whether to sum albedos.
     fewest_bounces : int
         Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers.
     """
@@ -38,6 +41,7 @@ class PathSettings:
     max_depth: int
     light: bool = True
     guides: bool = True
+    albedo: bool = True
     fewest_bounces: int = 0
 
 
@@ -57,7 +61,8 @@ class Sample:
     hit_position: Any
 
 
-def _make_sample() -> Sample:
+def make_sample() -> Sample:
+    """Return what no path brings."""
     colors = [mi.Color3f(0) for _ in range(7)]  # separate objects: sums are updated in place
     return Sample(
         emitted=colors[0],
@@ -129,7 +134,7 @@ def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active:
     return dr.dispatch(bsdf, describe, si, active)  # type: ignore[no-any-return]
 
 
-def _dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
+def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
     def share(self: Any, si: Any, wo: Any, active: Any) -> Any:
         material = materials.get(self.ptr)
         return mi.Color3f(0) if material is None else find_diffuse_share(material, si, wo, active)
@@ -137,7 +142,7 @@ def _dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any,
     return dr.dispatch(bsdf, share, si, wo, active)
 
 
-def _weigh(pdf: Any, other: Any) -> Any:
+def weigh(pdf: Any, other: Any) -> Any:
     """Return the power heuristic's weight (Veach 1997, section 9.2.4)."""
     weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other))
     return dr.select(dr.isfinite(weight), weight, 0.0)
@@ -190,7 +195,7 @@ def trace_path(
             light = mi.DirectionSample3f(scene, si, path.last)
             light_pdf = scene.pdf_emitter_direction(path.last, light, ~path.last_delta)
             emitted = light.emitter.eval(si, path.last_pdf > 0)
-            weight = _weigh(path.last_pdf, light_pdf)
+            weight = weigh(path.last_pdf, light_pdf)
             _add(sample, path.bounces, path.share, path.throughput * emitted * weight, settings)
 
         going = found & (path.depth + 1 < max_depth)
@@ -211,21 +216,22 @@ def trace_path(
         value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, point, going)
 
         if settings.light:
-            seen = path.throughput * value * radiance * dr.select(light.delta, 1.0, _weigh(light.pdf, pdf))
+            seen = path.throughput * value * radiance * dr.select(light.delta, 1.0, weigh(light.pdf, pdf))
             share = path.share
             if split:
-                share = dr.select(first, _dispatch_share(materials, bsdf, si, local, first & lit), share)
+                share = dr.select(first, dispatch_share(materials, bsdf, si, local, first & lit), share)
             _add(sample, path.bounces + 1, share, dr.select(lit, seen, 0.0), settings)
 
         is_null = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
         is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
         if split:
             scatters = first & ~is_null
-            share = _dispatch_share(materials, bsdf, si, chosen.wo, scatters & ~is_delta)
+            share = dispatch_share(materials, bsdf, si, chosen.wo, scatters & ~is_delta)
             path.share = dr.select(scatters, dr.select(is_delta, 0.0, share), path.share)
-            surface = dispatch_surface(materials, bsdf, si, scatters)
-            sample.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
-            sample.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
+            if settings.albedo:
+                surface = dispatch_surface(materials, bsdf, si, scatters)
+                sample.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
+                sample.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
             mirrors = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.GlossyReflection) | mi.has_flag(
                 chosen.sampled_type, mi.BSDFFlags.DeltaReflection
             )
@@ -264,7 +270,7 @@ def trace_path(
         last_pdf=mi.Float(1),
         last_delta=mi.Bool(True),
         looks_specular=mi.Bool(False),
-        sample=_make_sample(),
+        sample=make_sample(),
     )
     return dr.while_loop((start,), go_on, bounce, label="bounces")[0].sample  # type: ignore[no-any-return]
 
@@ -363,10 +369,7 @@ def _add_samples(
         return index < end
 
     def take(index: Any, sums: Sums) -> tuple[Any, Sums]:
-        state, sequence = mi.sample_tea_32(pixel, index)
-        state, sequence = mi.sample_tea_32(state, sequence ^ seed_value)
-        rng = mi.PCG32()
-        rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
+        rng = make_rng(pixel, index, seed_value)
         x = (mi.Float(column) + rng.next_float32()) / mi.Float(width)
         y = (mi.Float(row) + rng.next_float32()) / mi.Float(height)
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))

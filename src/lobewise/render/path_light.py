@@ -1,0 +1,60 @@
+"""Indirect light by path tracing: noisy, right in expectation, and what the other methods are held against."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.bsdfs import Material
+from lobewise.render.paths import PathSettings, make_sample, trace_path
+from lobewise.render.points import Indirect, Points
+from lobewise.render.rays import make_rng
+
+
+class PathLight:
+    """Paths from the pixel's centre: BSDF importance sampling, next-event estimation, Russian roulette.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        What lights the points.
+    materials : dict
+        Of the scene; see `lobewise.render.bsdfs.read_scene_materials`.
+    max_depth : int
+        Longest path, in vertices after the camera, >= 3.
+    """
+
+    name = "paths"
+
+    def __init__(self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._max_depth = max_depth
+
+    def shade(self, points: Points, *, samples: int, seed: int) -> Indirect:
+        """Return the mean of ``samples`` paths; see `lobewise.render.points.IndirectMethod`."""
+        settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, albedo=False)
+        max_depth = dr.opaque(mi.UInt32, self._max_depth)
+        seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
+        end = dr.opaque(mi.UInt32, samples)
+
+        def go_on(index: Any, total: Any) -> Any:
+            return index < end
+
+        def take(index: Any, total: Any) -> tuple[Any, Any]:
+            rng = make_rng(points.pixel, index, seed_value)
+            sample = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
+            total.diffuse += sample.diffuse
+            total.specular += sample.specular
+            total.hit_count += sample.hit_count
+            total.hit_inverse += sample.hit_inverse
+            return index + 1, total
+
+        _, total = dr.while_loop((mi.UInt32(0), make_sample()), go_on, take, label="samples")
+        share = dr.rcp(mi.Float(end))
+        distance = dr.select(total.hit_inverse > 0, total.hit_count / total.hit_inverse, dr.inf)
+        return Indirect(
+            diffuse=total.diffuse * share,
+            specular=total.specular * share,
+            hit_distance=dr.select(total.hit_count > 0, distance, 0.0),
+        )

@@ -1,0 +1,25 @@
+"""Rays through pixels, and random numbers that belong to them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lobewise.render.bridge import mi
+
+
+def make_centre_ray(scene: Any, pixel: Any, size: tuple[Any, Any]) -> Any:
+    """Return the rays through the centres of pixels."""
+    width, height = size
+    x = (mi.Float(pixel % width) + 0.5) / mi.Float(width)
+    y = (mi.Float(pixel // width) + 0.5) / mi.Float(height)
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    return ray
+
+
+def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
+    """Return random numbers that depend on pixel, sample index and seed alone, whatever the lane."""
+    state, sequence = mi.sample_tea_32(pixel, index)
+    state, sequence = mi.sample_tea_32(state, sequence ^ seed)
+    rng = mi.PCG32()
+    rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
+    return rng
