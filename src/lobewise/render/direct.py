@@ -36,9 +36,9 @@ class Direct:
 def shade_direct(scene: Any, materials: dict[int, Material], points: Points, width: Any, seed: int) -> Direct:
     """Return what lights first surfaces directly, one sample of the lights each, not evaluated yet.
 
-    The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of that
-    size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with a
-    specular lobe also follows one sampled ray, and both are weighed by the power heuristic (Veach 1997).
+    The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
+    that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
+    a specular lobe also follows one sampled ray, and both are weighed by the power heuristic (Veach 1997).
 
     Parameters
     ----------
