@@ -11,13 +11,17 @@ from lobewise.render.variant import load_mitsuba
 if TYPE_CHECKING:
     from lobewise.render.camera import get_camera, set_camera
     from lobewise.render.camera_path import find_orbit_centre, make_orbit, read_camera_path
+    from lobewise.render.interactive import InteractiveFrame, InteractiveSettings, Session
     from lobewise.render.lookup import open_scene_material
     from lobewise.render.renderer import render_frame, render_pixels, render_reference, render_sparse_frame
     from lobewise.render.scenes import MovingScene, list_moving_scenes, list_scenes, load_scene
     from lobewise.render.sequence import render_sequence
 
 __all__ = [
+    "InteractiveFrame",
+    "InteractiveSettings",
     "MovingScene",
+    "Session",
     "find_orbit_centre",
     "get_camera",
     "list_moving_scenes",
@@ -36,7 +40,10 @@ __all__ = [
 ]
 
 _HOMES = {
+    "InteractiveFrame": "lobewise.render.interactive",
+    "InteractiveSettings": "lobewise.render.interactive",
     "MovingScene": "lobewise.render.scenes",
+    "Session": "lobewise.render.interactive",
     "find_orbit_centre": "lobewise.render.camera_path",
     "get_camera": "lobewise.render.camera",
     "list_moving_scenes": "lobewise.render.scenes",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +34,9 @@ class Direct:
     specular: Any
 
 
-def shade_direct(scene: Any, materials: dict[int, Material], points: Points, width: Any, seed: int) -> Direct:
+def shade_direct(
+    scene: Any, materials: dict[int, Material], points: Points, width: Any, shifts: Sequence[Any]
+) -> Direct:
     """Return what lights first surfaces directly, one sample of the lights each, not evaluated yet.
 
     The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
@@ -48,13 +51,13 @@ def shade_direct(scene: Any, materials: dict[int, Material], points: Points, wid
     points : Points
     width : mitsuba.UInt32
         Of the image, opaque.
-    seed : int
-        Another one for every frame.
+    shifts : sequence of float, or mitsuba.Float, 4 of them
+        From `find_shifts`.
     """
     si, bsdf = points.si, points.bsdf
     context = mi.BSDFContext()
-    light_point = _draw(points.pixel, width, seed, 0)
-    bsdf_point = _draw(points.pixel, width, seed, 1)
+    light_point = _draw(points.pixel, width, shifts[0], shifts[1])
+    bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
 
     lit = points.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)
@@ -88,15 +91,22 @@ def shade_direct(scene: Any, materials: dict[int, Material], points: Points, wid
     )
 
 
-def _draw(pixel: Any, width: Any, seed: int, dimension: int) -> Any:
+def find_shifts(seed: int) -> list[float]:
+    """Return by how much the samples of a frame are shifted as a whole, for `shade_direct`; another seed for each.
+
+    By irrational steps in another direction than those from pixel to pixel.
+    """
+    return [(seed * step + 0.5 * dimension) % 1.0 for dimension in range(2) for step in _FRAME_STEPS]
+
+
+def _draw(pixel: Any, width: Any, shift_x: Any, shift_y: Any) -> Any:
     """Return a point of the unit square for each pixel, that of its place in a block of 4x4."""
     order = list_places(PATTERN)
-    rank = mi.UInt32([order.index((k // PATTERN, k % PATTERN)) for k in range(PATTERN**2)])
+    rank = [order.index((k // PATTERN, k % PATTERN)) for k in range(PATTERN**2)]
     place = (pixel // width % PATTERN) * PATTERN + pixel % width % PATTERN
-    count = mi.Float(dr.gather(mi.UInt32, rank, place))
-    # Each frame is shifted as a whole, by as irrational a step in another direction.
-    shift = [(seed * step + 0.5 * dimension) % 1.0 for step in _FRAME_STEPS]
-    shift_x, shift_y = (dr.opaque(mi.Float, value) for value in shift)
+    count = mi.Float(0)
+    for k, number in enumerate(rank):
+        count = dr.select(place == k, mi.Float(number), count)
     return mi.Point2f(_fract(shift_x + count * _STEP_X), _fract(shift_y + count * _STEP_Y))
 
 

@@ -21,7 +21,7 @@ from lobewise.frame import Camera, FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import Sums
-from lobewise.render.points import find_points
+from lobewise.render.points import Points, find_points
 
 Moves = Mapping[str, ArrayLike]
 """By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
@@ -43,6 +43,19 @@ def trace_guides(
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     points = find_points(scene, materials, pixel, (width, height))
+    eye = mi.Point3f(*(float(value) for value in camera.position))
+    guides = find_guides(scene, points, eye)
+    # Those of `render_frame` are averages.
+    guides = {name: value for name, value in guides.items() if not name.endswith("albedo")}
+    dr.eval(guides)
+    return guides
+
+
+def find_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
+    """Return the guides of points as `trace_guides` does, and their albedos, not evaluated yet.
+
+    ``eye`` is the camera's position: depths count from there, not from the near plane where Mitsuba's rays begin.
+    """
     si, surface, found = points.si, points.surface, points.active
 
     shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
@@ -52,9 +65,7 @@ def trace_guides(
     mirrored = scene.ray_intersect(si.spawn_ray(out), shiny)
     inverse = dr.select(shiny & mirrored.is_valid(), dr.rcp(dr.maximum(mirrored.t, 1e-12)), 0.0)
 
-    eye = mi.Point3f(*(float(value) for value in camera.position))
-    guides = {
-        # From the eye, not from the near plane where Mitsuba's rays begin.
+    return {
         "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
         "position": dr.select(found, si.p, 0.0),
         "normal": dr.select(found, surface.normal, 0.0),
@@ -67,9 +78,9 @@ def trace_guides(
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,
+        "diffuse_albedo": dr.select(found, surface.diffuse_albedo, 0.0),
+        "specular_albedo": dr.select(found, surface.specular_albedo, 0.0),
     }
-    dr.eval(guides)
-    return guides
 
 
 def to_image(value: Any) -> FloatArray:

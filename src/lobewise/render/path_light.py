@@ -8,7 +8,7 @@ from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import PathSettings, make_sample, trace_path
 from lobewise.render.points import Indirect, Points
-from lobewise.render.rays import make_rng
+from lobewise.render.rays import make_opaque, make_rng
 
 
 class PathLight:
@@ -35,8 +35,8 @@ class PathLight:
         """Return the mean of ``samples`` paths; see `lobewise.render.points.IndirectMethod`."""
         settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, albedo=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)
-        seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-        end = dr.opaque(mi.UInt32, samples)
+        seed_value = make_opaque(seed)
+        end = make_opaque(samples)
 
         def go_on(index: Any, total: Any) -> Any:
             return index < end

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lobewise.render.bridge import mi
+from lobewise.render.bridge import dr, mi
 
 
 def make_centre_ray(scene: Any, pixel: Any, size: tuple[Any, Any]) -> Any:
@@ -23,3 +23,8 @@ def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
     rng = mi.PCG32()
     rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
     return rng
+
+
+def make_opaque(number: Any) -> Any:
+    """Return a whole number as a value that is no part of the compiled code; Dr.Jit's are returned as they are."""
+    return number if isinstance(number, mi.UInt32) else dr.opaque(mi.UInt32, int(number) & 0xFFFFFFFF)

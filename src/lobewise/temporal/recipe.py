@@ -117,6 +117,14 @@ class TemporalFilter:
         """
         self._past = unpack_past(state) if state else None
 
+    @property
+    def history_length(self) -> FloatArray | None:
+        """How many frames each pixel's history stands for, (height, width), that of its weakest layer; None before."""
+        if self._past is None:
+            return None
+        lengths = [sums[..., FRAMES] for name, sums in self._past.sums.items() if name != "rest"]
+        return np.asarray(np.minimum.reduce(lengths), dtype=np.float32)
+
     def add(self, frame: AnyFrame, *, features: Sequence[Feature] = (), cut: bool = False) -> Result:
         """Return the result of the next frame.
 

@@ -1,0 +1,199 @@
+"""What the interactive chain asks of the renderer: guides, direct light and indirect light, fast, again and again.
+
+Everything here sees pixels at their centres, so that guides, albedos and radiance belong to one surface. Dr.Jit's
+functions are frozen: the first call records the kernels, later ones launch them without running any Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.lobe_table import LobeTable
+from lobewise.render.bridge import dr, mi
+from lobewise.render.bsdfs import list_lobe_tables, read_scene_materials
+from lobewise.render.camera import get_camera, get_image_size, set_camera
+from lobewise.render.direct import find_shifts, shade_direct
+from lobewise.render.gbuffer import find_guides
+from lobewise.render.points import IndirectMethod, find_points
+from lobewise.render.rays import make_opaque
+
+
+class Frozen:
+    """A Dr.Jit function that is recorded once and replayed; where a scene cannot be recorded it just runs.
+
+    Parameters
+    ----------
+    function : callable
+        Takes Dr.Jit arrays and returns a list of Dr.Jit floats.
+    scene : mitsuba.Scene
+        What it reads beside its arguments.
+    """
+
+    def __init__(self, function: Callable[..., list[Any]], scene: Any) -> None:
+        self._plain = function
+        self._frozen: Callable[..., list[Any]] | None = dr.freeze(function, state_fn=lambda *_, **__: (scene,))
+
+    def __call__(self, *arguments: Any) -> list[FloatArray]:
+        """Return the results as NumPy arrays of one dimension."""
+        results = self._run(*arguments)
+        dr.eval(results)
+        return [np.array(result, dtype=np.float32, copy=True) for result in results]
+
+    def _run(self, *arguments: Any) -> list[Any]:
+        if self._frozen is not None:
+            try:
+                return self._frozen(*arguments)
+            except RuntimeError:
+                # Arrays that a material keeps outside the scene (fitted lobes, Python BSDFs) cannot be recorded.
+                self._frozen = None
+        return self._plain(*arguments)
+
+
+@dataclass(frozen=True)
+class FirstHits:
+    """What all pixels see.
+
+    Parameters
+    ----------
+    gbuffer : GBuffer
+        Of the surfaces at the pixels' centres, albedos included.
+    camera : Camera
+        As the sensor has it.
+    lobe_tables : tuple of LobeTable
+    """
+
+    gbuffer: GBuffer
+    camera: Camera
+    lobe_tables: tuple[LobeTable, ...]
+
+
+@dataclass(frozen=True)
+class DirectLight:
+    """Light that was scattered less than twice; each (height, width, 3), linear, >= 0, albedo included."""
+
+    emitted: FloatArray
+    diffuse: FloatArray
+    specular: FloatArray
+
+
+_GUIDES = {
+    "depth": 1,
+    "position": 3,
+    "normal": 3,
+    "tangent": 3,
+    "alpha_u": 1,
+    "alpha_v": 1,
+    "lobe_kind": 1,
+    "material": 1,
+    "diffuse_albedo": 3,
+    "specular_albedo": 3,
+    "hit_distance": 1,
+    "hit_position": 3,
+}
+
+
+def _flatten(value: Any) -> Any:
+    """Return an array of vectors as one of numbers, lane after lane."""
+    return dr.ravel(value) if dr.depth_v(value) > 1 else value
+
+
+class Stages:
+    """The renderer of one scene, for many frames and sizes.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        Its first sensor is moved.
+
+    Raises
+    ------
+    InputError
+        If its sensor is no plain perspective camera.
+    UnsupportedBsdfError, MissingDependencyError
+        See `lobewise.render.render_frame`.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.scene = scene
+        self.start_camera = get_camera(scene)
+        self.start_size = get_image_size(scene)
+        self.materials = read_scene_materials(scene)
+        self.lobe_tables = list_lobe_tables(self.materials)
+        self._guides = Frozen(self._find_guides, scene)
+        self._direct = Frozen(self._shade_direct, scene)
+        self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
+
+    def place_camera(self, camera: Camera, width: int, height: int) -> None:
+        """Put the sensor where the next frame is seen from, with a film of this size."""
+        if get_image_size(self.scene) != (width, height):
+            parameters = mi.traverse(self.scene.sensors()[0])
+            parameters["film.size"] = [width, height]
+            parameters.update()
+        set_camera(self.scene, camera)
+
+    def trace_guides(self, camera: Camera) -> FirstHits:
+        """Return the guides of all pixels."""
+        width, height = get_image_size(self.scene)
+        eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
+        flat = self._guides(*self._make_grid(width, height), *eye)
+        images = {
+            name: values.reshape((height, width) if count == 1 else (height, width, count))
+            for (name, count), values in zip(_GUIDES.items(), flat, strict=True)
+        }
+        if not self.lobe_tables:
+            del images["material"]
+        return FirstHits(GBuffer(**images), camera, self.lobe_tables)
+
+    def shade_direct(self, seed: int) -> DirectLight:
+        """Return what lights all pixels directly, one sample of the lights each."""
+        width, height = get_image_size(self.scene)
+        shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
+        flat = self._direct(*self._make_grid(width, height), *shifts)
+        return DirectLight(*(values.reshape(height, width, 3) for values in flat))
+
+    def shade_indirect(
+        self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return diffuse and specular indirect light, (count, 3) each, and hit distances, (count,), of some pixels."""
+        width, height = get_image_size(self.scene)
+        known = self._indirect.get(method.name)
+        if known is None or known[0] is not method:
+
+            def shade(pixel: Any, width: Any, height: Any, samples: Any, seed: Any) -> list[Any]:
+                points = find_points(self.scene, self.materials, pixel, (width, height))
+                light = method.shade(points, samples=samples, seed=seed)
+                return [_flatten(light.diffuse), _flatten(light.specular), light.hit_distance]
+
+            known = self._indirect[method.name] = method, Frozen(shade, self.scene)
+        pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
+        size = (dr.opaque(mi.UInt32, length) for length in (width, height))
+        diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
+        return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
+
+    @staticmethod
+    def _make_grid(width: int, height: int) -> tuple[Any, Any, Any]:
+        """Return the numbers of all pixels, and width and height as values that no kernel is compiled for."""
+        pixel = dr.arange(mi.UInt32, width * height)
+        dr.eval(pixel)
+        return pixel, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+
+    def _find_guides(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
+        points = find_points(self.scene, self.materials, pixel, (width, height))
+        guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
+        inverse = guides["mirror_inverse"]
+        seen = inverse > 0
+        distance = dr.select(seen, dr.rcp(inverse), dr.select(guides["mirror_count"] > 0, dr.inf, 0.0))
+        guides["hit_distance"] = distance
+        guides["hit_position"] = dr.select(seen, guides["mirror_position"] * distance, 0.0)
+        return [_flatten(guides[name]) for name in _GUIDES]
+
+    def _shade_direct(self, pixel: Any, width: Any, height: Any, *shifts: Any) -> list[Any]:
+        points = find_points(self.scene, self.materials, pixel, (width, height))
+        light = shade_direct(self.scene, self.materials, points, width, shifts)
+        return [_flatten(light.emitted), _flatten(light.diffuse), _flatten(light.specular)]
