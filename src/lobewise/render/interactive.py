@@ -35,6 +35,8 @@ DIRECT_SIGMA = 1.5
 """Standard deviation of its screen distance, pixels."""
 STILL_MEMORY = 1.0
 """Share of its weight that a history keeps from frame to frame while nothing moves."""
+STILL_DENSITY = 2
+"""How much nearer shaded pixels are to each other then."""
 UNFILTERED = "none"
 """The similarity that compares nothing."""
 STAGES = ("gbuffer", "direct", "indirect", "upsampling", "adaptive", "composite")
@@ -373,6 +375,9 @@ class Session:
     def _shade_sparse(self, chain: _Chain, shared: _Shared, method: Any) -> SparseFrame:
         width, height = self._size
         scale = min(chain.settings.scale, width, height)
+        if chain.still:
+            # Nobody waits for what stands still, and it is to become right.
+            scale = max(1, scale // STILL_DENSITY)
         places = list_places(scale)
         place = places[chain.number % len(places)]
         rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)

@@ -30,7 +30,7 @@ class Frozen:
     Parameters
     ----------
     function : callable
-        Takes Dr.Jit arrays and returns a list of Dr.Jit floats.
+        Takes Dr.Jit arrays and returns a list of them.
     scene : mitsuba.Scene
         What it reads beside its arguments.
     """
@@ -41,7 +41,8 @@ class Frozen:
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
-        results = self._run(*arguments)
+        # What is recorded must not depend on how many lanes there are, as where each vector goes does.
+        results = [_flatten(result) for result in self._run(*arguments)]
         dr.eval(results)
         return [np.array(result, dtype=np.float32, copy=True) for result in results]
 
@@ -168,7 +169,7 @@ class Stages:
             def shade(pixel: Any, width: Any, height: Any, samples: Any, seed: Any) -> list[Any]:
                 points = find_points(self.scene, self.materials, pixel, (width, height))
                 light = method.shade(points, samples=samples, seed=seed)
-                return [_flatten(light.diffuse), _flatten(light.specular), light.hit_distance]
+                return [light.diffuse, light.specular, light.hit_distance]
 
             known = self._indirect[method.name] = method, Frozen(shade, self.scene)
         pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
@@ -191,9 +192,9 @@ class Stages:
         distance = dr.select(seen, dr.rcp(inverse), dr.select(guides["mirror_count"] > 0, dr.inf, 0.0))
         guides["hit_distance"] = distance
         guides["hit_position"] = dr.select(seen, guides["mirror_position"] * distance, 0.0)
-        return [_flatten(guides[name]) for name in _GUIDES]
+        return [guides[name] for name in _GUIDES]
 
     def _shade_direct(self, pixel: Any, width: Any, height: Any, *shifts: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))
         light = shade_direct(self.scene, self.materials, points, width, shifts)
-        return [_flatten(light.emitted), _flatten(light.diffuse), _flatten(light.specular)]
+        return [light.emitted, light.diffuse, light.specular]
