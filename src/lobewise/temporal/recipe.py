@@ -119,11 +119,10 @@ class TemporalFilter:
 
     @property
     def history_length(self) -> FloatArray | None:
-        """How many frames each pixel's history stands for, (height, width), that of its weakest layer; None before."""
+        """How many frames each pixel's history stands for, (height, width), that of its longest layer; None before."""
         if self._past is None:
             return None
-        lengths = [sums[..., FRAMES] for name, sums in self._past.sums.items() if name != "rest"]
-        return np.asarray(np.minimum.reduce(lengths), dtype=np.float32)
+        return np.asarray(np.maximum.reduce([sums[..., FRAMES] for sums in self._past.sums.values()]), dtype=np.float32)
 
     def add(self, frame: AnyFrame, *, features: Sequence[Feature] = (), cut: bool = False) -> Result:
         """Return the result of the next frame.
