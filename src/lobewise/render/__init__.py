@@ -11,7 +11,8 @@ from lobewise.render.variant import load_mitsuba
 if TYPE_CHECKING:
     from lobewise.render.camera import get_camera, set_camera
     from lobewise.render.camera_path import find_orbit_centre, make_orbit, read_camera_path
-    from lobewise.render.interactive import InteractiveFrame, InteractiveSettings, Session
+    from lobewise.render.interactive import Session
+    from lobewise.render.interactive_frame import InteractiveFrame, InteractiveSettings
     from lobewise.render.lookup import open_scene_material
     from lobewise.render.renderer import render_frame, render_pixels, render_reference, render_sparse_frame
     from lobewise.render.scenes import MovingScene, list_moving_scenes, list_scenes, load_scene
@@ -40,8 +41,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "InteractiveFrame": "lobewise.render.interactive",
-    "InteractiveSettings": "lobewise.render.interactive",
+    "InteractiveFrame": "lobewise.render.interactive_frame",
+    "InteractiveSettings": "lobewise.render.interactive_frame",
     "MovingScene": "lobewise.render.scenes",
     "Session": "lobewise.render.interactive",
     "find_orbit_centre": "lobewise.render.camera_path",

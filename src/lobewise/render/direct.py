@@ -41,7 +41,8 @@ def shade_direct(
 
     The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
     that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
-    a specular lobe also follows one sampled ray, and both are weighed by the power heuristic (Veach 1997).
+    a specular lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
+    1997).
 
     Parameters
     ----------
@@ -63,7 +64,9 @@ def shade_direct(
     light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)
     lit &= light.pdf != 0
     local = si.to_local(light.d)
-    shiny = points.active & (points.surface.lobe_kind != float(LobeKind.NONE))
+    # A sky is too large for samples of the lights alone.
+    narrow = points.surface.lobe_kind != float(LobeKind.NONE)
+    shiny = points.active & (narrow | (scene.environment() is not None))
     choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
     value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, bsdf_point, points.active)
     # What has no narrow lobe sends no ray of its own, so the light sample is all there is.

@@ -8,26 +8,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
-from lobewise.denoising import DenoiseSettings, denoise
-from lobewise.denoising.settings import SIMILARITIES
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.denoising import denoise
+from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
-from lobewise.render.methods import METHODS, Methods
+from lobewise.render.interactive_frame import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
+from lobewise.render.methods import Methods
 from lobewise.render.scenes import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
-from lobewise.render.views import VIEWS, make_view
-from lobewise.sparse_frame import MOST_SCALE, SparseFrame, list_places
+from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
-
-__all__ = ["METHODS", "VIEWS", "InteractiveFrame", "InteractiveSettings", "Session"]
 
 DIRECT_RADIUS = 3
 """Kernel radius, pixels, with which direct light is filtered: the samples of 4x4 pixels are stratified together."""
@@ -37,127 +34,6 @@ STILL_MEMORY = 1.0
 """Share of its weight that a history keeps from frame to frame while nothing moves."""
 STILL_DENSITY = 2
 """How much nearer shaded pixels are to each other then."""
-UNFILTERED = "none"
-"""The similarity that compares nothing."""
-STAGES = ("gbuffer", "direct", "indirect", "upsampling", "adaptive", "composite")
-"""What the seconds of a frame are told apart by, in the order in which it is made."""
-
-
-@dataclass(frozen=True)
-class InteractiveSettings:
-    """Parameters of a frame of `Session`.
-
-    Parameters
-    ----------
-    method : {"paths", "voxel_cones", "virtual_lights"}
-        What computes indirect light.
-    scale : int
-        One of ``scale`` times ``scale`` pixels is shaded, 1 to 16.
-    spp : int
-        Samples of a shaded pixel, >= 1.
-    similarity : str
-        As `lobewise.DenoiseSettings`, or "none": no filter; samples are interpolated on the screen, without history.
-    beta : float or "auto"
-        As `lobewise.DenoiseSettings`.
-    radius : int
-        Samples from the centre to the edge of the kernel, 0 to 64; pixels where the scale is 1.
-    temporal : bool
-        Whether a frame knows those before it.
-    adaptive : float
-        Largest share of the pixels that is shaded again because nothing supports them, 0 (none) to 1.
-    filter_direct : bool
-        Whether direct light, which has one light sample a pixel, is filtered over 7x7 pixels.
-    accumulate : bool
-        Whether frames are averaged for as long as neither camera nor settings change.
-    """
-
-    method: str = "paths"
-    scale: int = 4
-    spp: int = 1
-    similarity: str = "ggx"
-    beta: float | str = "auto"
-    radius: int = 2
-    temporal: bool = True
-    adaptive: float = 0.05
-    filter_direct: bool = True
-    accumulate: bool = True
-
-    def __post_init__(self) -> None:
-        require_choice("method", self.method, METHODS)
-        require_choice("similarity", self.similarity, (*SIMILARITIES, UNFILTERED))
-        for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
-                raise InputError(
-                    describe_problem(
-                        name, expected=f"an integer from 1 to {highest}", got=repr(value), action="pass another"
-                    )
-                )
-        if not 0.0 <= self.adaptive <= 1.0:
-            raise InputError(
-                describe_problem(
-                    "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
-                )
-            )
-        self.make_filter_settings()
-
-    def make_filter_settings(self) -> DenoiseSettings:
-        """Return the settings of the filter that these ask for."""
-        similarity = "auto" if self.similarity == UNFILTERED else self.similarity
-        return DenoiseSettings(similarity=similarity, beta=self.beta, radius=self.radius)
-
-
-@dataclass(frozen=True)
-class InteractiveFrame:
-    """A finished frame and how it was made.
-
-    Parameters
-    ----------
-    image : array, shape (height, width, 3)
-        Linear radiance.
-    seconds : dict of float
-        By stage (`STAGES`), and ``total``.
-    settings : InteractiveSettings
-    camera : Camera
-    accumulated : int
-        Frames in a row, this one included, with this camera and these settings.
-    recomputed : int
-        Pixels that were shaded again.
-    parts : dict
-        What `get_view` shows, by name; arrays that must not be changed.
-    """
-
-    image: FloatArray
-    seconds: dict[str, float]
-    settings: InteractiveSettings
-    camera: Camera
-    accumulated: int
-    recomputed: int
-    parts: dict[str, Any] = field(repr=False, default_factory=dict)
-
-    def get_view(self, name: str) -> FloatArray:
-        """Return what happens inside as an image, (height, width, 3) of radiance or (height, width) in [0, 1].
-
-        Raises
-        ------
-        InputError
-            If there is no view of that name; they are `VIEWS`.
-        """
-        require_choice("view", name, VIEWS)
-        return make_view(name, self.image, self.parts)
-
-    def make_frame(self) -> Frame:
-        """Return the noisy frame of this image's size, with all guides, as `lobewise.write_frame` takes it.
-
-        Its radiance is what the views call "noisy".
-        """
-        hits: FirstHits = self.parts["hits"]
-        return Frame(Radiance(self.get_view("noisy")), hits.gbuffer, self.camera, lobe_tables=hits.lobe_tables)
-
-    def make_result(self) -> Result:
-        """Return this image as `lobewise.write_result` takes it."""
-        result: Result = self.parts["result"]
-        return replace(result, image=self.image, diffuse=None, specular=None, variance=None)
 
 
 @dataclass
@@ -333,11 +209,9 @@ class Session:
         chain = self._chains.get(index)
         if chain is None or chain.size != self._size or chain.settings.method != settings.method:
             chain = _Chain(settings, TemporalFilter(settings.make_filter_settings()), size=self._size)
-        elif chain.settings != settings:
-            if chain.settings.make_filter_settings() != settings.make_filter_settings():
-                chain.temporal = TemporalFilter(settings.make_filter_settings())
-            chain.still = 0
-        same = chain.camera is not None and _is_same(chain.camera, camera)
+        elif chain.settings.make_filter_settings() != settings.make_filter_settings():
+            chain.temporal = TemporalFilter(settings.make_filter_settings())
+        same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
         chain.still = chain.still + 1 if same and settings.accumulate else 0
         chain.settings, chain.camera = settings, camera
         chain.number += 1

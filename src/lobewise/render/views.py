@@ -82,7 +82,7 @@ def _make_history(parts: dict[str, Any]) -> FloatArray:
     length = parts["history"]
     if length is None:
         return np.zeros(parts["hits"].gbuffer.shape, np.float32)
-    return np.clip(length / LONGEST_HISTORY, 0.0, 1.0)
+    return np.asarray(np.clip(length / LONGEST_HISTORY, 0.0, 1.0))
 
 
 def _make_recomputed(parts: dict[str, Any]) -> FloatArray:
@@ -107,7 +107,7 @@ def _make_normal(parts: dict[str, Any]) -> FloatArray:
 
 def _make_albedo(parts: dict[str, Any]) -> FloatArray:
     gbuffer = parts["hits"].gbuffer
-    return np.clip(gbuffer.diffuse_albedo + gbuffer.specular_albedo, 0.0, 1.0)
+    return np.asarray(np.clip(gbuffer.diffuse_albedo + gbuffer.specular_albedo, 0.0, 1.0))
 
 
 _MAKERS = {

@@ -1,0 +1,172 @@
+"""Guides, direct and indirect light of the interactive chain, against the renderer of whole frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.render import load_scene, make_orbit, render_frame
+from lobewise.render.stages import Stages
+
+pytestmark = pytest.mark.mitsuba
+
+SIZE = 48
+
+MEAN_NOISE = 0.02
+"""Relative, of the mean of an image over 256 samples of a pixel: four times what another seed changes."""
+BIT = 1e-5
+"""The same formulas in kernels that the compiler arranges differently."""
+
+
+@pytest.fixture(scope="module")
+def showroom(mi: Any) -> Any:
+    return load_scene("showroom", width=SIZE, height=SIZE)
+
+
+@pytest.fixture(scope="module")
+def stages(showroom: Any) -> Stages:
+    return Stages(showroom)
+
+
+def get_path_light(stages: Stages, max_depth: int = 8) -> Any:
+    from lobewise.render.path_light import PathLight
+
+    return PathLight(stages.scene, stages.materials, max_depth=max_depth)
+
+
+def list_pixels(size: int = SIZE) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.indices((size, size))
+    return rows.ravel(), columns.ravel()
+
+
+def test_guides_are_those_of_a_whole_frame_but_for_averages(stages: Stages, showroom: Any) -> None:
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    hits = stages.trace_guides(stages.start_camera)
+    frame = render_frame(showroom, spp=64, aov_only=True)
+    for name in ("depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind"):
+        assert np.allclose(getattr(hits.gbuffer, name), getattr(frame.gbuffer, name), atol=BIT, rtol=BIT), name
+    # Averages over a pixel's area against its centre.
+    for name in ("diffuse_albedo", "specular_albedo"):
+        assert np.median(np.abs(getattr(hits.gbuffer, name) - getattr(frame.gbuffer, name))) < 0.005, name
+    mirrors = (frame.gbuffer.lobe_kind > 0) & (frame.gbuffer.alpha_u < 0.1) & (hits.gbuffer.hit_distance > 0.0)
+    assert mirrors.sum() > 50
+    ratio = hits.gbuffer.hit_distance[mirrors] / frame.gbuffer.hit_distance[mirrors]
+    assert abs(np.median(ratio) - 1.0) < 0.05
+
+
+def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
+    stages = Stages(showroom)
+    for camera in make_orbit(stages.start_camera, (0.0, 0.75, -0.6), 3, 20.0):
+        for size in (24, 40):
+            stages.place_camera(camera, size, size)
+            hits = stages.trace_guides(camera)
+            frame = render_frame(showroom, spp=1, aov_only=True)
+            assert hits.gbuffer.shape == (size, size)
+            assert np.allclose(hits.gbuffer.position, frame.gbuffer.position, atol=1e-4)
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+
+
+def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None:
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    parts = [stages.shade_direct(seed) for seed in range(256)]
+    reference = render_frame(showroom, spp=1024, max_depth=2).radiance
+    for name, expected in (
+        ("diffuse", reference.diffuse),
+        ("specular", reference.specular),
+    ):
+        mean = np.mean([getattr(part, name) for part in parts], axis=0)
+        assert mean.mean() == pytest.approx(expected.mean(), rel=MEAN_NOISE), name
+        # Pixel by pixel but for edges, where a centre is no average.
+        assert np.median(np.abs(mean - expected) / (expected + 0.01)) < 0.1, name
+
+
+def test_sixteen_neighbours_know_more_of_a_lamp_than_chance_would(stages: Stages) -> None:
+    """Interleaved samples of a soft shadow: their 4x4 means vary less than those of independent ones."""
+    stages.place_camera(stages.start_camera, 256, 256)
+    mean = np.mean([stages.shade_direct(seed).diffuse for seed in range(64)], axis=0)
+    error = stages.shade_direct(100).diffuse - mean
+    blocks = error.reshape(64, 4, 64, 4, 3).mean(axis=(1, 3))
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    independent = np.square(error).reshape(64, 4, 64, 4, 3).mean(axis=(1, 3)) / 16.0
+    lit = independent.mean(axis=-1) > 1e-6
+    assert lit.mean() > 0.2
+    # The mean that stands for the truth is no better than a 64th of one sample's noise.
+    assert np.median(np.square(blocks)[lit]) < 0.3 * np.median(independent[lit])
+
+
+def test_lights_and_sky_are_seen_where_they_are(mi: Any, make_furnace: Callable[..., Any]) -> None:
+    stages = Stages(make_furnace({"type": "diffuse", "reflectance": 0.5}))
+    stages.place_camera(stages.start_camera, 8, 8)
+    light = stages.shade_direct(0)
+    assert np.allclose(light.emitted, 0.0)
+    assert np.allclose(light.specular, 0.0)
+    assert np.mean([stages.shade_direct(seed).diffuse for seed in range(32)]) == pytest.approx(0.5, rel=MEAN_NOISE)
+    away = stages.start_camera
+    backwards = type(away)(away.position, -away.forward, away.up, away.fov_y)
+    stages.place_camera(backwards, 8, 8)
+    light = stages.shade_direct(0)
+    assert np.allclose(light.emitted, 1.0)
+    assert np.allclose(light.diffuse + light.specular, 0.0)
+
+
+def test_a_mirror_shows_the_sky_as_direct_light(make_furnace: Callable[..., Any]) -> None:
+    stages = Stages(make_furnace({"type": "conductor", "material": "none"}))
+    stages.place_camera(stages.start_camera, 8, 8)
+    light = stages.shade_direct(3)
+    assert np.allclose(light.specular, 1.0, atol=1e-4)
+    assert np.allclose(light.diffuse, 0.0)
+
+
+@pytest.mark.slow
+def test_path_light_is_the_renderers_indirect_light(stages: Stages, showroom: Any) -> None:
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    method = get_path_light(stages)
+    diffuse, specular, distance = stages.shade_indirect(method, *list_pixels(), 256, 5)
+    reference = render_frame(showroom, spp=256, light="indirect").radiance
+    assert diffuse.mean() == pytest.approx(reference.diffuse.mean(), rel=MEAN_NOISE)
+    assert specular.mean() == pytest.approx(reference.specular.mean(), rel=MEAN_NOISE)
+    hits = stages.trace_guides(stages.start_camera).gbuffer
+    mirrors = (hits.alpha_u < 0.06) & (hits.lobe_kind > 0) & (hits.hit_distance > 0)
+    ratio = distance.reshape(SIZE, SIZE)[mirrors] / hits.hit_distance[mirrors]
+    assert abs(np.median(ratio) - 1.0) < 0.05
+
+
+def test_what_a_pixel_gets_does_not_depend_on_the_others(stages: Stages) -> None:
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    method = get_path_light(stages)
+    rows, columns = list_pixels()
+    everything = stages.shade_indirect(method, rows, columns, 2, 7)
+    some = np.flatnonzero((rows * 7 + columns) % 5 == 2)[::-1]
+    part = stages.shade_indirect(method, rows[some], columns[some], 2, 7)
+    again = stages.shade_indirect(method, rows, columns, 2, 7)
+    other = stages.shade_indirect(method, rows, columns, 2, 8)
+    for whole, few, same, different in zip(everything, part, again, other, strict=True):
+        assert np.array_equal(whole[some], few)
+        assert np.array_equal(whole, same)
+        assert not np.array_equal(whole, different)
+
+
+def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> None:
+    """A fitted BSDF keeps its table outside the scene."""
+    square = {
+        "type": "rectangle",
+        "bsdf": {"type": "principled", "roughness": 0.3, "clearcoat": 1.0, "clearcoat_gloss": 0.5},
+    }
+    sensor = {
+        "type": "perspective",
+        "fov": 30.0,
+        "to_world": mi.ScalarTransform4f().look_at(origin=[0, 2, 4], target=[0, 0, 0], up=[0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}},
+    }
+    scene = mi.load_dict({"type": "scene", "sensor": sensor, "square": square, "sky": {"type": "constant"}})
+    stages = Stages(scene)
+    stages.place_camera(stages.start_camera, 12, 12)
+    for _ in range(2):
+        hits = stages.trace_guides(stages.start_camera)
+        light = stages.shade_direct(0)
+        assert (hits.gbuffer.depth > 0).any()
+        assert np.isfinite(light.diffuse).all()
+        assert (light.diffuse + light.specular).max() > 0.1
