@@ -1,0 +1,176 @@
+"""Where rays along the three axes meet a scene's surfaces: the raw material of voxels, for shapes of every kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.bsdfs import Material
+from lobewise.render.paths import dispatch_surface
+from lobewise.render.probe import make_context
+from lobewise.render.rays import make_rng
+
+RAYS = 2
+"""Rays side by side through a voxel's face, in each of two directions."""
+
+MOST_HITS = 64
+"""How many surfaces one ray may pass."""
+
+MARGIN = 1.3
+"""Voxels between the scene and the border of the grid; no whole number, so that walls of a box fall inside voxels."""
+
+# The mean cosine of light that falls on a surface evenly, at which directional albedos stand for hemispherical ones.
+_MEAN_COSINE = 2.0 / 3.0
+
+Report = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """A cube of voxels: its lower corner, the edge of a voxel, and how many lie along an edge of the cube."""
+
+    lower: tuple[float, float, float]
+    voxel: float
+    resolution: int
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of every hit surface: its albedo as if it were diffuse (Color3f) and its directional index."""
+
+    albedo: Any
+    direction: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """All that the rays met, one hit per lane.
+
+    ``position`` and ``normal`` (world, unit, of the first side) are Dr.Jit arrays, as are the albedos; ``cell`` numbers
+    the voxel, x fastest; ``opacity`` in [0, 1] is what the surface keeps of light that goes along the ray. The first
+    side faces the ray's origin, so it is what travellers along ``+axis`` see; the second those along ``-axis``.
+    """
+
+    position: Any
+    normal: Any
+    cell: NDArray[np.int64]
+    opacity: NDArray[np.float64]
+    sides: tuple[Side, Side]
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+
+def find_bounds(scene: Any, resolution: int) -> Bounds:
+    """Return the cube that holds a scene, slightly grown."""
+    box = scene.bbox()
+    lower, upper = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
+    voxel = float((upper - lower).max()) / (resolution - 2.0 * MARGIN)
+    corner = 0.5 * (lower + upper) - 0.5 * resolution * voxel
+    return Bounds((float(corner[0]), float(corner[1]), float(corner[2])), voxel, resolution)
+
+
+def _make_rays(bounds: Bounds, axis: int) -> Any:
+    """Return the rays along one axis, `RAYS` squared of them through the middle of every column of voxels."""
+    across = bounds.resolution * RAYS
+    lane = dr.arange(mi.UInt32, across * across)
+    step = bounds.voxel / RAYS
+    places = [mi.Float(0), (mi.Float(lane % across) + 0.5) * step, (mi.Float(lane // across) + 0.5) * step]
+    place = [places[(i - axis) % 3] + bounds.lower[i] for i in range(3)]
+    direction = [1.0 if i == axis else 0.0 for i in range(3)]
+    return mi.Ray3f(mi.Point3f(*place), mi.Vector3f(*direction))
+
+
+def _look_at_side(materials: dict[int, Material], si: Any, bsdf: Any, front: Any) -> Any:
+    seen = mi.SurfaceInteraction3f(si)
+    height = dr.select(front, _MEAN_COSINE, -_MEAN_COSINE)
+    seen.wi = mi.Vector3f((1.0 - _MEAN_COSINE**2) ** 0.5, 0.0, height)
+    return seen, dispatch_surface(materials, bsdf, seen, si.is_valid())
+
+
+def _find_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
+    """Return one sample of what a surface refracts (Color3f); what it lets pass unbent counts to its opacity."""
+    rng = make_rng(lane, mi.UInt32(0), mi.UInt32(0))
+    point = mi.Point2f(rng.next_float32(), rng.next_float32())
+    context = make_context(mi.BSDFFlags.Transmission)
+    chosen, weight = bsdf.sample(context, si, rng.next_float32(), point, si.is_valid())
+    bent = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Transmission)
+    bent &= ~mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
+    # Entering glass scales radiance by the square of its index, and leaving it undoes that.
+    return dr.select(bent, dr.clip(weight * dr.square(chosen.eta), 0.0, 1.0), 0.0)
+
+
+def transmits(scene: Any) -> bool:
+    """Return whether any surface of a scene refracts."""
+    found = [shape.bsdf() for shape in scene.shapes()]
+    bent = int(mi.BSDFFlags.Transmission) & ~int(mi.BSDFFlags.Null)
+    return any(bsdf is not None and int(bsdf.flags()) & bent for bsdf in found)
+
+
+def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int, clear: bool) -> list[dict[str, Any]]:
+    ray = _make_rays(bounds, axis)
+    layers: list[dict[str, Any]] = []
+    while len(layers) < MOST_HITS and dr.width(ray):
+        si = scene.ray_intersect(ray)
+        bsdf, valid = si.bsdf(), si.is_valid()
+        front = dr.dot(si.n, ray.d) < 0
+        seen, first = _look_at_side(materials, si, bsdf, front)
+        _, second = _look_at_side(materials, si, bsdf, ~front)
+        through = _find_transmittance(bsdf, seen, dr.arange(mi.UInt32, dr.width(ray))) if clear else mi.Color3f(0)
+        kept = dr.maximum(1.0 - mi.luminance(through), 1e-3)
+        found = {
+            "position": mi.Vector3f(si.p),
+            "normal": mi.Vector3f(dr.select(front, si.sh_frame.n, -si.sh_frame.n)),
+            "opacity": dr.clip(first.opacity * kept, 0.0, 1.0),
+        }
+        for name, side in (("first", first), ("second", second)):
+            # Of what is not let through, how much comes back.
+            total = side.diffuse_albedo + side.specular_albedo - through
+            found[name] = dr.clip(total / kept, 0.0, 1.0)
+        onward = si.spawn_ray(ray.d)
+        dr.eval(found, valid, onward)
+        alive = dr.compress(valid)
+        if not len(alive):
+            break
+        layers.append({name: dr.gather(type(value), value, alive) for name, value in found.items()})
+        ray = dr.gather(mi.Ray3f, onward, alive)
+        dr.eval(layers[-1], ray)
+    return layers
+
+
+def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report: Report) -> Hits:
+    """Return what rays along the three axes meet, through every column of voxels.
+
+    A flat wall is met by as many rays as its area projects to, so the share of a voxel's rays that meet something is
+    how much it covers along that axis; ``report`` is called after each axis.
+    """
+    clear = transmits(scene)
+    names = ("position", "normal", "opacity", "first", "second")
+    gathered: dict[str, list[Any]] = {name: [] for name in names}
+    axes: list[NDArray[np.int64]] = []
+    for axis in range(3):
+        for layer in _cast(scene, materials, bounds, axis, clear):
+            for name in names:
+                gathered[name].append(np.array(layer[name], dtype=np.float32))
+            axes.append(np.full(gathered["opacity"][-1].shape, axis, dtype=np.int64))
+        report()
+    empty = {name: np.zeros((0,) if name == "opacity" else (3, 0), dtype=np.float32) for name in names}
+    joined = {name: np.concatenate([empty[name], *gathered[name]], axis=-1) for name in names}
+    axis_of = np.concatenate([np.zeros(0, dtype=np.int64), *axes])
+    place = (joined["position"].astype(np.float64) - np.array(bounds.lower)[:, None]) / bounds.voxel
+    x, y, z = np.clip(place.astype(np.int64), 0, bounds.resolution - 1)
+    return Hits(
+        position=mi.Vector3f(joined["position"]),
+        normal=mi.Vector3f(joined["normal"]),
+        cell=x + bounds.resolution * (y + bounds.resolution * z),
+        opacity=joined["opacity"].astype(np.float64),
+        sides=(
+            Side(mi.Color3f(joined["first"]), 2 * axis_of),
+            Side(mi.Color3f(joined["second"]), 2 * axis_of + 1),
+        ),
+    )

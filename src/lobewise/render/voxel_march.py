@@ -1,0 +1,248 @@
+"""Marching cones through voxels: what a bundle of rays meets, without tracing any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.voxel_grid import DIRECTIONS, Grid
+
+DIFFUSE_CONES = 6
+"""Cones of 60 degrees that share a hemisphere: one about the normal, five around it."""
+
+DIFFUSE_TAN = 0.5773502691896258
+"""Tangent of their half angle of 30 degrees."""
+
+SHARPEST_TAN = 0.005
+"""Tangent of half the narrowest cone's angle."""
+
+FOOTPRINT = 1.0 / 3.0
+"""Voxels looked up are as wide as this share of the cone, so that those beside the cone's axis do not count."""
+
+LIFT = 1.5
+"""How many voxels of the level looked up at a cone keeps from the plane that it starts from."""
+
+NEAR = 1.5
+"""Voxels from its start within which a cone asks which surfaces lie ahead."""
+
+TOUCHING = 0.5
+"""Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
+
+SAME_WAY = 0.8
+"""so far that the cosine between their normals is at least this."""
+
+ENOUGH = 0.02
+"""Transmittance below which a cone ends."""
+
+
+@dataclass
+class Cone:
+    """What a cone brings (Dr.Jit arrays; a PyTree).
+
+    ``radiance`` (Color3f); ``transmittance`` is what of the cone leaves the grid; ``inverse`` one over the
+    distance at which half of it is stopped, 0 where it never is.
+    """
+
+    radiance: Any
+    transmittance: Any
+    inverse: Any
+
+
+@dataclass
+class _March:
+    distance: Any
+    radiance: Any
+    transmittance: Any
+    inverse: Any
+
+
+def look_up(grid: Grid, position: Any, direction: Any, level: Any, start: tuple[Any, Any] | None = None) -> Any:
+    """Return what travellers along a direction meet: tau times radiance and tau, per edge of a voxel of the level.
+
+    Trilinear between voxels of one level. Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. With a
+    ``start`` on a surface, its position and normal (level 0 alone), only other surfaces count, and only if they lie
+    ahead: a wall close by from which the traveller moves away does not stop him.
+
+    Departs from Crassin 2011, who blends opacities by ``d_a^2``: with ``|d_a|`` and optical depths a wall stops the
+    same share of light whatever the angle at which it is passed.
+    """
+    size = grid.resolution >> level
+    first = dr.gather(mi.UInt32, grid.starts, level)
+    scale = dr.rcp(grid.voxel * mi.Float(mi.UInt32(1) << level))
+    place = (position - grid.lower) * scale - 0.5
+    corner = dr.floor(place)
+    share = place - corner
+    most = mi.Int32(size) - 1
+    near = [dr.clip(mi.Int32(c), 0, most) for c in corner]
+    far = [dr.clip(mi.Int32(c) + 1, 0, most) for c in corner]
+    spread = dr.abs(direction)
+    side = [dr.select(d >= 0, mi.UInt32(2 * axis), mi.UInt32(2 * axis + 1)) for axis, d in enumerate(direction)]
+    total = mi.Vector4f(0)
+    for number in range(8):
+        bits = [(number >> axis) & 1 for axis in range(3)]
+        x, y, z = (mi.UInt32(far[axis] if bit else near[axis]) for axis, bit in enumerate(bits))
+        parts = [share[axis] if bit else 1.0 - share[axis] for axis, bit in enumerate(bits)]
+        weight = parts[0] * parts[1] * parts[2]
+        slot = dr.gather(mi.UInt32, grid.row, first + x + size * (y + size * z)) * DIRECTIONS
+        for axis in range(3):
+            value = dr.gather(mi.Vector4f, grid.values, slot + side[axis])
+            part = weight * spread[axis]
+            if start is not None:
+                plane = dr.gather(mi.Vector4f, grid.planes, slot // 2 + axis)
+                part = dr.select(_is_ahead(grid, plane, start, direction), part, 0.0)
+            total += value * part
+    return total
+
+
+def _is_ahead(grid: Grid, plane: Any, start: tuple[Any, Any], direction: Any) -> Any:
+    origin, own = start
+    normal = mi.Vector3f(plane.x, plane.y, plane.z)
+    height = dr.dot(normal, mi.Vector3f(origin)) - plane.w
+    is_own = (dr.abs(height) < TOUCHING * grid.voxel) & (dr.abs(dr.dot(normal, own)) > SAME_WAY)
+    return ~is_own & (height * dr.dot(normal, direction) < 0)
+
+
+def trace_cone(
+    grid: Grid, origin: Any, normal: Any, direction: Any, tangent: Any, shift: tuple[Any, Any], active: Any
+) -> Cone:
+    """Return what a cone from a surface meets.
+
+    Parameters
+    ----------
+    grid : Grid
+    origin, normal : Point3f, Vector3f
+        Where the cone starts and which way is away from the surface there.
+    direction : Vector3f
+        The cone's axis, unit.
+    tangent : Float
+        Of half its angle.
+    shift : (Float, Float)
+        In [0, 1): how far the first step is shortened, and which of two levels is taken between them.
+    active : Bool
+    """
+    size = grid.voxel * mi.Float(grid.resolution)
+    relative = origin - grid.lower
+    ends = [
+        dr.select(d > 0, (size - r) / d, dr.select(d < 0, -r / d, dr.inf))
+        for r, d in zip(relative, direction, strict=True)
+    ]
+    end = dr.minimum(dr.minimum(ends[0], ends[1]), ends[2])
+    steepness = dr.dot(direction, normal)
+
+    def go_on(march: _March) -> Any:
+        return active & (march.distance < end) & (march.transmittance > ENOUGH)
+
+    def add(march: _March, seen: Any, length: Any, share: Any) -> tuple[_March]:
+        kept = dr.exp(-seen.w * share)
+        found = march.transmittance * (1.0 - kept)
+        scale = dr.select(seen.w > 0, found / seen.w, 0.0)
+        march.radiance += mi.Color3f(seen.x, seen.y, seen.z) * scale
+        # Where half of the cone is stopped, within this step, is how far away it sees.
+        before, after = march.transmittance, march.transmittance * kept
+        part = dr.log(dr.maximum(2.0 * before, 1.0)) / dr.maximum(seen.w * share, 1e-6)
+        passes = (before > 0.5) & (after <= 0.5)
+        march.inverse = dr.select(passes, dr.rcp(march.distance + length * part), march.inverse)
+        march.transmittance = after
+        march.distance += length
+        return (march,)
+
+    def begin(march: _March) -> tuple[_March]:
+        share = dr.select(march.distance > 0, 1.0, 0.5 + 0.5 * shift[0])
+        length = grid.voxel * share
+        seen = look_up(
+            grid, origin + direction * (march.distance + 0.5 * length), direction, mi.UInt32(0), (origin, normal)
+        )
+        return add(march, seen, length, share)
+
+    def step(march: _March) -> tuple[_March]:
+        width = 2.0 * FOOTPRINT * march.distance * tangent / grid.voxel
+        level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + shift[1]))
+        level = dr.minimum(level, grid.levels - 1)
+        edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
+        length = dr.minimum(edge, end - march.distance)
+        middle = march.distance + 0.5 * length
+        # A cone would see the surface that it starts from: it keeps away from that by what is looked up.
+        rise = dr.maximum(LIFT * edge - middle * steepness, 0.0)
+        seen = look_up(grid, origin + direction * middle + normal * rise, direction, level)
+        return add(march, seen, length, length / edge)
+
+    near = NEAR * grid.voxel
+    start = _March(distance=mi.Float(0), radiance=mi.Color3f(0), transmittance=mi.Float(1), inverse=mi.Float(0))
+    march = dr.while_loop((start,), lambda march: active & (march.distance < near), begin, label="cone near")[0]
+    march = dr.while_loop((march,), go_on, step, label="cone")[0]
+    # What is left when a cone ends early counts as met.
+    whole = dr.select(march.transmittance > ENOUGH, 1.0, dr.rcp(1.0 - march.transmittance))
+    left = dr.select(march.transmittance > ENOUGH, march.transmittance, 0.0)
+    return Cone(radiance=march.radiance * whole, transmittance=left, inverse=march.inverse)
+
+
+def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
+    """Return the axis of a diffuse cone, drawn from its share of the hemisphere.
+
+    Departs from the fixed set of one cone along the normal and five at 60 degrees from it (Crassin 2011): axes are
+    drawn from six parts of the hemisphere of equal cosine-weighted solid angle, a cap and five sectors of the rest,
+    so that over pixels and frames every direction counts as the cosine says.
+
+    Parameters
+    ----------
+    normal : Vector3f
+    number : UInt32
+        Of the cone, 0 to 5.
+    turn : Float
+        Of all six about the normal, in [0, 1).
+    point : Point2f
+        In the unit square.
+    """
+    central = number == 0
+    square = dr.select(central, point.x / DIFFUSE_CONES, (1.0 + (DIFFUSE_CONES - 1.0) * point.x) / DIFFUSE_CONES)
+    sector = (mi.Float(number) - 1.0 + point.y) / (DIFFUSE_CONES - 1.0)
+    angle = 2.0 * dr.pi * (turn + dr.select(central, point.y, sector))
+    radius = dr.sqrt(square)
+    sine, cosine = dr.sincos(angle)
+    local = mi.Vector3f(radius * cosine, radius * sine, dr.safe_sqrt(1.0 - square))
+    return mi.Frame3f(normal).to_world(local)
+
+
+def gather_diffuse(grid: Grid, origin: Any, normal: Any, rng: Any, active: Any) -> Any:
+    """Return the cosine-weighted mean of the radiance that falls on a diffuse surface (Color3f)."""
+    turn = rng.next_float32()
+
+    def go_on(number: Any, total: Any, rng: Any) -> Any:
+        return number < DIFFUSE_CONES
+
+    def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any, Any]:
+        point = mi.Point2f(rng.next_float32(), rng.next_float32())
+        axis = find_diffuse_axis(normal, number, turn, point)
+        shift = (rng.next_float32(), rng.next_float32())
+        cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), shift, active)
+        return number + 1, total + cone.radiance, rng
+
+    _, total, _ = dr.while_loop((mi.UInt32(0), mi.Color3f(0), rng), go_on, take, label="diffuse cones")
+    return total / DIFFUSE_CONES
+
+
+def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v: Any) -> tuple[Any, Any]:
+    """Return the axis of a reflection lobe and the tangent of half the angle of the cone that stands for it.
+
+    Source: Tokuyoshi's public shaders for the dominant visible normal ``m`` of GGX, about which the lobe is reflected,
+    and its sharpness ``l = (2/a^2 - 2) m.n / (4 v.m)``; a cone as large as a spherical Gaussian of sharpness ``l`` has
+    ``cos(half) = 1 - 1/l``. The float64 forms are in `lobewise.lobes.brdf`.
+    Departs: two alphas count as their geometric mean in the sharpness, and no cone is wider than a diffuse one.
+    """
+    across = dr.cross(normal, tangent)
+    local = mi.Vector3f(dr.dot(view, tangent), dr.dot(view, across), dr.maximum(dr.dot(view, normal), 1e-3))
+    product = alpha_u * alpha_v
+    scale = dr.minimum(1.0, 0.7 + 0.6 * dr.sqrt(product))
+    x, y = scale * dr.square(alpha_u) * local.x, scale * dr.square(alpha_v) * local.y
+    z = dr.sqrt(x * local.x + y * local.y + dr.square(local.z)) + local.z
+    m = dr.normalize(mi.Vector3f(x, y, z))
+    cosine = dr.maximum(dr.dot(m, local), 0.1)
+    sharpness = 2.0 * (1.0 - product) / dr.maximum(product, 1e-8) * m.z / (4.0 * cosine)
+    half = 1.0 - dr.rcp(dr.maximum(sharpness, 1.0))
+    tan_half = dr.safe_sqrt(1.0 - dr.square(half)) / dr.maximum(half, 0.1)
+    # The mirror image about m may lie below the surface; there is nothing to be seen there.
+    mirrored = m * (2.0 * dr.dot(m, local)) - local
+    mirrored.z = dr.maximum(mirrored.z, 0.02)
+    axis = dr.normalize(tangent * mirrored.x + across * mirrored.y + normal * mirrored.z)
+    return axis, dr.clip(tan_half, SHARPEST_TAN, DIFFUSE_TAN)
