@@ -14,9 +14,11 @@ from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
 from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.kernels.guides import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_fields import make_lobe_field
 from lobewise.kernels.mixture_features import SgMixtureFeature
-from lobewise.lobes.field import LobeField, build_lobe_field
+from lobewise.lobes.field import LobeField
 from lobewise.lobes.hits import HitField
 from lobewise.lobes.mixture_field import build_mixture_field
 from lobewise.sparse_frame import AnyFrame
@@ -48,25 +50,12 @@ def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSetti
     return value
 
 
-def find_places(frame: AnyFrame) -> tuple[FloatArray, FloatArray]:
-    """Return the surface points (height, width, 3) and their depths, whichever of the two the frame has."""
-    guides = frame.gbuffer
-    assert frame.camera is not None
-    if guides.position is None:
-        assert guides.depth is not None
-        return frame.camera.make_positions(guides.depth), guides.depth
-    depth = guides.depth
-    if depth is None:
-        depth = np.linalg.norm(guides.position - frame.camera.position.astype(np.float32), axis=-1)
-    return guides.position, depth
-
-
 def make_position_features(frame: AnyFrame, settings: DenoiseSettings) -> list[Feature]:
     assert not isinstance(settings.screen_sigma, str)
     features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
     guides = frame.gbuffer
     if frame.camera is not None and (guides.position is not None or guides.depth is not None):
-        place, depth = find_places(frame)
+        place, depth = find_places(guides, frame.camera)
         pixel_angle = frame.camera.get_pixel_angle(frame.height)
         features.append(PositionFeature(place, depth, pixel_angle=pixel_angle, sigma=settings.position_sigma))
     return features
@@ -94,11 +83,9 @@ def _make_hits(frame: AnyFrame, settings: DenoiseSettings) -> HitField | None:
         return None
     assert frame.camera is not None
     distance = _require_channel(frame.gbuffer.hit_distance, "hit_distance", settings)
-    place, depth = find_places(frame)
-    nearest = NEAREST_HIT * frame.camera.get_pixel_angle(frame.height) * depth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.where(distance > 0.0, 1.0 / np.maximum(distance, nearest), 0.0)
-    return HitField(place, np.nan_to_num(inverse, posinf=0.0).astype(np.float32))
+    place, depth = find_places(frame.gbuffer, frame.camera)
+    nearest = NEAREST_HIT * frame.camera.get_pixel_angle(frame.height)
+    return HitField(place, find_inverse_hits(distance, depth, nearest))
 
 
 def _make_lobe_feature(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeField) -> Feature:
@@ -139,7 +126,7 @@ def make_specular_features(
         )
         feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
         return [feature], surface & mixture.valid
-    lobes = build_lobe_field(
+    lobes = make_lobe_field(
         frame.gbuffer,
         frame.camera,
         tau=settings.tau,
@@ -153,21 +140,7 @@ def make_specular_features(
 
 def find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
     """Return where a pixel sees a surface with finite guides."""
-    surface = np.ones(frame.shape, dtype=bool)
-    guides = frame.gbuffer
-    if guides.depth is not None:
-        surface &= (guides.depth > 0.0) & np.isfinite(guides.depth)
-    if guides.position is not None:
-        x, y, z = (guides.position[..., k] for k in range(3))
-        with np.errstate(invalid="ignore", over="ignore"):
-            surface &= np.isfinite(x + y + z)
-    if guides.normal is not None:
-        # A missing surface has a zero normal in every renderer's convention.
-        x, y, z = (guides.normal[..., k] for k in range(3))
-        with np.errstate(invalid="ignore", over="ignore"):
-            squared = x * x + y * y + z * z
-        surface &= (squared > 0.01) & np.isfinite(squared)
-    return surface
+    return find_surface_pixels(frame.gbuffer, frame.shape)
 
 
 def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:

@@ -116,15 +116,11 @@ def build_lobe_field(
         If ``tau``, ``threads`` or ``representation`` is out of range.
     """
     require_choice("representation", representation, ("both", "sg", "ggx", "asg"))
-    _require_channels(gbuffer, representation)
-    assert gbuffer.normal is not None  # checked just above; for the type checker
+    if tau is None and gbuffer.shape is not None:
+        tau = default_tau(camera, gbuffer.shape[0])
+    check_lobe_guides(gbuffer, representation, tau)
+    assert gbuffer.normal is not None and tau is not None  # checked just above; for the type checker
     height, width = gbuffer.normal.shape[:2]
-    if tau is None:
-        tau = default_tau(camera, height)
-    if not 1e-5 <= tau <= 1.0:
-        raise InputError(
-            describe_problem("tau", expected="an angle from 1e-5 to 1 radian", got=str(tau), action="leave it out")
-        )
     if threads is not None and threads < 1:
         raise InputError(
             describe_problem("threads", expected="at least 1", got=str(threads), action="leave it out for all cores")
@@ -134,7 +130,9 @@ def build_lobe_field(
     return builder.field
 
 
-def _require_channels(gbuffer: GBuffer, representation: str) -> None:
+def check_lobe_guides(gbuffer: GBuffer, representation: str, tau: float | None) -> None:
+    """Raise what `build_lobe_field` raises if a channel that it needs is missing, or ``tau`` is out of range."""
+
     def require(name: str, why: str, action: str) -> None:
         raise MissingChannelError(
             describe_problem(f"channel {name}", expected=f"it in the G-buffer ({why})", got="nothing", action=action)
@@ -148,6 +146,10 @@ def _require_channels(gbuffer: GBuffer, representation: str) -> None:
         require("alpha_u", "the lobe's width", "render the roughness, or choose the similarity 'normal'")
     if gbuffer.position is None and gbuffer.depth is None:
         require("position", "it or depth tells where a surface is", "render the position or the depth")
+    if tau is not None and not 1e-5 <= tau <= 1.0:
+        raise InputError(
+            describe_problem("tau", expected="an angle from 1e-5 to 1 radian", got=str(tau), action="leave it out")
+        )
     if representation == "sg" or gbuffer.tangent is not None or gbuffer.alpha_v is None:
         return
     if not np.array_equal(np.asarray(gbuffer.alpha_u), gbuffer.alpha_v, equal_nan=True):

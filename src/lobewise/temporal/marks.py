@@ -9,11 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import find_places, find_surface, make_specular_features
+from lobewise.denoising.layers import find_surface, make_specular_features
 from lobewise.denoising.settings import DenoiseSettings, can_use_hits
 from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
 from lobewise.kernels.cross_filter import describe_structure
 from lobewise.kernels.features import Feature, NormalFeature, PlaneFeature
+from lobewise.kernels.guides import (
+    find_facing,
+    find_inverse_hits,
+    find_places,
+    find_planes,
+    find_tolerances,
+)
 from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import default_tau
@@ -46,6 +53,12 @@ class Guides:
         """A black frame with these guides."""
         black = np.broadcast_to(np.float32(0.0), (*self.shape, 3))
         return Frame(Radiance(black), self.gbuffer, self.camera, lobe_tables=self.lobe_tables)
+
+    @cached_property
+    def places(self) -> tuple[FloatArray, FloatArray]:
+        """The surface points (height, width, 3) and their depths."""
+        assert self.camera is not None
+        return find_places(self.gbuffer, self.camera)
 
     @property
     def is_placed(self) -> bool:
@@ -110,7 +123,7 @@ def make_marks(
     normal = guides.gbuffer.normal
     assert normal is not None
     # The background faces the camera from far away, so that it is itself again and no surface.
-    looking = normal if surface.all() else np.where(surface[..., None], normal, -_make_rays(guides))
+    looking = normal if surface.all() else find_facing(surface, normal, guides.camera)
     facing = NormalFeature(looking, settings.normal_exponent)
     marks = {"rest": Marks(everywhere, (*plane, facing))}
     same = replace(
@@ -130,30 +143,22 @@ def make_marks(
     return marks
 
 
-def _make_rays(guides: Guides) -> FloatArray:
-    """Return the directions in which the pixels look, (height, width, 3); without a camera one for all."""
-    height, width = guides.shape
-    if guides.camera is None:
-        return np.broadcast_to(np.array([0.0, 0.0, -1.0], np.float32), (height, width, 3))
-    return guides.camera.make_ray_directions(width, height)
-
-
 def _make_plane(
     guides: Guides, temporal: TemporalSettings, surface: NDArray[np.bool_], allowance: FloatArray | None
 ) -> tuple[Feature, ...]:
     if not guides.is_placed:
         return ()
     assert guides.camera is not None and guides.gbuffer.normal is not None
-    position, depth = find_places(guides.frame)
-    footprint = depth * np.float32(guides.camera.get_pixel_angle(guides.shape[0]))
-    if allowance is not None:
-        footprint = footprint * (1.0 + allowance / np.float32(temporal.plane_sigma))
-    footprint = np.where(surface, footprint, np.float32(1.0)).astype(np.float32)
-    normal = np.where(surface[..., None], guides.gbuffer.normal, np.float32(0.0))
-    if not surface.all():
-        away = guides.camera.position.astype(np.float32) + np.float32(FAR) * _make_rays(guides)
-        position = np.where(surface[..., None], position, away)
-    return (PlaneFeature(position, normal, footprint, temporal.plane_sigma),)
+    planes = find_planes(
+        surface,
+        guides.places,
+        guides.gbuffer.normal,
+        guides.camera,
+        far=FAR,
+        allowance=allowance,
+        allowed=1.0 / temporal.plane_sigma,
+    )
+    return (PlaneFeature(*planes, temporal.plane_sigma),)
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
@@ -161,8 +166,5 @@ def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
     distance, alpha_u, alpha_v = (getattr(guides.gbuffer, name) for name in ("hit_distance", "alpha_u", "alpha_v"))
     if alpha_u is None:
         return ()
-    widest = alpha_u if alpha_v is None else np.maximum(alpha_u, alpha_v)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.where(distance > 0.0, 1.0 / distance, 0.0)
-    tolerance = HIT_TOLERANCE + HIT_TOLERANCE_PER_LOBE * np.where(widest > 0.0, widest, np.float32(0.0))
-    return (HitDistanceFeature(inverse.astype(np.float32), tolerance.astype(np.float32)),)
+    tolerances = find_tolerances(alpha_u, alpha_v, HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE)
+    return (HitDistanceFeature(find_inverse_hits(distance), tolerances),)

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.chunks import map_chunks
-from lobewise.denoising.layers import find_places
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
 from lobewise.frame import Camera, FloatArray, GBuffer
 from lobewise.kernels.engine import run_reprojection
 from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS
+from lobewise.kernels.places import find_surface_places
 from lobewise.lobe_table import LobeTable
-from lobewise.motion import compute_motion
 from lobewise.temporal.marks import Guides, Marks, make_marks
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
 from lobewise.temporal.settings import TemporalSettings
@@ -137,12 +136,6 @@ def _find_near(places: FloatArray, grid: FloatArray, reach: float) -> NDArray[np
     return np.asarray((step[..., 0] < reach) & (step[..., 1] < reach))
 
 
-def _find_allowance(motion: FloatArray, by_camera: FloatArray) -> FloatArray:
-    """Return how many pixels surfaces moved beside the camera's motion; 0 where nobody knows."""
-    step = motion - by_camera
-    return np.asarray(np.nan_to_num(np.hypot(step[..., 0], step[..., 1]), posinf=0.0), dtype=np.float32)
-
-
 def _prefer_better(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return what two places hold: the one that agrees better counts more, and where one holds nothing the other alone.
 
@@ -163,17 +156,14 @@ def _find_all_places(
         if motion is None:
             return None, None
         return (add_grid(motion), None), None
-    position, depth = find_places(guides.frame)
-    by_camera = compute_motion(camera, previous, position, depth)
-    allowance = None
-    if motion is not None:
-        allowance = map_chunks(_find_allowance, motion, by_camera)
+    position, _ = guides.places
+    surface, allowance = find_surface_places(camera, previous, guides.places, motion)
     virtual = None
     distance = guides.gbuffer.hit_distance
     if distance is not None and guides.gbuffer.normal is not None:
         curvature = estimate_curvature(position, guides.gbuffer.normal)
         virtual = find_virtual_places(position, curvature, distance, camera, previous)
-    return (add_grid(by_camera if motion is None else motion), virtual), allowance
+    return (surface, virtual), allowance
 
 
 def pack_past(past: Past) -> dict[str, NDArray[Any]]:

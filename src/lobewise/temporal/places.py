@@ -6,13 +6,10 @@ image, which lies behind a flat mirror as far as the thing lies before it, and n
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
-from lobewise.chunks import map_chunks
 from lobewise.frame import Camera, FloatArray
-from lobewise.motion import project_points
+from lobewise.kernels.places import find_curvature, find_image_places
 
 FAR = 1e6
 """Distance, in distances from the camera, at which what a lobe does not hit is taken to be."""
@@ -37,27 +34,7 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     crease. A single row or column counts as flat in the other direction.
     """
 
-    def along(axis: int) -> FloatArray:
-        dx, dn = np.diff(position, axis=axis), np.diff(normal, axis=axis)
-        square = np.einsum("...k,...k->...", dx, dx)
-        slope = np.einsum("...k,...k->...", dn, dx) / np.maximum(square, 1e-20)
-        # What is no number is no neighbour.
-        square = np.where(np.isfinite(slope), square, np.inf)
-        mode: Literal["edge", "constant"] = "edge" if slope.shape[axis] else "constant"
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (1, 1)
-
-        def get_sides(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-            padded = np.moveaxis(np.pad(values, pad, mode=mode), axis, 0)
-            return np.moveaxis(padded[:-1], 0, axis), np.moveaxis(padded[1:], 0, axis)
-
-        (first, second), (near, far) = get_sides(slope), get_sides(square)
-        flatter = np.where(np.abs(first) < np.abs(second), first, second)
-        return np.where(near > EDGE * far, second, np.where(far > EDGE * near, first, flatter))
-
-    with np.errstate(invalid="ignore", over="ignore"):
-        curvature = 0.5 * (along(0) + along(1))
-    return np.asarray(np.nan_to_num(curvature, nan=0.0, posinf=0.0, neginf=0.0), dtype=np.float32)
+    return find_curvature(position, normal, EDGE)
 
 
 def find_virtual_places(
@@ -77,22 +54,4 @@ def find_virtual_places(
     Source: the mirror equation of optics; that reflections have a motion of their own, Zimmer et al. 2015, "Path-space
     motion estimation and decomposition for robust animation filtering".
     """
-    height, width = hit_distance.shape
-    eye = camera.position.astype(np.float32)
-    nowhere = (previous.position - previous.forward).astype(np.float32)
-
-    def find(position: FloatArray, curvature: FloatArray, hit_distance: FloatArray) -> FloatArray:
-        view = position - eye
-        distance = np.sqrt(np.einsum("...k,...k->...", view, view))
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            t = np.where(np.isinf(hit_distance), np.float32(FAR) * distance, hit_distance)
-            opening = 1.0 + 2.0 * curvature * t
-            # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
-            behind = np.where(opening > 0.0, t / np.maximum(opening, np.float32(1e-6)), np.float32(np.nan))
-            image = position + view * (behind / distance)[..., None]
-        known = (hit_distance > 0.0) & np.isfinite(behind)
-        image = np.where(known[..., None], image, nowhere)
-        return project_points(previous, image.astype(np.float64), width, height) - np.float32(0.5)
-
-    places: FloatArray = map_chunks(find, position, curvature, hit_distance)
-    return places
+    return find_image_places(position, curvature, hit_distance, camera, previous, FAR)
