@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
 from lobewise.render.interactive_frame import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
 from lobewise.render.methods import Methods
+from lobewise.render.resting import Resting
 from lobewise.render.scenes import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.sparse_frame import SparseFrame, list_places
@@ -30,10 +31,8 @@ DIRECT_RADIUS = 3
 """Kernel radius, pixels, with which direct light is filtered: the samples of 4x4 pixels are stratified together."""
 DIRECT_SIGMA = 1.5
 """Standard deviation of its screen distance, pixels."""
-STILL_MEMORY = 1.0
-"""Share of its weight that a history keeps from frame to frame while nothing moves."""
 STILL_DENSITY = 2
-"""How much nearer shaded pixels are to each other then."""
+"""How much nearer shaded pixels are to each other while nothing moves."""
 
 
 @dataclass
@@ -45,8 +44,7 @@ class _Chain:
     camera: Camera | None = None
     size: tuple[int, int] | None = None
     number: int = 0
-    still: int = 0
-    direct: DirectLight | None = None
+    resting: Resting = field(default_factory=Resting)
 
 
 @dataclass
@@ -212,7 +210,8 @@ class Session:
         elif chain.settings.make_filter_settings() != settings.make_filter_settings():
             chain.temporal = TemporalFilter(settings.make_filter_settings())
         same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
-        chain.still = chain.still + 1 if same and settings.accumulate else 0
+        if not (same and settings.accumulate):
+            chain.resting = Resting()
         chain.settings, chain.camera = settings, camera
         chain.number += 1
         self._chains[index] = chain
@@ -227,12 +226,14 @@ class Session:
         with _Watch(seconds, "upsampling"):
             result = self._upsample(chain, sparse)
             before = result
+        again = None
         with _Watch(seconds, "adaptive"):
             if settings.adaptive > 0.0 and settings.scale > 1:
-                result = self._repair(chain, shared, method, result)
+                result, again = self._repair(chain, shared, method, result)
         with _Watch(seconds, "composite"):
             direct = self._settle_direct(chain, shared)
-            image = direct.emitted + direct.diffuse + direct.specular + result.image
+            indirect = chain.resting.add_indirect(result.image, sparse, again)
+            image = direct.emitted + direct.diffuse + direct.specular + indirect
         seconds["total"] = math.fsum(seconds[name] for name in STAGES)
         recomputed = int(result.settings.get("recomputed", 0))
         parts = {
@@ -242,14 +243,15 @@ class Session:
             "sparse": sparse,
             "before": before,
             "result": result,
+            "indirect": indirect,
             "history": chain.temporal.history_length if settings.temporal else None,
         }
-        return InteractiveFrame(image, seconds, settings, shared.camera, chain.still + 1, recomputed, parts)
+        return InteractiveFrame(image, seconds, settings, shared.camera, chain.resting.frames, recomputed, parts)
 
     def _shade_sparse(self, chain: _Chain, shared: _Shared, method: Any) -> SparseFrame:
         width, height = self._size
         scale = min(chain.settings.scale, width, height)
-        if chain.still:
+        if chain.resting.frames:
             # Nobody waits for what stands still, and it is to become right.
             scale = max(1, scale // STILL_DENSITY)
         places = list_places(scale)
@@ -288,29 +290,29 @@ class Session:
         if not settings.temporal:
             chain.temporal.reset()
             return upsample(sparse, settings.make_filter_settings())
-        chain.temporal.temporal = replace(
-            chain.temporal.temporal, memory=STILL_MEMORY if chain.still else type(chain.temporal.temporal)().memory
-        )
         return chain.temporal.add(sparse)
 
-    def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> Result:
+    def _repair(
+        self, chain: _Chain, shared: _Shared, method: Any, result: Result
+    ) -> tuple[Result, tuple[NDArray[np.intp], NDArray[np.intp], FloatArray] | None]:
+        """Return the result with the least supported pixels shaded again, and these with their radiance."""
         spp = chain.settings.spp
+        again: list[tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]] = []
 
         def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
             # The samples of the frame itself were drawn with its own seed.
-            return self._shade(method, rows, columns, spp, shared.seed ^ (1 << 31), (rows.size, 1))
+            radiance = self._shade(method, rows, columns, spp, shared.seed ^ (1 << 31), (rows.size, 1))
+            again.append((rows, columns, radiance.color[:, 0]))
+            return radiance
 
-        return recompute(result, shade, samples=1.0, budget=chain.settings.adaptive)
+        mended = recompute(result, shade, samples=1.0, budget=chain.settings.adaptive)
+        return mended, again[0] if again else None
 
     def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
         """Return direct light as it is shown: filtered while things move, the mean of all frames as they rest."""
         settings, new = chain.settings, shared.direct
-        count = chain.still + 1
-        mean = new
-        if chain.direct is not None and chain.still:
-            step = np.float32(1.0 / count)
-            mean = DirectLight(*(old + step * (now - old) for old, now in _pair(chain.direct, new)))
-        chain.direct = mean
+        mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
+        count = chain.resting.frames
         if not settings.filter_direct or settings.similarity == UNFILTERED:
             return mean
         asked = replace(settings.make_filter_settings(), radius=DIRECT_RADIUS, screen_sigma=DIRECT_SIGMA, beta="auto")
@@ -333,10 +335,6 @@ class Session:
             clean.diffuse + own * (mean.diffuse - clean.diffuse),
             clean.specular + own * (mean.specular - clean.specular),
         )
-
-
-def _pair(first: DirectLight, second: DirectLight) -> list[tuple[FloatArray, FloatArray]]:
-    return [(getattr(first, name), getattr(second, name)) for name in ("emitted", "diffuse", "specular")]
 
 
 def _is_same(first: Camera, second: Camera) -> bool:

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising.layers import find_surface
-from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.frame import FloatArray
 from lobewise.lobes.field import build_lobe_field, default_tau
 from lobewise.sparse_frame import SparseFrame
 
@@ -57,8 +56,7 @@ def _make_direct(parts: dict[str, Any]) -> FloatArray:
 
 
 def _make_indirect(parts: dict[str, Any]) -> FloatArray:
-    result: Result = parts["result"]
-    return result.image
+    return np.asarray(parts["indirect"])
 
 
 def _make_sharpness(parts: dict[str, Any]) -> FloatArray:
@@ -99,10 +97,8 @@ def _make_hit_distance(parts: dict[str, Any]) -> FloatArray:
 
 
 def _make_normal(parts: dict[str, Any]) -> FloatArray:
-    hits = parts["hits"]
-    black = np.broadcast_to(np.float32(0.0), (*hits.gbuffer.shape, 3))
-    surface = find_surface(Frame(Radiance(black), hits.gbuffer, hits.camera))
-    return np.where(surface[..., None], 0.5 + 0.5 * hits.gbuffer.normal, 0.0)
+    gbuffer = parts["hits"].gbuffer
+    return np.where((gbuffer.depth > 0.0)[..., None], 0.5 + 0.5 * gbuffer.normal, 0.0)
 
 
 def _make_albedo(parts: dict[str, Any]) -> FloatArray:

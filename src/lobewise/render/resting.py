@@ -1,0 +1,77 @@
+"""Frames of a picture that stands still, averaged until nothing of the filters remains in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.recipe import find_good
+from lobewise.frame import FloatArray
+from lobewise.sparse_frame import SparseFrame
+
+BORROWED = 32.0
+"""Samples of its own that the mean of what a pixel was given by the filter is worth."""
+
+
+@dataclass
+class Resting:
+    """The mean of what was seen since the picture stands still.
+
+    A pixel's own samples have no bias and much noise, what the filter gives has both but less of it at first; the
+    mean of the former, with that of the latter as if it were `BORROWED` samples more, goes from one to the other.
+    """
+
+    frames: int = 0
+    direct: list[FloatArray] = field(default_factory=list)
+    given: FloatArray | None = None
+    own: FloatArray | None = None
+    own_count: FloatArray | None = None
+
+    def add_direct(self, parts: list[FloatArray]) -> list[FloatArray]:
+        """Return the means of images that every frame has anew, these included; begins the frame."""
+        self.frames += 1
+        if self.frames == 1:
+            self.direct = parts
+        else:
+            step = np.float32(1.0 / self.frames)
+            self.direct = [old + step * (new - old) for old, new in zip(self.direct, parts, strict=True)]
+        return self.direct
+
+    def add_indirect(
+        self,
+        given: FloatArray,
+        sparse: SparseFrame,
+        again: tuple[NDArray[np.intp], NDArray[np.intp], FloatArray] | None,
+    ) -> FloatArray:
+        """Return the best estimate of indirect light, (height, width, 3).
+
+        Parameters
+        ----------
+        given : array, shape (height, width, 3)
+            What the filter made of this frame.
+        sparse : SparseFrame
+            The samples of this frame.
+        again : (rows, columns, radiance), optional
+            Pixels that were shaded once more, radiance of shape (count, 3).
+        """
+        if self.own is None or self.own_count is None or self.given is None:
+            self.own, self.own_count = np.zeros_like(given), np.zeros(given.shape[:2], np.float32)
+            self.given = given
+        else:
+            self.given = self.given + np.float32(1.0 / self.frames) * (given - self.given)
+        where = slice(sparse.place[0], None, sparse.scale), slice(sparse.place[1], None, sparse.scale)
+        color = sparse.radiance.color
+        good = find_good(color)
+        self.own[where] += np.where(good[..., None], color, np.float32(0.0))
+        self.own_count[where] += good
+        if again is not None:
+            rows, columns, radiance = again
+            good = find_good(radiance[:, None])[:, 0]
+            self.own[rows, columns] += np.where(good[:, None], radiance, np.float32(0.0))
+            self.own_count[rows, columns] += good
+        if self.frames == 1:
+            return given
+        borrowed = np.float32(BORROWED)
+        return np.asarray((borrowed * self.given + self.own) / (borrowed + self.own_count)[..., None])
