@@ -32,6 +32,7 @@ ROOMS = [
     "fit_plot",
     "report",
     "demo",
+    "viewer",
     "cli",
 ]
 OWNERS = {
@@ -45,6 +46,8 @@ OWNERS = {
     "flip_evaluator": "metrics",
     "scipy": "lobes",
     "matplotlib": "fit_plot",
+    "viser": "viewer",
+    "PIL": "viewer",
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -55,6 +57,24 @@ def map_tones(image: ArrayLike, exposure: float) -> NDArray[np.uint8]:
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 0.0031308) ** (1.0 / 2.4) - 0.055)
     out: NDArray[np.uint8] = np.rint(np.clip(encoded, 0.0, 1.0) * 255.0).astype(np.uint8)
     return out
+
+
+def map_tones_quickly(image: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
+    """Return what `map_tones` returns, to within one code value, in a few milliseconds for 512x512 pixels.
+
+    Departs: the curve is read from a table by the value as a half float, whose eleven bits are eight times finer than
+    the codes.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = (image * np.float32(exposure)).astype(np.float16)
+    return np.take(_make_tone_table(), value.view(np.uint16))
+
+
+@lru_cache(maxsize=1)
+def _make_tone_table() -> NDArray[np.uint8]:
+    """Return the display value of every half float, by its bits; shape (65536,)."""
+    with np.errstate(invalid="ignore"):  # some of the patterns are signalling NaNs
+        return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), 1.0)
 
 
 def make_error_palette() -> NDArray[np.uint8]:

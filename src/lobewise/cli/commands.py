@@ -13,6 +13,7 @@ from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
 from lobewise.cli.rendering import render
 from lobewise.cli.shared import Input, show_progress
+from lobewise.cli.viewing import view
 
 app = typer.Typer(
     name="lobewise",
@@ -70,7 +71,7 @@ def demo(
     print_line(f"Wrote {page}: open it in a browser.")
 
 
-for verb in (render, denoise, upsample, fit, compare):
+for verb in (render, view, denoise, upsample, fit, compare):
     app.command()(verb)
 
 

@@ -1,0 +1,135 @@
+"""The verb `view`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lobewise.cli.shared import parse_beta
+from lobewise.errors import InputError, describe_problem, require_choice
+
+
+def view(
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE|FRAME.exr",
+            help="showroom, brushed, parlour, sparks, a Mitsuba XML file, or a finished EXR frame.",
+            show_default=False,
+        ),
+    ],
+    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.")] = 8080,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.")
+    ] = "127.0.0.1",
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's"),
+    ] = None,
+    fixed_size: Annotated[
+        bool,
+        typer.Option("--fixed-size", help="Keep that size and its aspect whatever the window, also in motion."),
+    ] = False,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="paths|voxel_cones|virtual_lights",
+            help="With a scene: where indirect light comes from.",
+            show_default="paths",
+        ),
+    ] = None,
+    scale: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, max=16, help="With a scene: shade one pixel of every NxN.", show_default="4"),
+    ] = None,
+    similarity: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ggx|sg|asg|sg_mixture|normal|none",
+            help="What makes two pixels similar; none filters nothing.",
+            show_default="ggx",
+        ),
+    ] = None,
+    radius: Annotated[
+        int | None, typer.Option(metavar="N", min=0, max=64, help="Of the kernel.", show_default="2, a frame's 8")
+    ] = None,
+    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
+    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False,
+) -> None:
+    """Show a scene or a finished frame in the browser, with every setting as a slider."""
+    is_frame = _is_frame(target)
+    if is_frame:
+        for name, given in (("--method", method), ("--scale", scale), ("--size", size), ("--fixed-size", fixed_size)):
+            if given not in (None, False):
+                raise InputError(
+                    describe_problem(name, expected="a scene beside it", got="a finished frame", action="leave it out")
+                )
+    from lobewise.cli.output import print_line
+    from lobewise.viewer import Viewer
+    from lobewise.viewer.looks import FRAME_SIMILARITIES, METHODS, SCENE_SIMILARITIES
+
+    changes: dict[str, Any] = {"beta": parse_beta(beta)}
+    if method is not None:
+        changes["method"] = require_choice("method", method, METHODS)
+    if similarity is not None:
+        known = FRAME_SIMILARITIES if is_frame else SCENE_SIMILARITIES
+        changes["similarity"] = require_choice("similarity", similarity, known)
+    for name, number in (("scale", scale), ("radius", radius)):
+        if number is not None:
+            changes[name] = number
+    viewer = Viewer(
+        target,
+        is_frame=is_frame,
+        host=host,
+        port=port,
+        size=None if size is None else _parse_size(size),
+        fixed_size=fixed_size,
+        changes=changes,
+    )
+    try:
+        with viewer:
+            reach = "only this machine can reach it" if viewer.is_private else f"other machines can reach it by {host}"
+            print_line(f"Showing {target} at {viewer.url} ({reach}); Ctrl-C ends it.")
+            if open_page:
+                import webbrowser
+
+                webbrowser.open(viewer.url)
+            viewer.wait()
+    except KeyboardInterrupt:
+        # The usual end of a page, and nothing was written that could be half done.
+        return
+
+
+def _is_frame(target: str) -> bool:
+    """Return whether the target is an EXR file, and not a scene; raise where it cannot be either."""
+    from lobewise.io.files import require_readable
+    from lobewise.render.scenes import list_scenes
+
+    path = Path(target)
+    if target in list_scenes():
+        return False
+    if path.suffix.lower() == ".exr":
+        require_readable(path)
+        return True
+    if path.suffix.lower() != ".xml" and path.name == target and not path.exists():
+        require_choice("scene", target, list_scenes())
+    require_readable(path, what="scene")
+    return False
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of ``WxH``."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if found and min(map(int, found.groups())) >= 8 and max(map(int, found.groups())) <= 8192:
+        return int(found[1]), int(found[2])
+    raise InputError(
+        describe_problem(
+            "--size",
+            expected="columns x rows from 8 to 8192, such as 512x512",
+            got=repr(text),
+            action="write two numbers",
+        )
+    )

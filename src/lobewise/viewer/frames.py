@@ -1,0 +1,218 @@
+"""A finished frame, filtered anew for every look that a page asks for."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections import OrderedDict
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising.recipe import find_good
+from lobewise.denoising.settings import resolve_settings
+from lobewise.errors import LobewiseError, MissingChannelError
+from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.io.container import read_container
+from lobewise.io.exr import read_frame, require_beauty, write_frame, write_result
+from lobewise.io.schema import SPARSE
+from lobewise.io.sparse import read_sparse_frame
+from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.render.views import SHARPEST
+from lobewise.sparse_frame import SparseFrame
+from lobewise.upsampling import DEFAULT_RADIUS, upsample
+from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look
+from lobewise.viewer.messages import Description, Request
+from lobewise.viewer.pictures import MOST_SAMPLES
+from lobewise.viewer.shots import Shot
+
+_MOST_RESULTS = 8
+
+
+class FrameTarget:
+    """An EXR file with guides, shaded everywhere or sparsely; all browsers share its results.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+
+    Raises
+    ------
+    FileError, MissingChannelError, InputError
+        As `lobewise.read_frame`.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        sparse = require_beauty(read_container(path)).get(SPARSE) is not None
+        self._frame: Frame | SparseFrame = read_sparse_frame(path) if sparse else read_frame(path)
+        self._noisy = _spread(self._frame)
+        self._results: OrderedDict[FrameLook, Result] = OrderedDict()
+        self._shown: dict[int, FrameLook] = {}
+
+    def describe(self) -> Description:
+        """Return what this file allows."""
+        frame = self._frame
+        sparse = isinstance(frame, SparseFrame)
+        guides = frame.gbuffer
+        placed = guides.position is not None or guides.depth is not None
+        lobes = guides.normal is not None and guides.alpha_u is not None and frame.camera is not None and placed
+        similarities = FRAME_SIMILARITIES if lobes else ("normal", "none") if guides.normal is not None else ("none",)
+        apart = frame.radiance.diffuse is not None and frame.radiance.specular is not None
+        has = {
+            "image": True,
+            "noisy": True,
+            "diffuse": apart,
+            "specular": apart,
+            "sharpness": lobes,
+            "weight_sum": True,
+            "effective_samples": True,
+            "hit_distance": guides.hit_distance is not None and guides.depth is not None,
+            "normal": guides.normal is not None,
+            "albedo": guides.diffuse_albedo is not None and guides.specular_albedo is not None,
+        }
+        return Description(
+            look=FrameLook(similarity=similarities[0], radius=DEFAULT_RADIUS if sparse else FrameLook().radius),
+            width=frame.width,
+            height=frame.height,
+            similarities=similarities,
+            forms=("full",) if sparse else ("full", "separable", "atrous"),
+            views=tuple(name for name, there in has.items() if there),
+            sparse=sparse,
+            hit_distance=lobes and guides.hit_distance is not None,
+        )
+
+    def is_slow(self, request: Request) -> bool:
+        """Return whether the request needs a filter that has not run yet."""
+        return any(look not in self._results for look in (request.look, request.other) if look is not None)
+
+    def show_input(self, request: Request) -> list[Shot]:
+        """Return the frame as it is."""
+        return [Shot(self._noisy, lambda view: self._get_view(view, None), (self._frame.width, self._frame.height))]
+
+    def render(self, request: Request) -> list[Shot]:
+        """Return the frame, filtered by one or two looks.
+
+        Raises
+        ------
+        LobewiseError
+            If the file lacks what a look compares.
+        """
+        assert isinstance(request.look, FrameLook)
+        self._shown[request.client] = request.look
+        return [self._filter(look) for look in (request.look, request.other) if look is not None]
+
+    def forget(self, client: int) -> None:
+        """Drop what a browser had."""
+        self._shown.pop(client, None)
+
+    def write(self, client: int) -> tuple[str, bytes]:
+        """Return name and bytes of an EXR file of what a browser sees: the source with the filtered radiance."""
+        result = self._get_result(self._shown.get(client, FrameLook("none")))
+        name = f"{Path(self._path).stem}-lobewise.exr"
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            if isinstance(self._frame, SparseFrame):
+                frame = self._frame
+                radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
+                write_frame(
+                    path,
+                    Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables),
+                )
+            else:
+                write_result(path, result, source=self._path)
+            return name, path.read_bytes()
+
+    def _filter(self, look: Look) -> Shot:
+        assert isinstance(look, FrameLook)
+        result = self._get_result(look)
+        return Shot(
+            result.image,
+            lambda view: self._get_view(view, result),
+            (self._frame.width, self._frame.height),
+            {"filter": result.seconds, "total": result.seconds} if look.similarity != "none" else {},
+        )
+
+    def _get_result(self, look: FrameLook) -> Result:
+        if look not in self._results:
+            self._results[look] = self._make_result(look)
+            while len(self._results) > _MOST_RESULTS:
+                self._results.popitem(last=False)
+        self._results.move_to_end(look)
+        return self._results[look]
+
+    def _make_result(self, look: FrameLook) -> Result:
+        frame = self._frame
+        if look.similarity == "none":
+            ones = np.ones(frame.shape, np.float32)
+            return Result(self._noisy, ones, ones, ~find_good(self._noisy), asdict(look), 0.0)
+        settings = DenoiseSettings(**asdict(look))
+        if isinstance(frame, SparseFrame):
+            return upsample(frame, settings)
+        return denoise(frame, settings)
+
+    def _get_view(self, name: str, result: Result | None) -> FloatArray:
+        frame, guides = self._frame, self._frame.gbuffer
+        if name == "image" or result is None:
+            return self._noisy if result is None else result.image
+        if name == "noisy":
+            return self._noisy
+        if name in ("diffuse", "specular"):
+            part = getattr(result, name)
+            return _spread(frame, name) if part is None else part
+        if name == "weight_sum":
+            return result.weight_sum / (1.0 + result.weight_sum)
+        if name == "effective_samples":
+            count = np.clip(result.effective_samples, 1.0, MOST_SAMPLES)
+            return np.asarray(np.log(count) / math.log(MOST_SAMPLES), dtype=np.float32)
+        if name == "sharpness":
+            return _show_sharpness(frame, result)
+        if name == "hit_distance":
+            assert guides.hit_distance is not None and guides.depth is not None
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = guides.hit_distance / (guides.hit_distance + guides.depth)
+            return np.where(np.isinf(guides.hit_distance), np.float32(1.0), np.nan_to_num(share))
+        if name == "normal":
+            assert guides.normal is not None
+            there = np.any(guides.normal != 0.0, axis=-1, keepdims=True)
+            return np.where(there, 0.5 + 0.5 * guides.normal, np.float32(0.0))
+        assert guides.diffuse_albedo is not None and guides.specular_albedo is not None
+        albedo: FloatArray = np.clip(guides.diffuse_albedo + guides.specular_albedo, 0.0, 1.0)
+        return albedo
+
+
+def _spread(frame: Frame | SparseFrame, name: str = "color") -> FloatArray:
+    """Return a radiance at the full size, each sample of a sparse frame over its whole block."""
+    image: FloatArray = getattr(frame.radiance, name)
+    if isinstance(frame, Frame):
+        return image
+    rows = np.clip((np.arange(frame.height) - frame.place[0]) // frame.scale, 0, image.shape[0] - 1)
+    columns = np.clip((np.arange(frame.width) - frame.place[1]) // frame.scale, 0, image.shape[1] - 1)
+    return np.ascontiguousarray(image[rows[:, None], columns[None, :]])
+
+
+def _show_sharpness(frame: Frame | SparseFrame, result: Result) -> FloatArray:
+    """Return the sharpness of the lobes as they were compared, 0 to 1, logarithmic."""
+    if frame.camera is None:
+        raise MissingChannelError("lobe sharpness: expected a camera in the header, got none; write one.")
+    tau: Any = result.settings.get("tau")
+    if not isinstance(tau, float):
+        tau = resolve_tau(frame)
+    lobes = build_lobe_field(frame.gbuffer, frame.camera, tau=tau, representation="sg", diffuse_fallback=True)
+    assert lobes.sharpness is not None
+    shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.float32(math.log(SHARPEST))
+    return np.where(lobes.valid, np.clip(shown, 0.0, 1.0), np.float32(0.0))
+
+
+def resolve_tau(frame: Frame | SparseFrame) -> float:
+    """Return the band-limit that "auto" stands for on a frame."""
+    assert frame.camera is not None
+    try:
+        tau = resolve_settings(frame, DenoiseSettings()).tau
+    except LobewiseError:
+        return default_tau(frame.camera, frame.height)
+    return float(tau)

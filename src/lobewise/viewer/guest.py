@@ -1,0 +1,144 @@
+"""What the server knows of one browser, and what picture it should get next."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+from lobewise.viewer.cameras import CameraMap, Pose
+from lobewise.viewer.messages import Description, Picture, Request, Window
+from lobewise.viewer.pace import Pace, fit_size
+from lobewise.viewer.panel import Panel
+
+STILL_AFTER = 0.3
+"""Seconds without a camera event after which a camera stands still."""
+MOST_ACCUMULATED = 256
+"""Frames after which a camera that stands still gets no more."""
+_RATE_SPAN = 3.0
+
+
+class Guest:
+    """One browser.
+
+    Parameters
+    ----------
+    client : viser's client handle
+    pose : Pose
+        Where its camera is.
+    fixed_size : bool
+        Whether resolution and aspect are those that were asked for, whatever the window.
+    """
+
+    def __init__(self, client: Any, pose: Pose, fixed_size: bool) -> None:
+        self.client = client
+        self.pose = pose
+        self.panel: Panel | None = None
+        self.status: Any = None
+        self.pace = Pace(fixed=fixed_size)
+        self.picture: Picture | None = None
+        self.moved_at = 0.0
+        self.told_at = 0.0
+        self.shown = 0
+        self.note = ""
+        self.expose = True
+        self._fixed_size = fixed_size
+        self._number = 0
+        self._kept: Picture | None = None
+        self._factors: dict[int, float] = {}
+        self._times: deque[float] = deque(maxlen=256)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the camera moved a moment ago."""
+        return time.monotonic() - self.moved_at < STILL_AFTER
+
+    def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
+        """Return what to ask for now; None where there is nothing to see.
+
+        Parameters
+        ----------
+        found : Description
+        cameras : CameraMap
+        fresh : bool
+            Whether a frame is to be rendered, or the last one shown otherwise.
+        """
+        panel, camera = self.panel, self.client.camera
+        if panel is None:
+            return None
+        window = cameras.to_window(self.pose, camera.image_width, camera.image_height)
+        size, placed = (found.width, found.height), None
+        if found.camera is not None:
+            placed = cameras.to_camera(self.pose)
+            if placed is None:
+                return None
+            self.pace.fixed = self._fixed_size or not panel.adapt
+            factor = self.pace.factor if self.is_moving else 1.0
+            size = self._choose_size(found, window, factor)
+            if not fresh and self.picture is not None:
+                size = self.picture.size
+            self._factors = {number: value for number, value in self._factors.items() if number > self._number - 8}
+            self._factors[self._number + 1] = factor if self.is_moving else 0.0
+        self._number += 1
+        wiped = panel.wipe
+        return Request(
+            client=self.client.client_id,
+            number=self._number,
+            window=window,
+            look=panel.left.get_look(),
+            other=None if wiped is None else panel.right.get_look(),
+            wipe=0.5 if wiped is None else wiped,
+            view=panel.view,
+            stops=None if self.expose else panel.stops,
+            camera=placed,
+            size=size,
+            fresh=fresh,
+            accumulate=panel.accumulate,
+        )
+
+    def add_picture(self, picture: Picture) -> None:
+        """Take notice of a picture that is shown."""
+        self.picture = picture
+        self.shown += 1
+        self.note = ""
+        self._times.append(time.monotonic())
+        factor = self._factors.pop(picture.number, 0.0)
+        if factor:
+            self.pace.add(picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0), factor)
+
+    def needs_more(self, found: Description) -> bool:
+        """Return whether a scene whose camera stands still has not been rendered to the end."""
+        picture, panel = self.picture, self.panel
+        if found.camera is None or picture is None or panel is None or self.is_moving:
+            return False
+        window = Window(self.client.camera.image_width, self.client.camera.image_height)
+        unfinished = panel.accumulate and picture.accumulated < MOST_ACCUMULATED
+        return unfinished or picture.size != self._choose_size(found, window, 1.0)
+
+    def take_last(self) -> Picture | None:
+        """Return, once, a picture that nothing followed for a while."""
+        picture = self.picture
+        if picture is None or picture is self._kept or time.monotonic() - self._times[-1] < STILL_AFTER:
+            return None
+        self._kept = picture
+        return picture
+
+    def get_rate(self, last: int | None = None) -> float | None:
+        """Return pictures per second: of the last ``last``, or of the last seconds; None where there are too few."""
+        now = time.monotonic()
+        times = list(self._times)
+        times = [moment for moment in times if now - moment < _RATE_SPAN] if last is None else times[-last - 1 :]
+        if len(times) < 3 or times[-1] <= times[0]:
+            return None
+        return (len(times) - 1) / (times[-1] - times[0])
+
+    def _choose_size(self, found: Description, window: Window, factor: float) -> tuple[int, int]:
+        if self._fixed_size:
+            return found.width, found.height
+        return fit_size(found.width * found.height, window.width / window.height, factor)
+
+
+def has_moved(before: Pose, after: Pose) -> bool:
+    """Return whether a browser's camera is elsewhere."""
+    pairs = ((before.position, after.position), (before.look_at, after.look_at), (before.up, after.up))
+    return before.fov != after.fov or any((one != two).any() for one, two in pairs)

@@ -1,0 +1,131 @@
+"""A scene that is rendered while it is looked at, with histories of its own for every browser."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import Frame, Radiance
+from lobewise.io.exr import write_frame
+from lobewise.render import InteractiveFrame, InteractiveSettings, Session, find_orbit_centre
+from lobewise.render.methods import METHODS
+from lobewise.render.views import VIEWS
+from lobewise.viewer.looks import SCENE_SIMILARITIES, Look, SceneLook
+from lobewise.viewer.messages import Description, Request
+from lobewise.viewer.shots import Shot
+
+
+class SceneTarget:
+    """A built-in scene or a Mitsuba file.
+
+    Parameters
+    ----------
+    name : str
+        As `lobewise.render.load_scene` takes it.
+    size : (int, int) or None
+        Columns and rows; by default those of the scene.
+    progress : callable
+        Called with ``(done, total)`` while a method prepares the scene.
+
+    Raises
+    ------
+    LobewiseError
+        As `lobewise.render.interactive.Session`.
+    """
+
+    def __init__(self, name: str, size: tuple[int, int] | None, progress: Callable[[int, int], None]) -> None:
+        self._name = name
+        width, height = size or (None, None)
+        self._first = Session(name, width=width, height=height, progress=progress)
+        self._sessions: dict[int, Session] = {}
+        self._last: dict[int, list[InteractiveFrame]] = {}
+        self._warm = False
+
+    def describe(self) -> Description:
+        """Return what this scene allows."""
+        width, height = self._first.size
+        centre = find_orbit_centre(self._first.scene)
+        return Description(
+            look=SceneLook(),
+            width=width,
+            height=height,
+            camera=self._first.camera,
+            look_at=(float(centre[0]), float(centre[1]), float(centre[2])),
+            methods=METHODS,
+            similarities=SCENE_SIMILARITIES,
+            views=VIEWS,
+        )
+
+    def is_slow(self, request: Request) -> bool:
+        """Return whether nothing was rendered yet, so that kernels are compiled first."""
+        return not self._warm
+
+    def show_input(self, request: Request) -> list[Shot]:
+        """Return a frame without filters, whose kernels are few: the first picture does not wait for the others."""
+        plain = SceneLook(similarity="none", temporal=False, adaptive=0.0, filter_direct=False)
+        session = self._first.make_sibling()
+        session.resize(*request.size)
+        return [_to_shot(session.render(request.camera, _to_settings(plain, accumulate=False)))]
+
+    def render(self, request: Request) -> list[Shot]:
+        """Return the next frame of a browser, or what it had last where nothing is to be rendered.
+
+        Raises
+        ------
+        LobewiseError
+            If the method finds nothing to work with, or the camera is not one.
+        """
+        looks = [_to_settings(look, request.accumulate) for look in (request.look, request.other) if look is not None]
+        last = self._last.get(request.client, [])
+        if request.fresh or [frame.settings for frame in last] != looks:
+            session = self._sessions.get(request.client)
+            if session is None:
+                session = self._sessions[request.client] = self._first.make_sibling()
+            if session.size != request.size:
+                session.resize(*request.size)
+            if len(looks) == 2:
+                last = list(session.render_pair(request.camera, looks[0], looks[1]))
+            else:
+                last = [session.render(request.camera, looks[0])]
+            self._last[request.client] = last
+            self._warm = True
+        return [_to_shot(frame) for frame in last]
+
+    def forget(self, client: int) -> None:
+        """Drop a browser's histories."""
+        self._sessions.pop(client, None)
+        self._last.pop(client, None)
+
+    def write(self, client: int) -> tuple[str, bytes]:
+        """Return name and bytes of an EXR file of a browser's last image, with its guides.
+
+        Raises
+        ------
+        InputError
+            If it has none yet.
+        """
+        if client not in self._last:
+            raise InputError(
+                describe_problem("save", expected="a picture", got="none yet", action="wait until there is one")
+            )
+        frame = self._last[client][0]
+        noisy = frame.make_frame()
+        whole = Frame(Radiance(frame.image), noisy.gbuffer, noisy.camera, lobe_tables=noisy.lobe_tables)
+        name = f"{Path(self._name).stem}.exr"
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            write_frame(path, whole, half=False, attributes={"lobewise/scene": self._name})
+            return name, path.read_bytes()
+
+
+def _to_settings(look: Look, accumulate: bool) -> InteractiveSettings:
+    assert isinstance(look, SceneLook)
+    return InteractiveSettings(**asdict(look), accumulate=accumulate)
+
+
+def _to_shot(frame: InteractiveFrame) -> Shot:
+    height, width = frame.image.shape[:2]
+    return Shot(frame.image, frame.get_view, (width, height), frame.seconds, frame.accumulated, frame.recomputed)

@@ -1,0 +1,68 @@
+"""The text of the page's status: a headline, figures, a bar for each stage."""
+
+from __future__ import annotations
+
+from html import escape
+
+from lobewise.viewer.messages import Picture
+
+STAGES = {
+    "gbuffer": "G-buffer",
+    "direct": "direct light",
+    "indirect": "indirect light",
+    "upsampling": "upsampling",
+    "adaptive": "adaptive",
+    "composite": "composite",
+    "filter": "filter",
+    "picture": "tone map",
+}
+"""Stages by the name of their seconds, with their names on the page."""
+
+_QUIET = "opacity:.65"
+_BOX = "font-size:.8em;line-height:1.5;padding:.15em .9em .4em;"
+
+
+def write_message(text: str, *, bad: bool = False) -> str:
+    """Return HTML of one line of plain text."""
+    color = "color:#ff8f70;" if bad else ""
+    return f'<div style="{_BOX}{color}">{escape(text)}</div>'
+
+
+def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True) -> str:
+    """Return HTML that tells what a picture took.
+
+    Parameters
+    ----------
+    picture : Picture
+        The last one.
+    shown : int
+        Pictures shown so far.
+    fps : float or None
+        Pictures per second, None where that means nothing.
+    note : str
+        A line below, plain text.
+    rendered : bool
+        Whether the picture is one of a scene.
+    """
+    width, height = picture.size
+    parts = [f"{width}\u202f\u00d7\u202f{height}"]
+    if rendered:
+        averaged = picture.accumulated
+        parts += [f"frame {shown}", f"{averaged} frame{'s' if averaged > 1 else ''} averaged"]
+    if picture.recomputed:
+        parts.append(f"{picture.recomputed} pixels shaded again")
+    total = picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0)
+    rate = "" if fps is None else f"{fps:.1f} fps \u00b7 "
+    head = f'<b style="font-size:1.15em">{rate}{1e3 * total:.0f} ms</b>'
+    rows = [
+        f'<tr><td style="padding:0 .8em 0 0;{_QUIET}">{label}</td>'
+        f'<td style="text-align:right;padding-right:.8em;font-variant-numeric:tabular-nums">'
+        f"{1e3 * picture.seconds[name]:.1f}</td>"
+        f'<td style="width:45%"><div style="height:.5em;border-radius:2px;background:#e8a33d;'
+        f'width:{100.0 * picture.seconds[name] / max(total, 1e-9):.0f}%"></div></td></tr>'
+        for name, label in STAGES.items()
+        if name in picture.seconds
+    ]
+    table = f'<table style="width:100%;border-collapse:collapse">{"".join(rows)}</table>'
+    below = f'<div style="{_QUIET}">{escape(note)}</div>' if note else ""
+    return f'<div style="{_BOX}">{head}<div style="{_QUIET}">{" · ".join(parts)}</div>{table}{below}</div>'

@@ -1,0 +1,184 @@
+"""The process that renders: it takes one order at a time, and whatever happens in it the page goes on.
+
+Compilers hold Python's lock for seconds and a renderer may abort its process; neither must stop the server.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from multiprocessing import connection, parent_process
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.viewer.messages import (
+    Forget,
+    Opened,
+    Order,
+    Picture,
+    Problem,
+    Progress,
+    Report,
+    Request,
+    Save,
+    SavedFile,
+    Target,
+)
+
+if TYPE_CHECKING:
+    from lobewise.viewer.shots import OpenTarget, Shot
+
+_PARENT_GONE = 3
+
+
+def run_worker(pipe: connection.Connection, target: Target) -> None:
+    """Open the target, then answer orders until the pipe is closed or the parent is gone. Runs in its own process."""
+    # Ctrl-C reaches the whole group; the parent decides when this process ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+    try:
+        Worker(pipe, target).serve()
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+def _follow_parent() -> None:
+    """End this process as soon as its parent has ended, however that came."""
+    parent = parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(_PARENT_GONE)
+
+
+class Worker:
+    """Answers orders over a pipe.
+
+    Parameters
+    ----------
+    pipe : Connection
+        Orders come in and reports go out; after every order the last report is None.
+    target : Target
+        What is looked at.
+    """
+
+    def __init__(self, pipe: connection.Connection, target: Target) -> None:
+        self._pipe = pipe
+        self._target = target
+        self._shown: dict[int, Any] = {}
+        self._told = 0.0
+
+    def serve(self) -> None:
+        """Open the target and answer orders until None comes."""
+        try:
+            opened = self._open(self._target)
+            self._send(Opened(opened.describe()))
+        except LobewiseError as problem:
+            self._send(Problem(str(problem)))
+            return
+        except Exception as problem:
+            self._send(Problem(describe_failure(problem)))
+            return
+        while (order := self._pipe.recv()) is not None:
+            self._answer(opened, order)
+            self._pipe.send(None)
+
+    def _send(self, report: Report) -> None:
+        self._pipe.send(report)
+
+    def _open(self, target: Target) -> OpenTarget:
+        if target.is_frame:
+            from lobewise.viewer.frames import FrameTarget
+
+            return FrameTarget(target.name)
+        self._send(Progress(f"Loading {Path(target.name).name}"))
+        from lobewise.viewer.scenes import SceneTarget
+
+        return SceneTarget(target.name, target.size, self._tell_preparing)
+
+    def _tell_preparing(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now - self._told > 0.2 or done == total:
+            self._told = now
+            self._send(Progress(f"Preparing the scene: {100 * done // max(total, 1)} %"))
+
+    def _answer(self, opened: OpenTarget, order: Order) -> None:
+        """Do one order; what goes wrong is told to its browser and ends nothing."""
+        try:
+            if isinstance(order, Forget):
+                self._shown.pop(order.client, None)
+                opened.forget(order.client)
+            elif isinstance(order, Save):
+                self._send(self._save(opened, order))
+            else:
+                if opened.is_slow(order):
+                    self._send(self._draw(order, opened.show_input(order), final=False))
+                self._send(self._draw(order, opened.render(order), final=True))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            raise
+        except LobewiseError as problem:
+            self._send(Problem(str(problem), order.client))
+        except Exception as problem:
+            self._send(Problem(describe_failure(problem), order.client))
+
+    def _draw(self, order: Request, shots: list[Shot], *, final: bool) -> Picture:
+        from lobewise.display import choose_exposure
+        from lobewise.viewer.looks import name_sides
+        from lobewise.viewer.pictures import fit_window, paint, wipe
+
+        first = shots[0]
+        stops = order.stops
+        if stops is None:
+            stops = math.log2(choose_exposure(np.ascontiguousarray(first.image[::4, ::4])))
+        start = time.perf_counter()
+        plain = [paint(order.view, shot.get_view(order.view), 2.0**stops) for shot in shots]
+        pictures = [fit_window(picture, order.window) for picture in plain]
+        two = len(pictures) == 2
+        labels = name_sides(order.look, order.other or order.look)
+        pixels = wipe(pictures[0], pictures[1], order.wipe, labels) if two else pictures[0]
+        if final:
+            # For a file, without bars and whole, whatever part is looked at.
+            self._shown[order.client] = wipe(plain[0], plain[1], order.wipe, labels) if two else plain[0]
+        return Picture(
+            client=order.client,
+            number=order.number,
+            pixels=pixels,
+            size=first.size,
+            stops=stops,
+            seconds={**first.seconds, "picture": time.perf_counter() - start},
+            accumulated=first.accumulated,
+            recomputed=first.recomputed,
+            memory=measure_memory(),
+            final=final,
+        )
+
+    def _save(self, opened: OpenTarget, order: Save) -> SavedFile:
+        if order.client not in self._shown:
+            raise InputError(
+                describe_problem("save", expected="a picture", got="none yet", action="wait until there is one")
+            )
+        if order.kind == "exr":
+            return SavedFile(order.client, *opened.write(order.client))
+        from lobewise.io.png import encode_png
+
+        name = f"{Path(self._target.name).stem}.png"
+        return SavedFile(order.client, name, encode_png(self._shown[order.client]))
+
+
+def describe_failure(problem: Exception) -> str:
+    """Return one line about an error that is ours."""
+    what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
+    return f"Something went wrong inside lobewise: {what}"
+
+
+def measure_memory() -> int:
+    """Return the bytes that this process holds in memory, 0 where the system does not tell."""
+    if sys.platform == "linux":
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return 0

@@ -1,0 +1,198 @@
+"""A headless browser, small frames to look at, and pages that are followed while they are used."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.io import write_frame
+from lobewise.viewer import Viewer
+
+FLAGS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+PATIENCE = 40.0
+"""Seconds for anything to happen, kernels to be compiled on a busy machine among it."""
+
+
+@pytest.fixture(scope="session")
+def floor_frame() -> Frame:
+    """Return a noisy glossy floor, 48x32, bright on the left and dark on the right."""
+    rng = np.random.default_rng(7)
+    height, width = 32, 48
+    camera = Camera(position=(0.0, 1.0, 4.0), forward=(0.0, -0.4, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.4)
+    rays = camera.make_ray_directions(width, height).astype(np.float64)
+    depth = -1.0 / rays[..., 1]
+    level = np.linspace(2.0, 0.2, width)[None, :, None]
+    specular = rng.gamma(1.0, 1.0, (height, width, 3)) * level
+    return Frame(
+        Radiance(color=specular, diffuse=np.zeros_like(specular), specular=specular),
+        GBuffer(
+            depth=depth,
+            position=camera.position + depth[..., None] * rays,
+            normal=np.broadcast_to([0.0, 1.0, 0.0], (height, width, 3)),
+            alpha_u=np.full((height, width), 0.2),
+            lobe_kind=np.ones((height, width)),
+            diffuse_albedo=np.zeros((height, width, 3)),
+            specular_albedo=np.full((height, width, 3), 0.8),
+            hit_distance=np.full((height, width), 2.0),
+        ),
+        camera=camera,
+        spp=4,
+    )
+
+
+@pytest.fixture(scope="session")
+def floor_file(floor_frame: Frame, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return that frame on disk."""
+    path = tmp_path_factory.mktemp("viewer") / "floor.exr"
+    write_frame(path, floor_frame, half=False)
+    return path
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Return a headless browser, or skip and say what is missing; where CI is set that is a failure."""
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    missing = [f"pip install {name}" for name in ("viser", "playwright") if importlib.util.find_spec(name) is None] + (
+        [] if found else ["apt install chromium"]
+    )
+    if missing:
+        reason = f"the page needs a browser and a driver: {', '.join(missing)}"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        engine = driver.chromium.launch(executable_path=found, args=FLAGS)
+        yield engine
+        engine.close()
+
+
+class Page:
+    """One browser window on a viewer; whatever its console calls an error is kept."""
+
+    def __init__(self, browser: Any, viewer: Viewer, size: tuple[int, int]) -> None:
+        self.viewer = viewer
+        self.errors: list[str] = []
+        self.closed_sockets = 0
+        self._context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
+        self.page = self._context.new_page()
+        self.page.on("console", lambda message: message.type == "error" and self.errors.append(message.text))
+        self.page.on("pageerror", lambda problem: self.errors.append(str(problem)))
+        self.page.on("websocket", lambda socket: socket.on("close", self._count_closed))
+        self.page.goto(viewer.url)
+
+    def _count_closed(self, *_: object) -> None:
+        self.closed_sockets += 1
+
+    def close(self) -> None:
+        self._context.close()
+
+    def choose(self, label: str, value: str, side: int = 0) -> None:
+        """Choose from a list; ``side`` 1 is the second list of that label."""
+        self.page.get_by_role("combobox", name=label, exact=True).nth(side).click()
+        self.page.get_by_role("option", name=value, exact=True).click()
+
+    def tick(self, label: str) -> None:
+        """Click a checkbox."""
+        self.page.get_by_label(label, exact=True).first.click()
+
+    def slide(self, label: str, keys: str, times: int = 1) -> None:
+        """Press a key on a slider."""
+        name = self.page.locator("label", has_text=label).first.get_attribute("for")
+        knob = self.page.locator(f'[id="{name}"] [role=slider]')
+        knob.focus()
+        for _ in range(times):
+            knob.press(keys)
+
+    def shows(self, label: str) -> bool:
+        """Return whether there is a control of that label."""
+        return bool(self.page.get_by_text(label, exact=True).first.is_visible())
+
+    def save(self, kind: str) -> tuple[str, bytes]:
+        """Return name and bytes of a file that the page saves."""
+        with self.page.expect_download(timeout=1e3 * PATIENCE) as download:
+            self.page.get_by_role("button", name=kind, exact=True).click()
+        return download.value.suggested_filename, Path(download.value.path()).read_bytes()
+
+    def look(self) -> np.ndarray:
+        """Return what the picture area shows, (height, width, 3)."""
+        from PIL import Image
+
+        canvas = self.page.locator("canvas").first.bounding_box()
+        picture = np.asarray(Image.open(io.BytesIO(self.page.screenshot())).convert("RGB"))
+        rows, columns = int(canvas["height"]), int(canvas["width"])
+        # Notifications cover the corner above on the left.
+        return picture[rows // 3 : rows, :columns]
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Return when the condition holds; the page lives on meanwhile."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < end, f"waited {PATIENCE:.0f} s for {what}"
+            self.page.wait_for_timeout(50)
+
+    def settle(self) -> np.ndarray:
+        """Return what is shown as soon as it stays: a page that was just opened comes up slowly."""
+        looks = [np.zeros(0), np.zeros(1)]
+
+        def stays() -> bool:
+            self.page.wait_for_timeout(250)
+            looks[:] = [looks[1], self.look()]
+            return np.array_equal(*looks)
+
+        self.wait(stays, "a picture that stays")
+        return looks[1]
+
+    def wait_for_frames(self, count: int, since: int | None = None) -> None:
+        """Return when so many more pictures were shown than now, or than ``since``."""
+        target = (self.viewer.statistics["frames"] if since is None else since) + count
+        self.wait(lambda: self.viewer.statistics["frames"] >= target, f"{count} pictures")
+
+    def wait_for_change(self, before: np.ndarray, least: float = 1.0) -> np.ndarray:
+        """Return what is shown when it differs by ``least`` codes in the mean."""
+        found = [before]
+
+        def changed() -> bool:
+            found[0] = self.look()
+            same = found[0].shape == before.shape
+            return not same or float(np.abs(found[0].astype(float) - before).mean()) > least
+
+        self.wait(changed, "the picture to change")
+        return found[0]
+
+
+@pytest.fixture
+def visit(browser: Any) -> Iterator[Callable[..., Page]]:
+    """Return a function that opens a page on a viewer; at the end none may have met an error."""
+    pages: list[Page] = []
+
+    def open_page(viewer: Viewer, size: tuple[int, int] = (900, 700)) -> Page:
+        seen = viewer.statistics["frames"]
+        pages.append(Page(browser, viewer, size))
+        pages[-1].wait_for_frames(1, since=seen)
+        return pages[-1]
+
+    yield open_page
+    for page in pages:
+        page.close()
+    assert [page.errors for page in pages] == [[] for _ in pages]
+
+
+@contextmanager
+def run_viewer(target: str, **options: Any) -> Iterator[Viewer]:
+    """Run a viewer on a free port; wait until there is a page."""
+    with Viewer(target, port=0, **options) as viewer:
+        yield viewer
