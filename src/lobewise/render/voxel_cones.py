@@ -20,7 +20,6 @@ from lobewise.render.voxel_grid import (
     Faces,
     Floats,
     Grid,
-    Layout,
     average_radiance,
     fill_grid,
     find_depth,
@@ -28,10 +27,14 @@ from lobewise.render.voxel_grid import (
     plan_layout,
 )
 from lobewise.render.voxel_hits import Hits, cast_hits, find_bounds
-from lobewise.render.voxel_march import find_reflection, gather_diffuse, trace_cone
+from lobewise.render.voxel_march import SHARPEST_TAN, find_reflection, gather_diffuse, trace_cone
+from lobewise.render.voxel_refraction import can_refract, cross_glass
 
 RESOLUTIONS = (16, 32, 64, 128, 256)
 """Numbers of voxels along an edge of the grid that can be asked for."""
+
+MOST_GAIN = 0.9
+"""Largest share of light that is taken to be scattered on, again and again."""
 
 Progress = Callable[[int, int], None]
 
@@ -94,6 +97,7 @@ class VoxelCones:
         self._resolution = resolution
         self._bounces = bounces
         self._light_samples = light_samples
+        self._is_clear = can_refract(scene)
         self._grid = self._build(progress)
 
     @property
@@ -127,9 +131,13 @@ class VoxelCones:
             direct = average_radiance(layout, faces, _light_sides(self._scene, hits, self._light_samples), count)
             grid = fill_grid(layout, faces, depth, direct)
             report()
+            series = [direct]
             for bounce in range(self._bounces):
-                grid = _bounce(layout, faces, depth, direct, grid, bounce)
+                series.append(_bounce(faces, direct, grid, bounce))
+                grid = fill_grid(layout, faces, depth, series[-1])
                 report()
+            if len(series) > 2:
+                grid = fill_grid(layout, faces, depth, _extend(series[-3:], count[np.array(faces.slot)]))
         return grid
 
     def shade(self, points: Points, *, samples: int, seed: int) -> Indirect:
@@ -152,8 +160,13 @@ class VoxelCones:
             rng = make_rng(points.pixel, index, seed_value)
             shift = (rng.next_float32(), rng.next_float32())
             cone = trace_cone(grid, origin, normal, axis, tangent, shift, shiny)
+            if self._is_clear:
+                reflected, through = self._look_through(points, rng, shift)
+                specular += cone.radiance * reflected + through
+            else:
+                specular += cone.radiance * surface.specular_albedo
             diffuse += gather_diffuse(grid, origin, normal, rng, matte)
-            return index + 1, diffuse, specular + cone.radiance, inverse + cone.inverse
+            return index + 1, diffuse, specular, inverse + cone.inverse
 
         start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0))
         _, diffuse, specular, inverse = dr.while_loop(start, go_on, take, label="cone sets")
@@ -161,9 +174,17 @@ class VoxelCones:
         met = dr.select(inverse > 0, dr.rcp(inverse * share), dr.inf)
         return Indirect(
             diffuse=diffuse * share * surface.diffuse_albedo,
-            specular=specular * share * surface.specular_albedo,
+            specular=dr.maximum(specular * share, 0.0),
             hit_distance=dr.select(shiny, met, 0.0),
         )
+
+    def _look_through(self, points: Points, rng: Any, shift: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the albedo that is left for reflection, and the radiance that comes through clear surfaces."""
+        crossing = cross_glass(self._scene, points.si, rng, points.active)
+        ray = crossing.ray
+        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(SHARPEST_TAN), shift, crossing.active)
+        through = crossing.weight * (cone.radiance + crossing.emitted)
+        return points.surface.specular_albedo - crossing.first, dr.select(crossing.active, through, 0.0)
 
 
 def _check_range(name: str, value: Any, least: int, most: int) -> None:
@@ -198,8 +219,23 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
     return reflected
 
 
-def _bounce(layout: Layout, faces: Faces, depth: Floats, direct: Any, grid: Grid, bounce: int) -> Grid:
-    """Return the grid whose faces reflect, beside the direct light, what they see in a given one."""
+def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
+    """Return what faces radiate that reflect, beside the direct light, what they see in a grid (Color3f)."""
     rng = make_rng(faces.slot, dr.opaque(mi.UInt32, bounce), mi.UInt32(0))
-    seen = gather_diffuse(grid, mi.Point3f(faces.position), faces.normal, rng, mi.Bool(True))
-    return fill_grid(layout, faces, depth, direct + faces.albedo * seen)
+    radiance = direct + faces.albedo * gather_diffuse(
+        grid, mi.Point3f(faces.position), faces.normal, rng, mi.Bool(True)
+    )
+    dr.eval(radiance)
+    return radiance
+
+
+def _extend(series: list[Any], area: Floats) -> Any:
+    """Return the limit of a series of which three members are given, as if it were geometric from the last one on.
+
+    The ratio is that of all the light, for red, green and blue.
+    """
+    before, last, end = (np.array(member, dtype=np.float64) for member in series)
+    gains = (last - before) @ area, (end - last) @ area
+    ratio = np.clip(np.divide(gains[1], gains[0], out=np.zeros(3), where=gains[0] > 0), 0.0, MOST_GAIN)
+    limit = end + np.maximum(end - last, 0.0) * (ratio / (1.0 - ratio))[:, None]
+    return mi.Color3f(limit.astype(np.float32))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import dispatch_surface
-from lobewise.render.probe import make_context
 from lobewise.render.rays import make_rng
+from lobewise.render.voxel_refraction import can_refract, refract
 
 RAYS = 2
 """Rays side by side through a voxel's face, in each of two directions."""
@@ -68,8 +68,10 @@ class Hits:
 
 def find_bounds(scene: Any, resolution: int) -> Bounds:
     """Return the cube that holds a scene, slightly grown."""
-    box = scene.bbox()
-    lower, upper = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
+    # Lights and cameras, which belong to the scene's own box, need no voxels; a sky's is infinite.
+    boxes = [shape.bbox() for shape in scene.shapes()]
+    lower = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
+    upper = np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
     voxel = float((upper - lower).max()) / (resolution - 2.0 * MARGIN)
     corner = 0.5 * (lower + upper) - 0.5 * resolution * voxel
     return Bounds((float(corner[0]), float(corner[1]), float(corner[2])), voxel, resolution)
@@ -94,22 +96,9 @@ def _look_at_side(materials: dict[int, Material], si: Any, bsdf: Any, front: Any
 
 
 def _find_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
-    """Return one sample of what a surface refracts (Color3f); what it lets pass unbent counts to its opacity."""
     rng = make_rng(lane, mi.UInt32(0), mi.UInt32(0))
-    point = mi.Point2f(rng.next_float32(), rng.next_float32())
-    context = make_context(mi.BSDFFlags.Transmission)
-    chosen, weight = bsdf.sample(context, si, rng.next_float32(), point, si.is_valid())
-    bent = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Transmission)
-    bent &= ~mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
-    # Entering glass scales radiance by the square of its index, and leaving it undoes that.
-    return dr.select(bent, dr.clip(weight * dr.square(chosen.eta), 0.0, 1.0), 0.0)
-
-
-def transmits(scene: Any) -> bool:
-    """Return whether any surface of a scene refracts."""
-    found = [shape.bsdf() for shape in scene.shapes()]
-    bent = int(mi.BSDFFlags.Transmission) & ~int(mi.BSDFFlags.Null)
-    return any(bsdf is not None and int(bsdf.flags()) & bent for bsdf in found)
+    chosen, weight = refract(bsdf, si, rng, si.is_valid())
+    return dr.clip(weight * dr.square(chosen.eta), 0.0, 1.0)
 
 
 def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int, clear: bool) -> list[dict[str, Any]]:
@@ -149,7 +138,7 @@ def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report
     A flat wall is met by as many rays as its area projects to, so the share of a voxel's rays that meet something is
     how much it covers along that axis; ``report`` is called after each axis.
     """
-    clear = transmits(scene)
+    clear = can_refract(scene)
     names = ("position", "normal", "opacity", "first", "second")
     gathered: dict[str, list[Any]] = {name: [] for name in names}
     axes: list[NDArray[np.int64]] = []

@@ -17,7 +17,7 @@ DIFFUSE_TAN = 0.5773502691896258
 SHARPEST_TAN = 0.005
 """Tangent of half the narrowest cone's angle."""
 
-FOOTPRINT = 1.0 / 3.0
+FOOTPRINT = 0.25
 """Voxels looked up are as wide as this share of the cone, so that those beside the cone's axis do not count."""
 
 LIFT = 1.5
