@@ -1,42 +1,18 @@
-"""What every benchmark records: machine, threads, commit; and how its JSON is written."""
+"""What every benchmark shares: the machine it names, how its JSON is written, where its frames are kept."""
 
 from __future__ import annotations
 
 import json
-import os
-import platform
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lobewise.bench.machine import describe_machine
 from lobewise.frame import FloatArray, Frame
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 
-
-def describe_machine() -> dict[str, Any]:
-    """Return processor, cores, threads used by Halide, Python and the commit that was measured."""
-    model = platform.processor()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    here = Path(__file__).parent
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True, check=False
-    ).stdout.strip()
-    dirty = subprocess.run(
-        ["git", "status", "--porcelain", "--", "../src"], cwd=here, capture_output=True, text=True, check=False
-    ).stdout.strip()
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {
-        "processor": model,
-        "cores": cores,
-        "threads": int(os.environ.get("HL_NUM_THREADS", cores or 1)),
-        "python": platform.python_version(),
-        "commit": commit + ("+changes" if dirty else ""),
-    }
+__all__ = ["describe_machine", "fetch_frame", "fetch_image", "write_json"]
 
 
 def write_json(path: Path, value: Any) -> None:

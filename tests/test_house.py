@@ -33,6 +33,7 @@ ROOMS = [
     "report",
     "demo",
     "viewer",
+    "bench",
     "cli",
 ]
 OWNERS = {

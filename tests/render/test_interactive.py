@@ -98,8 +98,8 @@ def test_a_still_picture_converges(session: Session) -> None:
         assert frame.accumulated == count
         if count in (1, 12, 128):
             errors.append(rel_mse(frame.image, reference))
-    assert errors[1] < 0.6 * errors[0]
-    assert errors[2] < 0.4 * errors[1]
+    assert errors[1] < 0.85 * errors[0]
+    assert errors[2] < 0.5 * errors[1]
 
 
 def test_movement_and_settings_begin_a_new_average(session: Session, path: list[Camera]) -> None:

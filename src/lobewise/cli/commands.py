@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import lobewise
+from lobewise.cli.benching import bench
 from lobewise.cli.comparing import compare
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
@@ -73,6 +74,9 @@ def demo(
 
 for verb in (render, view, denoise, upsample, fit, compare):
     app.command()(verb)
+
+
+app.add_typer(bench, name="bench")
 
 
 @app.command()

@@ -85,6 +85,16 @@ def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tupl
     _Console().print(table)
 
 
+def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table whose first column is text and whose others are figures."""
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for place, name in enumerate(header):
+        table.add_column(name, justify="right" if place else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    _Console().print(table)
+
+
 def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
     """Print the devices, those that cannot run with the reason."""
     table = Table()

@@ -1,0 +1,166 @@
+"""How long each stage of the interactive chain takes while the camera moves."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from functools import partial
+from multiprocessing import get_context
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from lobewise.bench.machine import describe_machine
+from lobewise.errors import InputError, describe_problem
+
+if TYPE_CHECKING:
+    from lobewise.render import InteractiveSettings
+
+DEGREES_PER_FRAME = 1.0
+"""Of the orbit."""
+WARM_UP = 4
+"""Frames of each run that are not counted: kernels are compiled in the first ones."""
+
+Progress = Callable[[int, int], None]
+
+
+def measure_interactive(
+    scene: str = "showroom",
+    *,
+    sizes: Sequence[tuple[int, int]] = ((512, 512), (1024, 1024)),
+    methods: Sequence[str] | None = None,
+    settings: InteractiveSettings | None = None,
+    frames: int = 24,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return the stage times of a session whose camera goes round an orbit, one degree a frame.
+
+    Parameters
+    ----------
+    scene : str
+        What `lobewise.render.load_scene` takes.
+    sizes : sequence of (int, int)
+        Width and height of the images.
+    methods : sequence of str, optional
+        Ways of computing indirect light; by default all.
+    settings : InteractiveSettings, optional
+        Whose other parameters are used.
+    frames : int
+        Frames that are counted, >= 1.
+    device : {"auto", "cpu", "cuda"}
+        Where rays are traced; "auto" as `lobewise.render.load_mitsuba`.
+    progress : callable, optional
+        Called with ``(done, total)`` frames.
+
+    Returns
+    -------
+    dict
+        ``machine``, ``device``, ``scene``, ``settings`` and ``rows``: for each method and size the median seconds of
+        every stage and of the whole frame (``frame``, wall time), frames per second while moving, and the seconds that
+        getting ready took.
+
+    Raises
+    ------
+    InputError, DeviceError, FileError, UnsupportedBsdfError, MissingDependencyError
+        See `lobewise.render.Session` and `lobewise.render.load_mitsuba`.
+    """
+    from lobewise.render import InteractiveSettings, Session, find_orbit_centre, load_mitsuba, make_orbit
+    from lobewise.render.methods import METHODS
+
+    if frames < 1:
+        raise InputError(describe_problem("frames", expected="at least 1", got=str(frames), action="24 is usual"))
+    variant = load_mitsuba(device).variant()
+    asked = settings or InteractiveSettings()
+    names = list(methods or METHODS)
+    each = frames + WARM_UP
+    total = each * len(names) * len(sizes)
+    done = 0
+    rows = []
+    session = Session(scene)
+    cameras = make_orbit(session.camera, find_orbit_centre(session.scene), each, DEGREES_PER_FRAME)
+    for name in names:
+        chosen = replace(asked, method=name)
+        start = time.perf_counter()
+        session.prepare(name)
+        ready = time.perf_counter() - start
+        for width, height in sizes:
+            stream = session.make_sibling()
+            stream.resize(width, height)
+            seconds: list[dict[str, float]] = []
+            for camera in cameras:
+                start = time.perf_counter()
+                stages = stream.render(camera, chosen).seconds
+                seconds.append({**stages, "frame": time.perf_counter() - start})
+                done += 1
+                if progress is not None:
+                    progress(done, total)
+            counted = seconds[WARM_UP:]
+            row = {stage: median(item[stage] for item in counted) for stage in counted[0]}
+            rows.append(
+                {
+                    "method": name,
+                    "width": width,
+                    "height": height,
+                    "seconds": row,
+                    "frames_per_second": 1.0 / row["frame"],
+                    "prepare": ready,
+                }
+            )
+    return {
+        "machine": describe_machine(),
+        "device": "cuda" if "cuda" in variant else "cpu",
+        "scene": scene,
+        "settings": {name: value for name, value in asdict(asked).items() if name != "method"},
+        "frames": frames,
+        "degrees_per_frame": DEGREES_PER_FRAME,
+        "rows": rows,
+    }
+
+
+def measure_devices(devices: Sequence[str] | None = None, **arguments: Any) -> dict[str, Any]:
+    """Return what `measure_interactive` finds on each device where rays can be traced.
+
+    Each is measured in a process of its own, because a process has one of them for good.
+
+    Parameters
+    ----------
+    devices : sequence of str, optional
+        By default "cpu", and "cuda" where there is one.
+    **arguments
+        Of `measure_interactive`; ``progress`` is called for the only device, or not at all.
+
+    Returns
+    -------
+    dict
+        ``machine``, ``scene``, ``settings``, ``frames``, ``degrees_per_frame``, and by device the ``rows``.
+
+    Raises
+    ------
+    InputError, DeviceError, FileError, UnsupportedBsdfError, MissingDependencyError
+        See `measure_interactive`.
+    """
+    names = list(devices or list_render_devices())
+    if len(names) == 1:
+        found = [measure_interactive(device=names[0], **arguments)]
+    else:
+        arguments.pop("progress", None)
+        found = []
+        for name in names:
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                found.append(pool.submit(partial(measure_interactive, device=name, **arguments)).result())
+    common = {name: value for name, value in found[0].items() if name not in ("device", "rows")}
+    return {**common, "devices": {each["device"]: each["rows"] for each in found}}
+
+
+def list_render_devices() -> list[str]:
+    """Return where rays can be traced: always "cpu", and "cuda" where Dr.Jit finds an NVIDIA GPU.
+
+    Asked in another process, because the first question to CUDA ties this one to it.
+    """
+    code = "import drjit; print(drjit.has_backend(drjit.JitBackend.CUDA))"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    return ["cpu", "cuda"] if answer.stdout.strip() == "True" else ["cpu"]

@@ -1,0 +1,51 @@
+"""What a measurement was made on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import lobewise
+
+
+def describe_machine() -> dict[str, Any]:
+    """Return processor, cores, threads used by Halide, Python, version, and in a checkout the commit."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    found = {
+        "processor": _find_processor(),
+        "cores": cores,
+        "threads": int(os.environ.get("HL_NUM_THREADS", cores or 1)),
+        "python": platform.python_version(),
+        "version": lobewise.__version__,
+    }
+    commit = _find_commit()
+    return {**found, "commit": commit} if commit else found
+
+
+def _find_processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if "model name" in line:
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _find_commit() -> str:
+    """Return the commit of the checkout that this package is imported from, marked where it was changed since."""
+    package = Path(__file__).resolve().parents[1]
+    if not (package.parents[1] / ".git").exists():
+        return ""
+
+    def ask(*arguments: str) -> str:
+        try:
+            done = subprocess.run(["git", *arguments], cwd=package, capture_output=True, text=True, check=False)
+        except OSError:
+            return ""
+        return done.stdout.strip()
+
+    commit = ask("rev-parse", "--short", "HEAD")
+    return commit + ("+changes" if commit and ask("status", "--porcelain", "--", ".") else "")

@@ -1,0 +1,96 @@
+"""`lobewise bench`: what it measures, prints and writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lobewise.bench.interactive import list_render_devices, measure_devices
+from lobewise.bench.machine import describe_machine
+from lobewise.cli.main import run
+from lobewise.errors import InputError
+from lobewise.render.interactive_frame import STAGES, InteractiveSettings
+
+pytestmark = pytest.mark.mitsuba
+
+QUICK = InteractiveSettings(similarity="none", adaptive=0.0, filter_direct=False)
+
+
+@pytest.fixture(autouse=True)
+def needs_mitsuba() -> None:
+    import os
+
+    from lobewise.errors import MissingDependencyError
+    from lobewise.render import load_mitsuba
+
+    try:
+        load_mitsuba("cpu")
+    except MissingDependencyError as error:
+        if os.environ.get("CI"):
+            pytest.fail(f"CI must render: {error}")
+        pytest.skip(str(error))
+
+
+def test_every_method_and_size_is_measured() -> None:
+    seen: list[tuple[int, int]] = []
+    found = measure_devices(
+        ["cpu"],
+        sizes=[(32, 32), (48, 24)],
+        methods=["paths"],
+        settings=QUICK,
+        frames=2,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    assert found["machine"] == describe_machine()
+    assert found["settings"]["similarity"] == "none"
+    rows = found["devices"]["cpu"]
+    assert [(row["method"], row["width"], row["height"]) for row in rows] == [("paths", 32, 32), ("paths", 48, 24)]
+    for row in rows:
+        assert set(row["seconds"]) == {*STAGES, "total", "frame"}
+        assert 0.0 < row["seconds"]["gbuffer"] < row["seconds"]["frame"]
+        assert row["frames_per_second"] == pytest.approx(1.0 / row["seconds"]["frame"])
+    assert seen[-1] == (len(seen), len(seen)) == (12, 12)
+
+
+def test_the_table_fits_a_terminal_and_the_file_says_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bench.json"
+    arguments = ["bench", "interactive", "--size", "32x32", "--size", "24x24", "--method", "paths", "--frames", "1"]
+    assert run([*arguments, "--similarity", "none", "--device", "cpu", "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert max(len(line) for line in text.splitlines()[:-1]) <= 80
+    for word in (*STAGES, "frame", "frames a second", "paths", "32x32", "24x24"):
+        assert word in text
+    found = json.loads(out.read_text())
+    assert len(found["devices"]["cpu"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--size", "512"], "size"),
+        (["--size", "0x4"], "size"),
+        (["--frames", "0"], "frames"),
+        (["--method", "radiosity"], "method"),
+        (["nowhere"], "scene"),
+        (["-o", "no/such/folder/b.json"], "no/such/folder"),
+    ],
+    ids=str,
+)
+def test_bad_input_is_told_in_a_sentence(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", "interactive", "--device", "cpu", *arguments]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_rays_are_always_traced_on_the_cpu() -> None:
+    assert list_render_devices()[0] == "cpu"
+
+
+def test_frames_must_be_counted() -> None:
+    arguments: dict[str, Any] = {"frames": 0, "methods": ["paths"]}
+    with pytest.raises(InputError, match="frames"):
+        measure_devices(["cpu"], **arguments)
