@@ -1,0 +1,274 @@
+"""Virtual lights from light paths: where light meets surfaces, with its flux and the direction that it came from.
+
+Each light is one hit of a path that begins at an emitter (Keller 1997, "Instant Radiosity"). It shines towards a
+receiver with the BSDF of its surface, so a set keeps all that a BSDF asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.render.bridge import dr, mi
+
+QUASI_BOUNCES = 6
+"""Bounces that are drawn from the quasi-random sequence; later ones, which few paths reach, are random."""
+
+MOST_KEPT = 0.95
+"""Largest chance of a light path to go on, as in Mitsuba's path tracer."""
+
+_OF_EMISSION, _OF_BOUNCE = 5, 4
+
+
+@dataclass
+class LightSet:
+    """Virtual lights in the order of their paths, one per lane (Dr.Jit arrays, evaluated).
+
+    ``si`` and ``bsdf`` are the surface, ``incoming`` is where light comes from (unit vector, local to ``si``),
+    ``cosine`` that direction's with the surface's own normal, ``flux`` (Color3f) what arrives, and ``depth`` the number
+    of surfaces on the way from the emitter, this one included. ``number`` is how many there are; a set of none holds a
+    dark one.
+    """
+
+    si: Any
+    bsdf: Any
+    incoming: Any
+    cosine: Any
+    flux: Any
+    depth: Any
+    number: int
+
+
+@dataclass
+class _Walk:
+    active: Any
+    ray: Any
+    rng: Any
+    throughput: Any
+    bounce: Any
+
+
+def _find_primes(number: int) -> list[int]:
+    found: list[int] = []
+    candidate = 2
+    while len(found) < number:
+        if all(candidate % prime for prime in found):
+            found.append(candidate)
+        candidate += 1
+    return found
+
+
+def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
+    """Return the first points of a scrambled Halton sequence, shape (count, dimensions), in [0, 1).
+
+    The digits of each place are permuted at random: plain digits of large bases rise together.
+
+    Source: Halton 1960; random digit permutations as in Owen 2017, "A randomized Halton algorithm in R". Every point is
+    uniformly distributed, and runs of points are spread evenly.
+    """
+    rng = np.random.default_rng(seed)
+    points = np.empty((count, dimensions), dtype=np.float32)
+    for dimension, base in enumerate(_find_primes(dimensions)):
+        value = np.zeros(count)
+        rest, scale = np.arange(count), 1.0
+        # Digits beyond the precision of a float change nothing.
+        while scale > 2.0**-26:
+            scale /= base
+            value += scale * rng.permutation(base)[rest % base]
+            rest = rest // base
+        points[:, dimension] = np.minimum(value, 1.0 - 2.0**-24)
+    return points
+
+
+def find_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
+    """Return centre and radius of the sphere around the bounding box of all shapes.
+
+    Departs from the scene's own box, which lacks the meshes that Mitsuba 3.9 merges: their boxes are not valid.
+    """
+    boxes = []
+    for shape in scene.shapes():
+        if not shape.bbox().valid() and shape.is_mesh():
+            shape.recompute_bbox()
+        if shape.bbox().valid():
+            boxes.append(shape.bbox())
+    if not boxes:
+        return np.zeros(3), 1.0
+    low = np.min([np.asarray(box.min, dtype=np.float64).ravel() for box in boxes], axis=0)
+    high = np.max([np.asarray(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
+    return 0.5 * (low + high), float(np.linalg.norm(high - low)) / 2.0
+
+
+class LightPaths:
+    """Paths from the emitters of a scene, the same ones at every call while the scene is the same.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        With any emitters.
+    count : int
+        How many paths.
+    most_surfaces : int
+        How many surfaces a path meets at most.
+    seed : int
+        Of the scrambling.
+    """
+
+    def __init__(self, scene: Any, count: int, most_surfaces: int, seed: int) -> None:
+        self._scene = scene
+        self._count = count
+        self._slots = most_surfaces
+        dimensions = _OF_EMISSION + _OF_BOUNCE * min(most_surfaces - 1, QUASI_BOUNCES)
+        self._points = mi.Float(make_halton(count, dimensions, seed).ravel())
+        self._dimensions = dimensions
+        self._seed = seed
+
+    def trace(self) -> LightSet:
+        """Return the lights that the paths leave.
+
+        Raises
+        ------
+        InputError
+            If no light leaves the emitters.
+        """
+        origin, direction, flux = self._trace_rays()
+        strongest = dr.max(flux)
+        kept = dr.compress((strongest > 0) & dr.isfinite(strongest))
+        number = len(kept)
+        if not number:
+            kept = mi.UInt32(0)
+        ray = mi.Ray3f(dr.gather(mi.Point3f, origin, kept), dr.gather(mi.Vector3f, direction, kept))
+        si = self._scene.ray_intersect(ray)
+        lights = LightSet(
+            si=si,
+            bsdf=si.bsdf(),
+            incoming=mi.Vector3f(si.wi),
+            cosine=dr.abs(dr.dot(si.n, ray.d)),
+            flux=dr.gather(mi.Color3f, flux, kept) if number else mi.Color3f(0),
+            depth=kept % dr.opaque(mi.UInt32, self._slots) + 1,
+            number=number,
+        )
+        dr.make_opaque(lights.si, lights.bsdf, lights.incoming, lights.cosine, lights.flux, lights.depth)
+        return lights
+
+    def _trace_rays(self) -> tuple[Any, Any, Any]:
+        """Return origin, direction and flux of each path's light on its way to each surface; without one flux is 0."""
+        scene = self._scene
+        slots, dimensions, share = (
+            dr.opaque(mi.UInt32, self._slots),
+            dr.opaque(mi.UInt32, self._dimensions),
+            dr.opaque(mi.Float, 1.0 / self._count),
+        )
+        path = dr.arange(mi.UInt32, self._count)
+        size = self._count * self._slots
+        origin, direction, flux = dr.zeros(mi.Point3f, size), dr.zeros(mi.Vector3f, size), dr.zeros(mi.Color3f, size)
+
+        def draw(place: Any) -> Any:
+            return dr.gather(mi.Float, self._points, path * dimensions + place)
+
+        first = [draw(mi.UInt32(k)) for k in range(_OF_EMISSION)]
+        place, aim = mi.Point2f(*first[1:3]), mi.Point2f(*first[3:])
+        ray, power, emitter = scene.sample_emitter_ray(0.0, first[0], place, aim, True)
+        power = power * share * self._widen(ray, emitter)
+        if not dr.any((dr.max(power) > 0) & dr.isfinite(dr.max(power))):
+            raise InputError(
+                describe_problem(
+                    "scene",
+                    expected="an emitter that sends light out",
+                    got=f"{len(scene.emitters())} emitters and no light from them",
+                    action="add one, or switch one on",
+                )
+            )
+        rng = mi.PCG32()
+        state, sequence = mi.sample_tea_32(path, dr.opaque(mi.UInt32, self._seed & 0xFFFFFFFF))
+        rng.seed(initstate=state, initseq=sequence)
+
+        def go_on(walk: _Walk) -> Any:
+            return walk.active
+
+        def bounce(walk: _Walk) -> tuple[_Walk]:
+            si = scene.ray_intersect(walk.ray)
+            bsdf = si.bsdf(walk.ray)
+            found = si.is_valid()
+            slot = path * slots + walk.bounce
+            kept = found & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            dr.scatter(origin, walk.ray.o, slot, kept)
+            dr.scatter(direction, walk.ray.d, slot, kept)
+            dr.scatter(flux, walk.throughput * power, slot, kept)
+
+            going = found & (walk.bounce + 1 < slots)
+            place = _OF_EMISSION + _OF_BOUNCE * walk.bounce
+            quasi = place + _OF_BOUNCE <= dimensions
+            numbers = [
+                dr.select(
+                    quasi,
+                    dr.gather(mi.Float, self._points, path * dimensions + place + k, quasi),
+                    walk.rng.next_float32(),
+                )
+                for k in range(_OF_BOUNCE)
+            ]
+            walk.throughput *= sample_onward(si, bsdf, walk.ray, numbers, going)
+            strongest = dr.max(walk.throughput)
+            chance = dr.minimum(strongest, MOST_KEPT)
+            walk.active = going & (numbers[3] < chance)
+            walk.throughput *= dr.select(walk.active, dr.rcp(chance), 0.0)
+            walk.bounce += 1
+            return (walk,)
+
+        start = _Walk(mi.Bool(True), ray, rng, mi.Color3f(1), mi.UInt32(0))
+        dr.while_loop((start,), go_on, bounce, label="light paths")
+        dr.eval(origin, direction, flux)
+        return origin, direction, flux
+
+    def _widen(self, ray: Any, emitter: Any) -> Any:
+        """Let rays from infinity come from all around the shapes, and return by what their power grows.
+
+        They start on the scene's own bounding sphere, which may be too small (see `find_sphere`).
+        """
+        box = self._scene.bbox()
+        # Without a valid box Mitsuba takes a sphere of this size around the origin.
+        old_center, old_radius = np.zeros(3), float(mi.math.RayEpsilon)
+        if box.valid():
+            old_center = np.asarray(box.center(), dtype=np.float64).ravel()
+            old_radius = max(old_radius, math.dist(np.ravel(box.min), np.ravel(box.max)) / 2.0)
+        center, radius = find_sphere(self._scene)
+        distant = mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite) | mi.has_flag(
+            emitter.flags(), mi.EmitterFlags.DeltaDirection
+        )
+        grown = dr.opaque(mi.Float, radius / old_radius)
+        old, new = (mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place)) for place in (old_center, center))
+        ray.o = dr.select(distant, new + (ray.o - old) * grown, ray.o)
+        return dr.select(distant, dr.square(grown), 1.0)
+
+
+def sample_onward(si: Any, bsdf: Any, ray: Any, numbers: list[Any], active: Any) -> Any:
+    """Turn ``ray`` into the next one of a light path and return what becomes of its flux (Color3f).
+
+    Light is scattered by the very function that a camera path would see, with the directions swapped, so that shading
+    normals, normal maps and refraction give the same picture from either end (Veach 1997, section 5.3).
+    """
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    chosen, weight = bsdf.sample(context, si, numbers[0], mi.Point2f(numbers[1], numbers[2]), active)
+    onward = si.to_world(chosen.wo)
+    is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+    value = evaluate_towards(si, bsdf, si.wi, chosen.wo, active & ~is_delta)
+    cosine_in, cosine_out = dr.abs(dr.dot(si.n, ray.d)), dr.abs(dr.dot(si.n, onward))
+    smooth = value * (cosine_out / (cosine_in * chosen.pdf))
+    factor = dr.select(is_delta, weight, smooth)
+    onward_ray = si.spawn_ray(onward)
+    ray.o, ray.d, ray.maxt = onward_ray.o, onward_ray.d, onward_ray.maxt
+    return dr.select(active & (dr.max(weight) > 0) & dr.isfinite(dr.max(factor)), factor, 0.0)
+
+
+def evaluate_towards(si: Any, bsdf: Any, incoming: Any, outgoing: Any, active: Any) -> Any:
+    """Return ``f cos`` of light from ``incoming`` to ``outgoing`` (both local to ``si``, pointing away from it).
+
+    The cosine is that of the incoming direction, as a viewer at ``outgoing`` has it.
+    """
+    turned = mi.SurfaceInteraction3f(si)
+    turned.wi = mi.Vector3f(outgoing)
+    return bsdf.eval(mi.BSDFContext(), turned, incoming, active)
