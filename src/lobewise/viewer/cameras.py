@@ -64,7 +64,8 @@ class CameraMap:
     def to_camera(self, pose: Pose) -> Camera | None:
         """Return the camera of a scene; None where the browser's looks along its own axis, and of a finished frame."""
         forward = pose.look_at - pose.position
-        if not self._scene or np.linalg.norm(np.cross(forward, pose.up)) < 1e-6 * np.linalg.norm(forward):
+        across = float(np.linalg.norm(np.cross(forward, pose.up)))
+        if not self._scene or not across > 1e-6 * float(np.linalg.norm(forward) * np.linalg.norm(pose.up)):
             return None
         return Camera(position=pose.position / self._scale, forward=forward, up=pose.up, fov_y=pose.fov)
 

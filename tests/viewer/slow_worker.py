@@ -1,0 +1,38 @@
+"""A stand-in for the process that renders: its pictures take long and it says what it was asked for."""
+
+from __future__ import annotations
+
+import os
+import time
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from lobewise.viewer.looks import FrameLook
+from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
+
+SECONDS = 0.15
+
+
+def run_slow_worker(pipe: Connection, target: Target) -> None:
+    """Answer requests after `SECONDS`; number 666 ends the process, 13 fails."""
+    if target.name == "missing":
+        pipe.send(Problem("there is no such thing; look elsewhere."))
+        return
+    pipe.send(Opened(Description(FrameLook(), 4, 4)))
+    forgotten: list[int] = []
+    while (order := pipe.recv()) is not None:
+        if isinstance(order, Request):
+            if order.number == 666:
+                os._exit(7)
+            time.sleep(SECONDS)
+            if order.number == 13:
+                pipe.send(Problem("this look does not go; choose another.", order.client))
+            else:
+                pixels = np.full((4, 4, 3), order.number % 256, np.uint8)
+                pipe.send(Picture(order.client, order.number, pixels, (4, 4), 0.0, accumulated=int(order.fresh)))
+        elif isinstance(order, Save):
+            pipe.send(SavedFile(order.client, order.kind, repr(forgotten).encode()))
+        else:
+            forgotten.append(order.client)
+        pipe.send(None)

@@ -1,0 +1,77 @@
+"""The browser's camera as ours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lobewise.frame import Camera
+from lobewise.viewer.cameras import CameraMap, Pose, find_up
+from lobewise.viewer.looks import FrameLook, SceneLook
+from lobewise.viewer.messages import Description, Window
+
+Z_UP = Camera(position=(3.0, -900.0, 40.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=0.7)
+Y_UP = Camera(position=(0.0, 0.2, 0.3), forward=(0.1, -0.2, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7)
+
+
+def describe(camera: Camera, gap: float) -> Description:
+    """Return a scene whose camera looks at a point at a distance."""
+    at = camera.position + gap * camera.forward
+    return Description(SceneLook(), 64, 64, camera, (float(at[0]), float(at[1]), float(at[2])))
+
+
+class TestScenes:
+    @pytest.mark.parametrize(("camera", "gap"), [(Z_UP, 850.0), (Y_UP, 0.3)])
+    def test_the_start_is_the_scenes_own_camera(self, camera, gap):
+        cameras = CameraMap(describe(camera, gap))
+        back = cameras.to_camera(cameras.start)
+        for name in ("position", "forward", "up"):
+            np.testing.assert_allclose(getattr(back, name), getattr(camera, name), rtol=1e-9, atol=1e-9)
+        assert back.fov_y == camera.fov_y
+
+    @pytest.mark.parametrize(("camera", "gap"), [(Z_UP, 850.0), (Y_UP, 0.3)])
+    def test_whatever_the_unit_the_keys_fly_at_one_pace(self, camera, gap):
+        cameras = CameraMap(describe(camera, gap))
+        start = cameras.start
+        assert np.linalg.norm(start.look_at - start.position) == pytest.approx(4.0)
+        # Half the way to what is looked at, there and here.
+        step = 0.5 * (start.look_at - start.position)
+        moved = cameras.to_camera(replace(start, position=start.position + step, look_at=start.look_at + step))
+        np.testing.assert_allclose(moved.position, camera.position + 0.5 * gap * camera.forward, rtol=1e-9)
+
+    def test_the_axis_of_the_orbit(self):
+        np.testing.assert_array_equal(find_up(Z_UP), [0.0, 0.0, 1.0])
+        np.testing.assert_array_equal(find_up(Y_UP), [0.0, 1.0, 0.0])
+        np.testing.assert_array_equal(find_up(replace(Y_UP, up=(0.1, -1.0, 0.2))), [0.0, -1.0, 0.0])
+
+    def test_a_camera_that_looks_along_its_axis_is_none(self):
+        cameras = CameraMap(describe(Y_UP, 1.0))
+        pose = Pose(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0]), 0.7)
+        assert cameras.to_camera(pose) is None
+        assert cameras.to_camera(replace(pose, look_at=np.zeros(3))) is None
+
+    def test_a_scene_without_anything_ahead(self):
+        cameras = CameraMap(Description(SceneLook(), 64, 64, Y_UP, (0.0, 5.0, 90.0)))
+        np.testing.assert_allclose(cameras.to_camera(cameras.start).forward, Y_UP.forward)
+
+    def test_a_scene_is_never_cut(self):
+        cameras = CameraMap(describe(Y_UP, 1.0))
+        assert cameras.to_window(cameras.start, 300, 200) == Window(300, 200)
+
+
+class TestFinishedFrames:
+    cameras = CameraMap(Description(FrameLook(), 64, 64))
+
+    def test_all_of_it_first(self):
+        assert self.cameras.to_window(self.cameras.start, 300, 200) == Window(300, 200, 1.0, (0.0, 0.0))
+        assert self.cameras.to_camera(self.cameras.start) is None
+
+    def test_nearer_is_larger_and_aside_is_aside(self):
+        start = self.cameras.start
+        half = replace(start, position=0.5 * start.position)
+        assert self.cameras.to_window(half, 300, 200).zoom == pytest.approx(2.0)
+        shift = np.array([0.25, -0.5, 0.0])
+        aside = replace(start, position=start.position + shift, look_at=shift)
+        assert self.cameras.to_window(aside, 300, 200).centre == (0.25, -0.5)

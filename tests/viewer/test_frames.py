@@ -1,0 +1,132 @@
+"""A finished frame behind the page, without a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lobewise.denoising import denoise
+from lobewise.errors import FileError
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
+from lobewise.sparse_frame import make_sparse
+from lobewise.upsampling import upsample
+from lobewise.viewer.frames import FrameTarget
+from lobewise.viewer.looks import FrameLook
+from lobewise.viewer.messages import Request, Window
+
+NORMAL = FrameLook(similarity="normal", radius=2, form="separable")
+
+
+def ask(look: FrameLook, other: FrameLook | None = None, client: int = 0) -> Request:
+    return Request(client, 1, Window(8, 8), look, other)
+
+
+class TestWholeFrames:
+    def test_what_it_allows(self, floor_file):
+        found = FrameTarget(str(floor_file)).describe()
+        assert (found.width, found.height, found.camera, found.sparse) == (48, 32, None, False)
+        assert found.similarities[0] == "auto"
+        assert found.hit_distance
+        assert set(found.views) > {"image", "noisy", "specular", "sharpness", "weight_sum", "hit_distance", "normal"}
+
+    def test_without_guides_there_is_nothing_to_choose(self, tmp_path, rng):
+        path = tmp_path / "plain.exr"
+        write_frame(path, Frame(Radiance(rng.random((4, 5, 3)))))
+        found = FrameTarget(str(path)).describe()
+        assert found.similarities == ("none",)
+        assert found.look.similarity == "none"
+        assert found.views == ("image", "noisy", "weight_sum", "effective_samples")
+
+    def test_it_is_filtered_as_asked(self, floor_file):
+        target = FrameTarget(str(floor_file))
+        shot, other = target.render(ask(NORMAL, FrameLook(similarity="none")))
+        expected = denoise(read_frame(floor_file), similarity="normal", radius=2, form="separable")
+        np.testing.assert_array_equal(shot.image, expected.image)
+        np.testing.assert_array_equal(other.image, read_frame(floor_file).radiance.color)
+        weight = shot.get_view("weight_sum")
+        np.testing.assert_allclose(weight, expected.weight_sum / (1.0 + expected.weight_sum), rtol=1e-6)
+
+    def test_what_was_filtered_once_is_there(self, floor_file):
+        target = FrameTarget(str(floor_file))
+        assert target.is_slow(ask(NORMAL))
+        first = target.render(ask(NORMAL))[0]
+        assert not target.is_slow(ask(NORMAL, client=5))
+        assert target.render(ask(NORMAL, client=5))[0].image is first.image
+
+    def test_few_results_are_kept(self, floor_file):
+        target = FrameTarget(str(floor_file))
+        looks = [replace(NORMAL, normal_exponent=8.0 + step) for step in range(12)]
+        for look in looks:
+            target.render(ask(look))
+        assert target.is_slow(ask(looks[0]))
+        assert not target.is_slow(ask(looks[-1]))
+
+    def test_every_view_is_an_image(self, floor_file):
+        target = FrameTarget(str(floor_file))
+        shot = target.render(ask(NORMAL))[0]
+        for view in target.describe().views:
+            values = shot.get_view(view)
+            assert values.shape[:2] == (32, 48), view
+            assert np.isfinite(values).all()
+            if values.ndim == 2:
+                assert values.min() >= 0.0
+                assert values.max() <= 1.0
+
+    def test_sharp_lobes_are_bright(self, floor_frame, tmp_path):
+        alpha = np.where(np.arange(48) < 24, 0.5, 0.05) * np.ones((32, 1))
+        path = tmp_path / "two.exr"
+        write_frame(path, floor_frame.with_changes(gbuffer=replace(floor_frame.gbuffer, alpha_u=alpha)), half=False)
+        shown = FrameTarget(str(path)).render(ask(FrameLook(similarity="none")))[0].get_view("sharpness")
+        assert shown[:, 24:].min() > shown[:, :24].max() + 0.1
+
+    def test_hit_distance_as_a_share(self, floor_file, floor_frame):
+        shown = FrameTarget(str(floor_file)).render(ask(NORMAL))[0].get_view("hit_distance")
+        depth = np.asarray(floor_frame.gbuffer.depth)
+        np.testing.assert_allclose(shown, 2.0 / (2.0 + depth), rtol=1e-5)
+
+    def test_saving_what_is_seen(self, floor_file, tmp_path):
+        target = FrameTarget(str(floor_file))
+        shot = target.render(ask(NORMAL, client=3))[0]
+        for client, expected in ((3, shot.image), (4, read_image(floor_file))):
+            name, data = target.write(client)
+            (tmp_path / name).write_bytes(data)
+            np.testing.assert_allclose(read_image(tmp_path / name), expected, rtol=1e-6)
+        target.forget(3)
+
+    def test_a_missing_file(self, tmp_path):
+        with pytest.raises(FileError, match="no such file"):
+            FrameTarget(str(tmp_path / "none.exr"))
+
+
+class TestSparseFrames:
+    @pytest.fixture
+    def sparse_file(self, floor_frame, tmp_path):
+        path = tmp_path / "sparse.exr"
+        write_sparse_frame(path, make_sparse(floor_frame, 4, (1, 2)), half=False)
+        return path
+
+    def test_it_is_upsampled(self, sparse_file):
+        target = FrameTarget(str(sparse_file))
+        found = target.describe()
+        assert (found.sparse, found.forms, found.width) == (True, ("full",), 48)
+        shot = target.render(ask(FrameLook(similarity="normal", radius=2)))[0]
+        expected = upsample(read_sparse_frame(sparse_file), similarity="normal", radius=2)
+        np.testing.assert_array_equal(shot.image, expected.image)
+
+    def test_unfiltered_each_sample_fills_its_block(self, sparse_file, floor_frame):
+        shot = FrameTarget(str(sparse_file)).render(ask(FrameLook(similarity="none")))[0]
+        color = np.asarray(floor_frame.radiance.color)
+        np.testing.assert_array_equal(shot.image[1::4, 2::4], color[1::4, 2::4])
+        np.testing.assert_array_equal(shot.image[4, 5], color[1, 2])
+
+
+def test_gbuffers_without_roughness_compare_normals(tmp_path, rng):
+    path = tmp_path / "normals.exr"
+    normal = np.broadcast_to([0.0, 0.0, 1.0], (6, 7, 3))
+    write_frame(path, Frame(Radiance(rng.random((6, 7, 3))), GBuffer(normal=normal)))
+    found = FrameTarget(str(path)).describe()
+    assert found.similarities == ("normal", "none")
+    assert "sharpness" not in found.views

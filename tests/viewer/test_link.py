@@ -1,0 +1,214 @@
+"""The process that renders, from outside: latest wish first, everyone in turn, death and end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lobewise.errors import InputError, LobewiseError
+from lobewise.viewer import Viewer, link
+from lobewise.viewer.link import MOST_RESTARTS, Link
+from lobewise.viewer.looks import FrameLook
+from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
+from lobewise.viewer.server import find_port
+from tests.viewer.slow_worker import SECONDS, run_slow_worker
+
+PATIENCE = 20.0
+
+
+def wait_until(condition: Callable[[], object], patience: float = PATIENCE) -> None:
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def ask(client: int, number: int, *, fresh: bool = True) -> Request:
+    return Request(client, number, Window(4, 4), FrameLook(), fresh=fresh)
+
+
+def is_alive(process: int) -> bool:
+    """Return whether a process runs; one that ended and was not waited for does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def open_link(monkeypatch):
+    """Return a function that starts the slow worker behind a link, with all that it reports."""
+    monkeypatch.setattr(link, "run_worker", run_slow_worker)
+    links: list[Link] = []
+
+    def start(name: str = "thing") -> tuple[Link, list[Any], list[Any]]:
+        reports: list[Any] = []
+        remarks: list[Any] = []
+        links.append(Link(Target(name, True), reports.append, lambda text, again: remarks.append((text, again))))
+        links[-1].start()
+        wait_until(lambda: reports)
+        return links[-1], reports, remarks
+
+    yield start
+    for one in links:
+        one.stop()
+
+
+def get_numbers(reports: list[Any], client: int) -> list[int]:
+    return [report.number for report in reports if isinstance(report, Picture) and report.client == client]
+
+
+class TestMailbox:
+    def test_only_the_latest_wish_is_kept(self, open_link):
+        one, reports, _ = open_link()
+        assert isinstance(reports[0], Opened)
+        for number in range(1, 40):
+            one.submit(ask(1, number))
+        wait_until(lambda: 39 in get_numbers(reports, 1))
+        assert get_numbers(reports, 1) == [1, 39]
+        assert not one.is_waiting(1)
+
+    def test_browsers_take_turns(self, open_link):
+        one, reports, _ = open_link()
+        for number in range(1, 6):
+            for client in (1, 2, 3):
+                one.submit(ask(client, number))
+            time.sleep(SECONDS)
+        wait_until(lambda: all(5 in get_numbers(reports, client) for client in (1, 2, 3)))
+        counts = [len(get_numbers(reports, client)) for client in (1, 2, 3)]
+        assert max(counts) - min(counts) <= 1
+
+    def test_showing_anew_does_not_cancel_a_frame(self, open_link):
+        one, reports, _ = open_link()
+        one.submit(ask(1, 1))
+        one.submit(ask(1, 2))
+        one.submit(ask(1, 3, fresh=False))
+        wait_until(lambda: 3 in get_numbers(reports, 1))
+        assert [report.accumulated for report in reports if isinstance(report, Picture)] == [1, 1]
+
+    def test_submitting_does_not_wait(self, open_link):
+        one, _, _ = open_link()
+        start = time.perf_counter()
+        for number in range(1, 200):
+            one.submit(ask(1, number))
+        assert time.perf_counter() - start < SECONDS
+
+    def test_who_leaves_is_forgotten(self, open_link):
+        one, reports, _ = open_link()
+        one.submit(ask(1, 1))
+        one.submit(ask(2, 1))
+        one.forget(2)
+        one.save(1, "exr")
+        wait_until(lambda: any(isinstance(report, SavedFile) for report in reports))
+        assert [report.data for report in reports if isinstance(report, SavedFile)] == [b"[2]"]
+        assert get_numbers(reports, 2) == []
+
+    def test_a_problem_ends_nothing(self, open_link):
+        one, reports, remarks = open_link()
+        one.submit(ask(1, 13))
+        wait_until(lambda: any(isinstance(report, Problem) for report in reports))
+        one.submit(ask(1, 14))
+        wait_until(lambda: 14 in get_numbers(reports, 1))
+        assert remarks == []
+
+
+class TestDeath:
+    def test_it_is_started_again_with_the_latest_wishes(self, open_link):
+        one, reports, remarks = open_link()
+        one.submit(ask(1, 5, fresh=False))
+        wait_until(lambda: 5 in get_numbers(reports, 1))
+        before = one.process_id
+        os.kill(before, signal.SIGKILL)
+        wait_until(lambda: get_numbers(reports, 1) == [5, 5])
+        assert one.process_id != before
+        assert remarks == [("The renderer was killed by signal 9 and was started again.", True)]
+        # A new process has nothing to show anew.
+        assert reports[-1].accumulated == 1
+
+    def test_not_for_ever(self, open_link):
+        one, _, remarks = open_link()
+        one.submit(ask(1, 666))
+        wait_until(lambda: remarks and not remarks[-1][1])
+        assert len(remarks) == MOST_RESTARTS + 1
+        assert "exit code 7" in remarks[-1][0]
+
+    def test_what_cannot_be_opened_is_told(self, open_link):
+        _, reports, remarks = open_link("missing")
+        assert reports == [Problem("there is no such thing; look elsewhere.")]
+        time.sleep(0.2)
+        assert remarks == []
+
+    def test_stopping_in_mid_frame(self, open_link):
+        one, _, remarks = open_link()
+        process = one.process_id
+        one.submit(ask(1, 1))
+        one.stop()
+        assert not is_alive(process)
+        assert remarks == []
+
+
+class TestEnd:
+    @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc to find child processes")
+    @pytest.mark.parametrize(
+        ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)]
+    )
+    def test_no_process_is_left(self, number, code, floor_file):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        program = Path(sys.executable).with_name("lobewise")
+        running = subprocess.Popen(
+            [program, "view", str(floor_file), "--port", "0", "--similarity", "none"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert running.stdout is not None
+        line = running.stdout.readline()
+        assert line.startswith(f"Showing {floor_file} at http://127.0.0.1:")
+        assert line.endswith(" (only this machine can reach it); Ctrl-C ends it.\n")
+        children = [
+            int(word)
+            for task in Path(f"/proc/{running.pid}/task").iterdir()
+            for word in (task / "children").read_text().split()
+        ]
+        assert children
+        running.send_signal(number)
+        out, err = running.communicate(timeout=PATIENCE)
+        assert (running.returncode, out, err) == (code, "", "")
+        wait_until(lambda: not any(map(is_alive, children)))
+
+
+class TestViewer:
+    def test_what_cannot_be_opened_ends_it(self, tmp_path):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        path = tmp_path / "broken.exr"
+        path.write_bytes(b"no image")
+        with Viewer(str(path), is_frame=True, port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.exr"):
+            viewer.wait()
+
+    def test_a_port_that_is_taken(self):
+        import socket
+
+        with socket.socket() as taken:
+            taken.bind(("127.0.0.1", 0))
+            taken.listen()
+            port = taken.getsockname()[1]
+            assert port < find_port("127.0.0.1", port) <= port + 100
+
+    def test_an_address_of_another_machine(self):
+        with pytest.raises(InputError, match="--host and --port: expected an address of this machine"):
+            find_port("192.0.2.1", 8080)
+
+    @pytest.mark.parametrize(
+        ("host", "private"),
+        [("127.0.0.1", True), ("127.0.0.3", True), ("::1", True), ("localhost", True), ("0.0.0.0", False)],
+    )
+    def test_who_can_reach_it(self, host, private):
+        assert Viewer("thing", is_frame=True, host=host).is_private is private
