@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import halide as hl
 import numpy as np
@@ -118,68 +118,69 @@ def _define_tolerances(grid: Grid) -> list[Vector]:
     return [[hl.f32(grid.get("least")[0]) + hl.f32(grid.get("slope")[0]) * widest]]
 
 
-def find_facing(surface: NDArray[np.bool_], normal: FloatArray, camera: Camera | None) -> FloatArray:
-    """Return the normals (height, width, 3), and of the background those of a far wall that faces the camera.
+def find_footprints(
+    surface: NDArray[np.bool_], depth: FloatArray, pixel_angle: float, allowance: FloatArray | None, allowed: float
+) -> FloatArray:
+    """Return what a pixel covers, (height, width), 1 where there is no surface.
 
-    Without a camera all pixels look the same way.
+    It counts larger by the factor ``1 + allowed allowance``.
     """
-    numbers = _get_facing_numbers(camera, surface.shape)
-    (facing,) = run_pointwise(_define_facing, {"normal": normal, "surface": surface}, numbers)
-    return np.asarray(facing)
+    images = {"surface": surface, "depth": depth, "allowance": allowance}
+    numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
+    (footprint,) = run_pointwise(_define_footprints, images, numbers)
+    return np.asarray(footprint)
 
 
-def _get_facing_numbers(camera: Camera | None, size: tuple[int, ...]) -> dict[str, NDArray[np.float64]]:
-    if camera is not None:
-        return get_ray_numbers(camera, (size[0], size[1]))
-    return {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": np.zeros(3), "ray_down": np.zeros(3)}
-
-
-def _make_unit_ray(grid: Grid) -> list[hl.Expr]:
-    ray = make_ray(grid, hl.Float(32))
-    inverse = hl.f32(1.0) / hl.sqrt(dot(ray, ray))
-    return [component * inverse for component in ray]
-
-
-def _define_facing(grid: Grid) -> list[Vector]:
-    there = grid.read_one("surface") != 0
-    pairs = zip(grid.read("normal"), _make_unit_ray(grid), strict=True)
-    return [[hl.select(there, normal, -ray) for normal, ray in pairs]]
-
-
-def find_planes(
-    surface: NDArray[np.bool_],
-    places: tuple[FloatArray, FloatArray],
-    normal: FloatArray,
-    camera: Camera,
-    *,
-    far: float,
-    allowance: FloatArray | None,
-    allowed: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the tangent planes of the surfaces: points and normals (height, width, 3), and what a pixel covers there.
-
-    The background lies ``far`` away, without a normal, and its pixels cover 1. What a pixel covers counts larger by
-    the factor ``1 + allowed allowance``.
-    """
-    images = {"normal": normal, "position": places[0], "depth": places[1], "surface": surface, "allowance": allowance}
-    numbers = {
-        "eye": camera.position.astype(np.float32),
-        "far": np.float32(far),
-        "pixel_angle": np.float32(camera.get_pixel_angle(surface.shape[0])),
-        "allowed": np.float32(allowed),
-        **_get_facing_numbers(camera, surface.shape),
-    }
-    position, normal, footprint = run_pointwise(_define_planes, images, numbers)
-    return position, normal, footprint
-
-
-def _define_planes(grid: Grid) -> list[Vector]:
-    there = grid.read_one("surface") != 0
-    (far,), (angle,), (allowed,) = (grid.get(name) for name in ("far", "pixel_angle", "allowed"))
-    away = [eye + far * ray for eye, ray in zip(grid.get("eye"), _make_unit_ray(grid), strict=True)]
-    position = [hl.select(there, p, a) for p, a in zip(grid.read("position"), away, strict=True)]
-    normal = [hl.select(there, component, hl.f32(0.0)) for component in grid.read("normal")]
+def _define_footprints(grid: Grid) -> list[Vector]:
+    (angle,), (allowed,) = grid.get("pixel_angle"), grid.get("allowed")
     footprint = grid.read_one("depth") * angle
     if grid.has("allowance"):
         footprint = footprint * (hl.f32(1.0) + grid.read_one("allowance") * allowed)
-    return [position, normal, [hl.select(there, footprint, hl.f32(1.0))]]
+    return [[hl.select(grid.read_one("surface") != 0, footprint, hl.f32(1.0))]]
+
+
+class Backdrop(NamedTuple):
+    """Surfaces before a wall that is far away, each (height, width, 3)."""
+
+    facing: FloatArray
+    """Normals; those of the wall face the camera."""
+    normal: FloatArray
+    """The same, but 0 on the wall, which has no tangent plane."""
+    position: FloatArray | None
+    """Surface points, as far as they are known."""
+
+
+def put_backdrop(
+    surface: NDArray[np.bool_], normal: FloatArray, position: FloatArray | None, camera: Camera | None, far: float
+) -> Backdrop:
+    """Return the guides with a wall at the distance ``far`` wherever there is no surface.
+
+    Without a camera all pixels look the same way.
+    """
+    size = int(surface.shape[0]), int(surface.shape[1])
+    if camera is not None:
+        rays = get_ray_numbers(camera, size)
+    else:
+        rays = {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": np.zeros(3), "ray_down": np.zeros(3)}
+    eye = np.zeros(3) if camera is None else camera.position
+    images = {"surface": surface, "normal": normal, "position": position}
+    numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}
+    facing, flat, *points = run_pointwise(_define_backdrop, images, numbers)
+    return Backdrop(facing, flat, points[0] if points else None)
+
+
+def _define_backdrop(grid: Grid) -> list[Vector]:
+    there = grid.read_one("surface") != 0
+    ray = make_ray(grid, hl.Float(32))
+    inverse = hl.f32(1.0) / hl.sqrt(dot(ray, ray))
+    ray = [component * inverse for component in ray]
+    normal = grid.read("normal")
+    outputs: list[Vector] = [
+        [hl.select(there, n, -r) for n, r in zip(normal, ray, strict=True)],
+        [hl.select(there, n, hl.f32(0.0)) for n in normal],
+    ]
+    if grid.has("position"):
+        (far,) = grid.get("far")
+        triples = zip(grid.read("position"), grid.get("eye"), ray, strict=True)
+        outputs.append([hl.select(there, p, eye + far * r) for p, eye, r in triples])
+    return outputs

@@ -102,7 +102,7 @@ def _define_curvature(grid: Grid) -> list[Vector]:
     last_x, last_y = (hl.max(extent - 2, 0) for extent in grid.size)
     # From a pixel to its right neighbour, which the last column has none of.
     right = grid.keep(_open(grid, y, (hl.min(x + 1, grid.size[0] - 1) if grid.narrow else x + 1, y)))
-    rows = [right[hl.clamp(column, 0, last_x), y] for column in (x - 1, x)]
+    rows = [right(hl.clamp(column, 0, last_x), y) for column in (x - 1, x)]
     down = [hl.clamp(row, 0, last_y) for row in (y - 1, y)]
     columns = [_open(grid, row, (x, hl.min(row + 1, grid.size[1] - 1))) for row in down]
     curvature = hl.f32(0.5) * (_choose_side(grid, columns) + _choose_side(grid, rows))

@@ -2,7 +2,8 @@
 
 A definition is a function of a `Grid` that returns the expressions of every output. It is compiled once per structure
 (which images there are, their channels, its options) and then runs on images of any size. Floats keep their order and
-their NaN, so neither threads nor where vectors begin change a bit.
+their NaN, so neither threads nor where vectors begin change a bit. Of the comparisons only ``<``, ``>`` and ``==`` are
+false for NaN: Halide writes ``<=`` and ``>=`` as the negation of the opposite.
 """
 
 from __future__ import annotations
@@ -66,15 +67,19 @@ class Grid:
 
     def share(self, values: Vector) -> list[hl.Expr]:
         """Return ``values``, computed by themselves for a row at a time: long expressions compile much faster so."""
-        func = self.keep(values)
-        return [func[self.x, self.y][k] for k in range(len(values))] if len(values) > 1 else [func[self.x, self.y]]
+        return self.keep(values)(self.x, self.y)
 
-    def keep(self, values: Vector) -> hl.Func:
-        """Return a function of (x, y) whose values are computed once for a whole row."""
+    def keep(self, values: Vector) -> Callable[[hl.Expr, hl.Expr], list[hl.Expr]]:
+        """Return what reads ``values`` at a pixel (x, y); they are computed once for a whole row."""
         func = hl.Func(f"row{len(self.stages)}")
         func[self.x, self.y] = hl.Tuple(list(values)) if len(values) > 1 else values[0]
         self.stages.append(func)
-        return func
+
+        def read(x: hl.Expr, y: hl.Expr) -> list[hl.Expr]:
+            there = func[x, y]
+            return [hl.Expr(there[k]) for k in range(len(values))] if len(values) > 1 else [hl.Expr(there)]
+
+        return read
 
 
 Definition = Callable[..., Sequence[Vector]]

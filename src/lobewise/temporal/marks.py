@@ -15,11 +15,12 @@ from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
 from lobewise.kernels.cross_filter import describe_structure
 from lobewise.kernels.features import Feature, NormalFeature, PlaneFeature
 from lobewise.kernels.guides import (
-    find_facing,
+    Backdrop,
+    find_footprints,
     find_inverse_hits,
     find_places,
-    find_planes,
     find_tolerances,
+    put_backdrop,
 )
 from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature
 from lobewise.lobe_table import LobeTable
@@ -119,12 +120,15 @@ def make_marks(
     frame = guides.frame
     surface = find_surface(frame)
     everywhere = np.ones(guides.shape, dtype=bool)
-    plane = _make_plane(guides, temporal, surface, allowance)
     normal = guides.gbuffer.normal
     assert normal is not None
+    position = guides.places[0] if guides.is_placed else None
     # The background faces the camera from far away, so that it is itself again and no surface.
-    looking = normal if surface.all() else find_facing(surface, normal, guides.camera)
-    facing = NormalFeature(looking, settings.normal_exponent)
+    backdrop = Backdrop(normal, normal, position)
+    if not surface.all():
+        backdrop = put_backdrop(surface, normal, position, guides.camera, FAR)
+    plane = _make_plane(guides, temporal, surface, allowance, backdrop)
+    facing = NormalFeature(backdrop.facing, settings.normal_exponent)
     marks = {"rest": Marks(everywhere, (*plane, facing))}
     same = replace(
         settings,
@@ -144,21 +148,18 @@ def make_marks(
 
 
 def _make_plane(
-    guides: Guides, temporal: TemporalSettings, surface: NDArray[np.bool_], allowance: FloatArray | None
+    guides: Guides,
+    temporal: TemporalSettings,
+    surface: NDArray[np.bool_],
+    allowance: FloatArray | None,
+    backdrop: Backdrop,
 ) -> tuple[Feature, ...]:
-    if not guides.is_placed:
+    if backdrop.position is None:
         return ()
-    assert guides.camera is not None and guides.gbuffer.normal is not None
-    planes = find_planes(
-        surface,
-        guides.places,
-        guides.gbuffer.normal,
-        guides.camera,
-        far=FAR,
-        allowance=allowance,
-        allowed=1.0 / temporal.plane_sigma,
-    )
-    return (PlaneFeature(*planes, temporal.plane_sigma),)
+    assert guides.camera is not None
+    pixel_angle = guides.camera.get_pixel_angle(guides.shape[0])
+    footprint = find_footprints(surface, guides.places[1], pixel_angle, allowance, 1.0 / temporal.plane_sigma)
+    return (PlaneFeature(backdrop.position, backdrop.normal, footprint, temporal.plane_sigma),)
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
