@@ -150,7 +150,7 @@ CORNER = math.sqrt(4.0**2 + 4.0**2 + 4.0**2)
 """Diagonal of the box around the floor and the wall of `make_corner`."""
 
 
-def make_corner(mi: Any, *, cone: float = 2.0, bsdf: dict[str, Any] | None = None) -> Any:
+def make_corner(mi: Any, *, cone: float = 2.0, bsdf: dict[str, Any] | None = None, **items: Any) -> Any:
     """Return a spot that lights one place of a floor, beside a wall that the camera sees."""
     transform = mi.ScalarTransform4f
     gray = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": HALF}}
@@ -172,6 +172,7 @@ def make_corner(mi: Any, *, cone: float = 2.0, bsdf: dict[str, Any] | None = Non
                 "beam_width": cone,
                 "intensity": {"type": "rgb", "value": 10.0},
             },
+            **items,
         }
     )
 
@@ -214,21 +215,42 @@ def test_one_light_is_the_closed_form(mi: Any) -> None:
     )
 
 
-def test_what_hides_a_light_is_seen(mi: Any) -> None:
+def test_lights_stay_until_they_are_traced_anew(mi: Any) -> None:
     scene = make_corner(mi)
+    points = view(scene)
     method = make_lights(scene, count=1, max_depth=3, clamp=0.0)
+    before = total(method.shade(points, samples=1, seed=0))
     params = mi.traverse(scene)
-    # The floor sinks below the place where its light stood: the old floor's light is then seen from the wall's
-    # whole height, and from behind nothing is.
-    before = total(method.shade(view(scene), samples=1, seed=0))
     params["spot.to_world"] = mi.Transform4f().look_at(origin=[0.2, 3, 0], target=[0.2, 0, 1.2], up=[1, 0, 0])
     params.update()
-    unchanged = total(method.shade(view(scene), samples=1, seed=0))
-    np.testing.assert_array_equal(unchanged, before)
+    np.testing.assert_array_equal(total(method.shade(points, samples=1, seed=0)), before)
     method.update()
-    moved = total(method.shade(view(scene), samples=1, seed=0))
-    np.testing.assert_allclose(moved, expect_one_light(method, view(scene)), rtol=ROUNDING, atol=1e-9)
+    moved = total(method.shade(points, samples=1, seed=0))
+    np.testing.assert_allclose(moved, expect_one_light(method, points), rtol=ROUNDING, atol=1e-9)
     assert not np.allclose(moved, before, rtol=0.05)
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.25])
+def test_screens_cast_shadows(mi: Any, opacity: float) -> None:
+    transform = mi.ScalarTransform4f
+    # From the floor to a height of 0.8, between light and wall.
+    screen = {
+        "type": "rectangle",
+        "to_world": transform().translate([0, 0.3, -0.3]).scale([2, 0.5, 1]),
+        "bsdf": {"type": "mask", "opacity": opacity, "inner": {"type": "diffuse"}},
+    }
+    scene = make_corner(mi, screen=screen)
+    points = view(scene)
+    method = make_lights(scene, count=1, max_depth=3, clamp=0.0)
+    light = np.array(method.lights.si.p).T[0]
+    position = np.array(points.si.p).T
+    height = position[:, 1] * (light[2] + 0.3) / (light[2] - position[:, 2])
+    wall = (position[:, 2] < -0.99) & (np.abs(height - 0.8) > 0.01)
+    through = np.where(height < 0.8, 1.0 - opacity, 1.0)[None, :, None]
+    found = get_image(method.shade(points, samples=1, seed=0).diffuse)[:, wall]
+    expected = (expect_one_light(method, points) * through)[:, wall]
+    assert 4 < (height[wall] < 0.8).sum() < wall.sum() - 4
+    np.testing.assert_allclose(found, expected, rtol=ROUNDING, atol=1e-9)
 
 
 def test_a_sphere_in_place_of_the_light_is_the_integral_over_its_cone(mi: Any) -> None:
@@ -420,8 +442,8 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
 def test_a_sky_lights_a_room(mi: Any, make_box_scene: Box) -> None:
     scene = make_box_scene({"light": {"type": "constant", "radiance": {"type": "rgb", "value": 0.5}}}, size=16)
     points = view(scene)
-    found = total(make_lights(scene, count=8192, clamp=0.0).shade(points, samples=16, seed=0))
-    assert found.mean() == pytest.approx(total(find_paths(scene, points, samples=512)).mean(), rel=PATHS_NOISE)
+    found = total(make_lights(scene, count=4096).shade(points, samples=16, seed=0))
+    assert found.mean() == pytest.approx(total(find_paths(scene, points, samples=256)).mean(), rel=PATHS_NOISE)
 
 
 def test_black_surfaces_give_no_light(mi: Any) -> None:

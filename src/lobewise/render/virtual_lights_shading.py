@@ -11,7 +11,7 @@ from lobewise.render.split import find_diffuse_share
 from lobewise.render.virtual_lights_paths import LightSet, evaluate_towards
 
 _NEAREST = 1e-6
-"""Shortest distance, as a part of the scene's size; a light within it lies on the point itself."""
+"""Shortest distance, as a part of the largest coordinate; a light within it lies on the point itself."""
 
 
 def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
@@ -82,8 +82,8 @@ class Lighting:
                 more = self._shine_sphere(si, bsdf, index, most_depth, rng)
                 return index + 1, diffuse + more[0], specular + more[1], rng
 
-            start = (first, mi.Color3f(0), mi.Color3f(0), rng)
-            _, diffuse, specular, advanced = dr.while_loop(start, go_on, add_sphere, label="spheres")
+            none = (first, mi.Color3f(0), mi.Color3f(0), rng)
+            _, diffuse, specular, advanced = dr.while_loop(none, go_on, add_sphere, label="spheres")
             rng.state, rng.inc = advanced.state, advanced.inc
         else:
 
