@@ -83,6 +83,7 @@ class VirtualLights:
         geometry term is held below its inverse square. 0 clamps nothing, and single lights then dominate corners.
     compensate : bool
         Whether rays of the points' own BSDF bring back what is clamped: unbiased, with a little noise in corners.
+        Spheres, and points without a clamp, have nothing to bring back.
     radius : float
         Of the spheres that replace the points, as a part of the same diagonal, 0 to 1; 0 keeps points. Spheres need no
         clamp: theirs is not used.
@@ -188,11 +189,10 @@ class VirtualLights:
         )
 
     def count_lights_seen(self, points: Points, *, samples: int = 1, all_lights: bool = False) -> float:
-        """Return how many equal lights those that a pixel takes are worth, the median over points; for
-        `find_sharpness_limit`.
+        """Return how many equal lights those that a pixel takes are worth, for `find_sharpness_limit`.
 
-        Of the light ``L_k`` that each sends to a point, ``(sum L_k)^2 / sum L_k^2``: lights that are hidden, distant or
-        turned away count little. The points' own BSDFs and cosines are left out.
+        Of the light ``L_k`` that each sends to a point, ``(sum L_k)^2 / sum L_k^2``, the median over points: lights
+        that are hidden, distant or turned away count little. The points' own BSDFs and cosines are left out.
 
         Parameters
         ----------
