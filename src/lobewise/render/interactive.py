@@ -265,7 +265,7 @@ class Session:
             scale,
             place,
             shared.camera,
-            spp=chain.settings.spp,
+            spp=max(1, round(chain.settings.spp * method.worth)),
             lobe_tables=shared.hits.lobe_tables,
         )
 

@@ -37,6 +37,8 @@ class InteractiveSettings:
         As `lobewise.DenoiseSettings`.
     radius : int
         Samples from the centre to the edge of the kernel, 0 to 64; pixels where the scale is 1.
+    screen_sigma, tau, normal_exponent : float or "auto"
+        As `lobewise.DenoiseSettings`; the exponent is a number.
     temporal : bool
         Whether a frame knows those before it.
     adaptive : float
@@ -53,6 +55,9 @@ class InteractiveSettings:
     similarity: str = "ggx"
     beta: float | str = "auto"
     radius: int = 2
+    screen_sigma: float | str = "auto"
+    tau: float | str = "auto"
+    normal_exponent: float = 64.0
     temporal: bool = True
     adaptive: float = 0.05
     filter_direct: bool = True
@@ -80,7 +85,14 @@ class InteractiveSettings:
     def make_filter_settings(self) -> DenoiseSettings:
         """Return the settings of the filter that these ask for."""
         similarity = "auto" if self.similarity == UNFILTERED else self.similarity
-        return DenoiseSettings(similarity=similarity, beta=self.beta, radius=self.radius)
+        return DenoiseSettings(
+            similarity=similarity,
+            beta=self.beta,
+            radius=self.radius,
+            screen_sigma=self.screen_sigma,
+            tau=self.tau,
+            normal_exponent=self.normal_exponent,
+        )
 
 
 @dataclass(frozen=True)

@@ -25,13 +25,16 @@ class PathLight:
     """
 
     name = "paths"
+    worth = 1.0
+    can_replay = True
+    state = None
 
     def __init__(self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8) -> None:
         self._scene = scene
         self._materials = materials
         self._max_depth = max_depth
 
-    def shade(self, points: Points, *, samples: int, seed: int) -> Indirect:
+    def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `lobewise.render.points.IndirectMethod`."""
         settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, albedo=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)

@@ -58,16 +58,28 @@ class IndirectMethod(Protocol):
     def name(self) -> str:
         """What users choose it by."""
 
-    def shade(self, points: Points, *, samples: int, seed: int) -> Indirect:
+    @property
+    def worth(self) -> float:
+        """How many paths one of its samples is worth, by their noise: what filters adapt to."""
+
+    @property
+    def can_replay(self) -> bool:
+        """Whether what `shade` computes can be recorded once and replayed with other arguments (``dr.freeze``)."""
+
+    @property
+    def state(self) -> Any:
+        """The Dr.Jit arrays that a replay reads beside the scene (a PyTree), or None."""
+
+    def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the indirect light at points, not evaluated yet.
 
         Parameters
         ----------
         points : Points
             Any pixels, in any order; what a pixel gets does not depend on the others.
-        samples : int
+        samples : int or mitsuba.UInt32
             How much to spend on each, >= 1: paths, jittered cones or subsets of lights.
-        seed : int
+        seed : int or mitsuba.UInt32
             Same seed, same bits; another seed for every frame.
         """
 

@@ -31,13 +31,19 @@ class Frozen:
     ----------
     function : callable
         Takes Dr.Jit arrays and returns a list of them.
-    scene : mitsuba.Scene
-        What it reads beside its arguments.
+    find_state : callable
+        Returns what it reads beside its arguments: the scene, Dr.Jit arrays.
+    can_replay : bool
+        Whether to record at all.
     """
 
-    def __init__(self, function: Callable[..., list[Any]], scene: Any) -> None:
+    def __init__(
+        self, function: Callable[..., list[Any]], find_state: Callable[[], Any], can_replay: bool = True
+    ) -> None:
         self._plain = function
-        self._frozen: Callable[..., list[Any]] | None = dr.freeze(function, state_fn=lambda *_, **__: (scene,))
+        self._frozen: Callable[..., list[Any]] | None = None
+        if can_replay:
+            self._frozen = dr.freeze(function, state_fn=lambda *_, **__: find_state())
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
@@ -126,8 +132,8 @@ class Stages:
         self.start_size = get_image_size(scene)
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
-        self._guides = Frozen(self._find_guides, scene)
-        self._direct = Frozen(self._shade_direct, scene)
+        self._guides = Frozen(self._find_guides, lambda: scene)
+        self._direct = Frozen(self._shade_direct, lambda: scene)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
@@ -171,10 +177,12 @@ class Stages:
                 light = method.shade(points, samples=samples, seed=seed)
                 return [light.diffuse, light.specular, light.hit_distance]
 
-            known = self._indirect[method.name] = method, Frozen(shade, self.scene)
+            frozen = Frozen(shade, lambda: (self.scene, method.state), method.can_replay)
+            known = self._indirect[method.name] = method, frozen
         pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
         size = (dr.opaque(mi.UInt32, length) for length in (width, height))
-        diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
+        numbers = (make_opaque(samples), make_opaque(seed)) if method.can_replay else (samples, seed)
+        diffuse, specular, distance = known[1](pixel, *size, *numbers)
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
     @staticmethod
