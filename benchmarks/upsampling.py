@@ -591,6 +591,7 @@ def watch(places: Mapping[str, tuple[Any, str]], spent: dict[str, float]) -> Ite
 
 def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
     """1920x1080 from 480x270: time of a frame with history, by stage, beside upsampling without."""
+    from lobewise.kernels.runs import SampleGrid
     from lobewise.temporal import past, recipe
 
     places = {
@@ -598,9 +599,7 @@ def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
         "marks": (past, "make_marks"),
         "places": (past, "_find_all_places"),
         "reprojection": (past, "run_reprojection"),
-        "upsampling kernel": (recipe, "run_upsampling"),
-        "trust": (recipe, "find_trust"),
-        "sums": (recipe, "map_chunks"),
+        "samples and trust": (SampleGrid, "join"),
     }
 
     def render() -> Frame:

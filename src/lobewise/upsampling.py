@@ -15,8 +15,9 @@ from lobewise.denoising.recipe import find_bad_pixels, find_good, refill, requir
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Frame, Result
-from lobewise.kernels.engine import FilterOutput, run_upsampling
+from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.features import Feature, TentFeature
+from lobewise.kernels.runs import run_upsampling
 from lobewise.sparse_frame import SparseFrame
 
 DEFAULT_RADIUS = 5

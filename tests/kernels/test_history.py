@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import run_reprojection
 from lobewise.kernels.features import Feature
 from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS, SNAP
 from lobewise.kernels.reference import reproject_reference
+from lobewise.kernels.runs import run_reprojection
 from tests.kernels.frames import SIZES, make_feature, make_mask
 
 SQUARED_WEIGHT = 4
@@ -96,6 +96,26 @@ def test_places_alone_agree_with_oracle() -> None:
         past, places, masks = make_past(shape), make_places(shape), (make_random_mask(shape, 1), make_mask(shape))
         expected = reproject_reference(past, places, masks, ([], []))
         np.testing.assert_allclose(run_reprojection(past, places, masks, ([], [])), expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("kinds", [("plane", "normal", "hit_distance"), ("plane", "ggx")], ids="+".join)
+@pytest.mark.parametrize("virtual_from", [0, 1])
+def test_of_two_places_the_better_counts_more(kinds: tuple[str, ...], virtual_from: int) -> None:
+    tolerance = max(RELATIVE.get(kind, DEFAULT_RELATIVE) for kind in kinds)
+    for shape in [(17, 3), (33, 29)]:
+        past, places, masks = make_past(shape), make_places(shape), (make_random_mask(shape, 1), make_mask(shape))
+        other = np.ascontiguousarray(places[::-1, ::-1])
+        before, now = make_pair(kinds, shape)
+        out = run_reprojection(past, places, masks, (before, now), virtual=(other, virtual_from), memory=0.5)
+        first = reproject_reference(past, places, masks, (before, now))
+        second = reproject_reference(past, other, masks, (before[virtual_from:], now[virtual_from:]))
+        squares = [found[..., AGREEMENT:] ** 2 for found in (first, second)]
+        share = squares[1] / np.maximum(squares[0] + squares[1], 1e-12)
+        expected = ((1.0 - share) * first + share * second) * 0.5
+        expected[..., SQUARED_WEIGHT] *= 0.5
+        expected[..., AGREEMENT] *= 2.0
+        # What is mixed by the square of an agreement errs by two of it more.
+        np.testing.assert_allclose(out, expected, rtol=4.0 * tolerance, atol=1e-6, err_msg=str(shape))
 
 
 @pytest.mark.parametrize("shape", SIZES, ids=str)

@@ -66,8 +66,6 @@ class PassKey:
     """Sums squared luminance as well."""
     strict: bool = False
     """Raises the weights of every centre's taps to a power of its own."""
-    paired: bool = False
-    """Taps come from another grid than the centres, ``scale`` times as coarse, with its own mask, albedo and guides."""
 
     @property
     def channels(self) -> int:
@@ -87,9 +85,6 @@ class PassFuncs:
     guide_count: int
     planes: hl.Func | None
     plane_count: int
-    centre_guides: hl.Func | None
-    """As ``guides`` and ``planes``, of the centres, where those are not the same pixels; else None."""
-    centre_planes: hl.Func | None
     stages: list[hl.Func]
     taps: hl.RDom
     x: hl.Var
@@ -140,49 +135,100 @@ class _Side:
         return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
 
 
+def begin_at_zero(image: hl.ImageParam) -> None:
+    """Let the compiler know that an image's coordinates begin at 0, as those of every array do."""
+    for axis in range(image.dimensions()):
+        image.dim(axis).set_min(0)
+
+
+def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> list[hl.ImageParam]:
+    """Return the parameters that hold the arrays of every feature; ``flat`` ones have one axis for all pixels."""
+    inputs = []
+    for number, feature in enumerate(features):
+        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+            param = hl.ImageParam(hl.Float(32), array.ndim - flat, f"{name}{number}_{slot}")
+            if array.ndim == 3:
+                # A known stride between pixels lets vectors of one channel be shuffled out of whole loads.
+                param.dim(1).set_stride(count)
+            begin_at_zero(param)
+            inputs.append(param)
+    return inputs
+
+
+def count_inputs(features: Sequence[Feature]) -> list[int]:
+    """Return the channels of the arrays of every feature, one after the other."""
+    return [count for feature in features for count in _count_channels(feature)]
+
+
+def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: hl.Expr) -> list[hl.Expr]:
+    """Return the input channels of a pixel, harmless where it has no meaning."""
+    neutral = [value for feature in features for value in feature.neutral]
+    return [hl.select(known, value, hl.f32(other)) for value, other in zip(channels, neutral, strict=True)]
+
+
+def prepare_planes(
+    features: Sequence[Feature], scalars: Sequence[Sequence[hl.Expr]], channels: Sequence[hl.Expr]
+) -> tuple[list[hl.Expr], list[slice]]:
+    """Return what taps read of a pixel, from its input channels, and which of it belongs to each feature."""
+    values: list[hl.Expr] = []
+    slices: list[slice] = []
+    given = 0
+    for feature, own in zip(features, scalars, strict=True):
+        count = sum(_count_channels(feature))
+        prepared = feature.prepare(channels[given : given + count], own) if count else []
+        given += count
+        slices.append(slice(len(values), len(values) + len(prepared)))
+        values.extend(prepared)
+    return values, slices
+
+
 def make_side(
     name: str,
     mask: hl.ImageParam,
     features: Sequence[Feature],
     scalars: Sequence[Sequence[hl.Expr]],
     variables: tuple[hl.Var, hl.Var, hl.Var],
-    strided: bool = False,
+    inside: bool = False,
 ) -> _Side:
-    """Return the planes of every feature on the grid of ``mask``; ``strided`` arrays are a part of larger ones."""
+    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
     x, y, c = variables
-    if strided:
-        mask.dim(0).set_stride(hl.Expr())
-    clamped = hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1)
-
-    # Guides: the input channels of every feature side by side, harmless where a pixel has no meaning.
-    arrays: list[hl.ImageParam] = []
+    at = (x, y) if inside else (hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1))
+    arrays = list_inputs(name, features)
+    # Guides: the input channels of every feature side by side.
     channels: list[hl.Expr] = []
-    for number, feature in enumerate(features):
-        neutral = iter(feature.neutral)
-        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
-            deep = array.ndim == 3
-            param = hl.ImageParam(hl.Float(32), 3 if deep else 2, f"{name}{number}_{slot}")
-            if strided and not deep:
-                param.dim(0).set_stride(hl.Expr())
-            arrays.append(param)
-            for k in range(count):
-                value = param[k, clamped[0], clamped[1]] if deep else param[clamped[0], clamped[1]]
-                channels.append(hl.select(mask[clamped[0], clamped[1]] != 0, value, hl.f32(next(neutral))))
-    guides = _stack(f"{name}_guides", channels, x, c, y)
-
-    # Planes: what the taps read of every feature.
-    values: list[hl.Expr] = []
-    slices: list[slice] = []
-    given = 0
-    for feature, own in zip(features, scalars, strict=True):
-        count = sum(_count_channels(feature))
-        prepared: list[hl.Expr] = []
-        if guides is not None and count:
-            prepared = feature.prepare([guides[x, k, y] for k in range(given, given + count)], own)
-        given += count
-        slices.append(slice(len(values), len(values) + len(prepared)))
-        values.extend(prepared)
+    for array, count in zip(arrays, count_inputs(features), strict=True):
+        deep = array.dimensions() == 3
+        channels += [array[k, at[0], at[1]] if deep else array[at] for k in range(count)]
+    guides = _stack(f"{name}_guides", neutralize(features, channels, mask[at] != 0), x, c, y)
+    read = [guides[x, k, y] for k in range(len(channels))] if guides is not None else []
+    values, slices = prepare_planes(features, scalars, read)
     return _Side(arrays, guides, len(channels), _stack(f"{name}_planes", values, x, c, y), len(values), slices)
+
+
+def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
+    """Return the luminance of a colour."""
+    return dot([hl.f32(share) for share in LUMINANCE], colour)
+
+
+def demodulate(
+    source: hl.ImageParam,
+    albedo: hl.ImageParam | None,
+    at: tuple[hl.Expr, hl.Expr],
+    floor: hl.Expr,
+    albedo_at: tuple[hl.Expr, hl.Expr] | None = None,
+) -> tuple[list[hl.Expr], hl.Expr]:
+    """Return the radiance at a pixel over its albedo, which no channel has below ``floor``, and whether it is good."""
+    radiance: list[hl.Expr] = [source[k, at[0], at[1]] for k in range(3)]
+    good = ~(expressions.is_bad(radiance[0]) | expressions.is_bad(radiance[1]) | expressions.is_bad(radiance[2]))
+    if albedo is not None:
+        column, row = albedo_at or at
+        tints = [albedo[k, column, row] for k in range(3)]
+        for k, tint in enumerate(tints):
+            good = good & ~expressions.is_bad(tint)
+            radiance[k] = radiance[k] / hl.max(tint, floor)
+        # A coloured metal may lack a channel altogether; a pixel is dropped when it lacks all of them.
+        good = good & (hl.max(tints[0], tints[1], tints[2]) > floor)
+    return radiance, good
 
 
 def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
@@ -190,9 +236,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
 
     The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
     albedo (c, x, y) where demodulated; mask (x, y) uint8, 1 where a pixel may give and take; the arrays of every
-    feature; step (int32); the parameters of every feature. A paired pass has, after these, the albedo, mask and arrays
-    of the centres, and scale (float32), shift_x and shift_y (float32): tap (u, v) of centre (x, y) lies
-    ``scale (u, v) + shift`` pixels of the centres' full grid away from it.
+    feature; step (int32); the parameters of every feature; strictness (x, y) where that is asked for.
     """
     x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
     source = hl.ImageParam(hl.Float(32), 3, "source")
@@ -207,20 +251,11 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     # Image: radiance over albedo and a weight of 1, or nothing at all where a pixel is bad.
     image = hl.Func("image")
     if key.first:
-        radiance = [source[k, clamped[0], clamped[1]] for k in range(3)]
-        good = usable
-        for value in radiance:
-            good = good & ~expressions.is_bad(value)
-        if key.demodulate:
-            tints = [albedo[k, clamped[0], clamped[1]] for k in range(3)]
-            for k, tint in enumerate(tints):
-                good = good & ~expressions.is_bad(tint)
-                radiance[k] = radiance[k] / hl.max(tint, hl.f32(ALBEDO_FLOOR))
-            # A coloured metal may lack a channel altogether; a pixel is dropped when it lacks all of them.
-            good = good & (hl.max(tints[0], tints[1], tints[2]) > hl.f32(ALBEDO_FLOOR))
+        radiance, good = demodulate(source, albedo if key.demodulate else None, clamped, hl.f32(ALBEDO_FLOOR))
+        good = good & usable
         values = [*radiance, hl.f32(1.0), hl.f32(1.0)]
         if key.moment:
-            luminance = dot([hl.f32(share) for share in LUMINANCE], radiance)
+            luminance = find_luminance(radiance)
             values.append(luminance * luminance)
         image[x, c, y] = hl.select(good, hl.mux(c, values), hl.f32(0.0))
     else:
@@ -230,12 +265,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
     ]
-    side = make_side("tap", mask, features, scalars, (x, y, c), key.paired)
-    centre, own_mask, own_albedo = side, mask, albedo
-    if key.paired:
-        own_mask = hl.ImageParam(hl.UInt(8), 2, "own_mask")
-        own_albedo = hl.ImageParam(hl.Float(32), 3, "own_albedo")
-        centre = make_side("centre", own_mask, features, scalars, (x, y, c), strided=True)
+    side = make_side("tap", mask, features, scalars, (x, y, c))
 
     # Taps.
     r = key.radius
@@ -249,10 +279,6 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     u, v = hl.Var("u"), hl.Var("v")
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
-    placing = [hl.Param(hl.Float(32), name) for name in ("scale", "shift_x", "shift_y")] if key.paired else []
-    if placing:
-        scale, shift_x, shift_y = placing
-        offset = scale * offset[0] + shift_x, scale * offset[1] + shift_y
     stages: list[hl.Func] = []
 
     def stage(value: hl.Expr) -> hl.Expr:
@@ -265,14 +291,11 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     if key.taps is Taps.ATROUS:
         exponent = _tap_profile(u) + _tap_profile(v)
     for feature, part, own in zip(features, side.slices, scalars, strict=True):
-        i, j = centre.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
+        i, j = side.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
     strictness = hl.ImageParam(hl.Float(32), 2, "strictness")
     if key.strict:
-        if key.paired:
-            strictness.dim(0).set_stride(hl.Expr())
-        power = strictness[hl.clamp(x, 0, own_mask.width() - 1), hl.clamp(y, 0, own_mask.height() - 1)]
-        exponent = exponent * power
+        exponent = exponent * strictness[clamped]
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
@@ -289,10 +312,10 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     if key.last:
         total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
         moments: list[hl.Expr] = []
-        alive = (own_mask[x, y] != 0) & (total > hl.f32(0.0))
+        alive = (mask[x, y] != 0) & (total > hl.f32(0.0))
         mean = [sums[x, y][k] / total for k in range(3)]
         if key.modulate:
-            tints = [own_albedo[k, x, y] for k in range(3)]
+            tints = [albedo[k, x, y] for k in range(3)]
             mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
         # The squares underflow before the sum does: then one far tap decides, which is one sample.
         effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
@@ -303,14 +326,12 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(key.channels)])
     arguments = [
         source,
-        *([albedo] if key.demodulate or (key.modulate and not key.paired) else []),
+        *([albedo] if key.demodulate or key.modulate else []),
         mask,
         *side.arrays,
         step,
         *(p for own in scalars for p in own),
     ]
-    if key.paired:
-        arguments += [*([own_albedo] if key.modulate else []), own_mask, *centre.arrays, *placing]
     arguments += [strictness] if key.strict else []
     return PassFuncs(
         out=out,
@@ -321,8 +342,6 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         guide_count=side.guide_count,
         planes=side.planes,
         plane_count=side.plane_count,
-        centre_guides=centre.guides if key.paired else None,
-        centre_planes=centre.planes if key.paired else None,
         stages=stages,
         taps=taps,
         x=x,

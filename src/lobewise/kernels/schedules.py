@@ -5,7 +5,8 @@ from __future__ import annotations
 import halide as hl
 
 from lobewise.kernels.cross_filter import PassFuncs
-from lobewise.kernels.history import HISTORY_CHANNELS, ReprojectionFuncs
+from lobewise.kernels.history import ReprojectionFuncs
+from lobewise.kernels.joining import JoiningFuncs
 
 
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
@@ -38,34 +39,90 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     for stage in funcs.stages:
         stage.compute_at(sums, funcs.taps.y).vectorize(x, lanes)
 
-    sides = ((funcs.guides, funcs.planes), (funcs.centre_guides, funcs.centre_planes))
-    counts = ((funcs.image, funcs.channels), *((planes, funcs.plane_count) for _, planes in sides))
-    for func, channels in counts:
-        if func is None:
-            continue
-        func.bound(c, 0, channels)
-        func.compute_at(out, ys).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
-        func.vectorize(x, lanes).unroll(c).never_partition_all()
-    for guides, planes in sides:
-        if guides is None:
-            continue
-        # Channels of a pixel lie together in memory; a row of them is taken apart once, and not once per plane.
-        guides.compute_at(planes, y).reorder_storage(x, c, y).align_storage(x, lanes).reorder(x, c, y)
-        guides.bound(c, 0, funcs.guide_count).vectorize(x, lanes).unroll(c).never_partition_all()
+    for func, channels in ((funcs.image, funcs.channels), (funcs.planes, funcs.plane_count)):
+        if func is not None:
+            _keep_rows(func.compute_at(out, ys), channels, (x, y, c), lanes)
+    if funcs.guides is not None:
+        # Channels of a pixel lie together in memory; a vector of them is taken apart once, and not once per plane.
+        assert funcs.planes is not None
+        _keep_rows(funcs.guides.compute_at(funcs.planes, x), funcs.guide_count, (x, y, c), lanes)
 
 
-def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> None:
-    """Rows in parallel, columns in vectors; the four taps gather, so their planes are computed where they are read."""
+def _keep_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl.Var], lanes: int) -> None:
+    """Let the channels of a function lie row by row beside each other, computed vector by vector.
+
+    One loop for all channels: a loop for each would take the compiler several times as long.
+    """
+    x, y, c = variables
+    func.bound(c, 0, channels).reorder_storage(x, c, y).align_storage(x, lanes).reorder(c, x, y)
+    func.vectorize(x, lanes).unroll(c).never_partition_all()
+
+
+def schedule_joining_cpu(funcs: JoiningFuncs, target: hl.Target) -> None:
+    """Tiles of rows in parallel, columns in vectors, the logarithms of all of a vector's weights at a time in cache.
+
+    What it rests on: a row of samples is spread out over its blocks' width once per tile, so that the taps of a vector
+    of pixels are plain loads at any scale; the logarithms serve trust and samples; what only one pixel reads is
+    computed there. The last vector of a row begins where it must to end with the row, so a row has a vector at least.
+    """
     x, y, c = funcs.x, funcs.y, funcs.c
     lanes = target.natural_vector_size(hl.Float(32))
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
-    xi, xo = hl.Var("xi"), hl.Var("xo")
-    out.bound(c, 0, HISTORY_CHANNELS + 1).reorder(c, x, y).unroll(c)
-    out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, y).vectorize(xi).parallel(y, 4, tail).never_partition_all()
-    funcs.sums.compute_at(out, xo).vectorize(x, lanes)
-    funcs.sums.update().reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes)
+    xi, xv, xw, xt = (hl.Var(name) for name in ("xi", "xv", "xw", "xt"))
+    yi, yo, yt, ys = (hl.Var(name) for name in ("yi", "yo", "yt", "ys"))
+    rows, strip, vectors = 8, 32, 256 // lanes
+    out.split(x, xv, xi, lanes, hl.TailStrategy.ShiftInwards).split(xv, xt, xw, vectors, tail)
+    out.split(y, ys, yt, strip, tail).split(yt, yo, yi, rows, tail)
+    out.reorder(xi, yi, xw, yo, xt, ys).vectorize(xi).parallel(ys).never_partition_all()
+
+    for func, taps, weights in funcs.weights:
+        func.compute_at(out, yi).vectorize(x, lanes)
+        func.update().reorder(x, taps.x, taps.y).vectorize(x, lanes)
+        weights.compute_at(func, taps.x).vectorize(x, lanes)
+    for func in funcs.once:
+        func.compute_at(out, yi).vectorize(x, lanes)
+    u, v = funcs.log_weight.args()[2:]
+    funcs.log_weight.compute_at(out, yi).hoist_storage(out, ys).reorder(x, u, v).vectorize(x, lanes)
     for stage in funcs.stages:
-        stage.compute_at(funcs.sums, funcs.taps.y).vectorize(x, lanes)
-    if funcs.planes is not None:
-        funcs.planes.bound(c, 0, funcs.plane_count).compute_at(out, xo).reorder_storage(x, c, y).reorder(x, c, y)
-        funcs.planes.vectorize(x, lanes).unroll(c)
+        stage.compute_at(funcs.log_weight, v).hoist_storage(out, ys).vectorize(x, lanes)
+    if funcs.own_planes is not None:
+        _keep_rows(funcs.own_planes.compute_at(out, yi), funcs.own_plane_count, (x, y, c), lanes)
+    if funcs.own_guides is not None:
+        _keep_rows(funcs.own_guides.compute_at(out, yi), funcs.tap_guide_count, (x, y, c), lanes)
+    wide = funcs.wide.compute_at(out, xt).reorder_storage(x, c, y).align_storage(x, lanes)
+    wide.reorder(x, c, y).vectorize(x, lanes).never_partition_all()
+    _keep_rows(funcs.tap_planes.compute_at(out, xt), funcs.wide_count, (x, y, c), lanes)
+    if funcs.tap_guides is not None:
+        _keep_rows(funcs.tap_guides.compute_at(funcs.tap_planes, x), funcs.tap_guide_count, (x, y, c), lanes)
+
+
+def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> None:
+    """Rows in parallel, columns in vectors; the four taps gather, so their planes are computed where they are read.
+
+    The last vector of a row begins where it must to end with the row, so a row has a vector at least.
+    """
+    x, y, c = funcs.x, funcs.y, funcs.c
+    lanes = target.natural_vector_size(hl.Float(32))
+    out, sums, ways = funcs.out, funcs.sums, funcs.ways
+    xi, xo = hl.Var("xi"), hl.Var("xo")
+    out.split(x, xo, xi, lanes, hl.TailStrategy.ShiftInwards).reorder(xi, xo, y).vectorize(xi)
+    out.parallel(y, 8, hl.TailStrategy.GuardWithIf).never_partition_all()
+    sums.compute_at(out, xo).bound(ways, 0, funcs.way_count).vectorize(x, lanes)
+    sums.update().reorder(x, funcs.taps.x, funcs.taps.y, ways).vectorize(x, lanes)
+    for func in (funcs.spots, funcs.near):
+        func.compute_at(out, xo).vectorize(x, lanes)
+    for stage in funcs.stages:
+        stage.compute_at(sums, funcs.taps.x).vectorize(x, lanes)
+    if funcs.surface_stages:
+        last = funcs.surface_stages[-1].compute_at(out, xo).vectorize(x, lanes)
+        for stage in funcs.surface_stages[:-1]:
+            stage.compute_at(last, last.args()[2]).vectorize(x, lanes)
+    for gathered in funcs.gathered:
+        func = gathered.func.bound(c, 0, gathered.channels).vectorize(c)
+        if gathered.shared:
+            func.compute_at(out, xo)
+        else:
+            func.compute_at(sums, ways)
+    for func, channels in ((funcs.guides, funcs.guide_count), (funcs.planes, funcs.plane_count)):
+        if func is not None:
+            _keep_rows(func.compute_at(out, xo), channels, (x, y, c), lanes)

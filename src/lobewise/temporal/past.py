@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import map_chunks
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
 from lobewise.frame import Camera, FloatArray, GBuffer
-from lobewise.kernels.engine import run_reprojection
 from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS
 from lobewise.kernels.places import find_surface_places
+from lobewise.kernels.runs import run_reprojection
 from lobewise.lobe_table import LobeTable
 from lobewise.temporal.marks import Guides, Marks, make_marks
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
 from lobewise.temporal.settings import TemporalSettings
-from lobewise.temporal.sums import fade
 
 AGREES = 0.1
 """Agreement from which a pixel counts as found, and continues the frame before."""
@@ -97,9 +94,7 @@ class Recollection:
         else:
             found = self._found[name] = self._find(name, past.sums[name])
         if found is not None:
-            reach = LARGEST_STEP * max(guides.shape)
-            places = self._places[0]
-            near = map_chunks(partial(_find_near, reach=reach), places, add_grid(np.zeros_like(places)))
+            near = _find_near(self._places[0], LARGEST_STEP * max(guides.shape))
             self.share = float(np.mean((found[..., AGREEMENT] > AGREES) & near))
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
@@ -112,8 +107,7 @@ class Recollection:
         found = self._found[name] if name in self._found else self._find(name, self._past.sums[name])
         if found is None:
             return None
-        faded: FloatArray = map_chunks(lambda sums: fade(sums[..., :AGREEMENT], self._temporal.memory), found)
-        return faded
+        return found[..., :AGREEMENT]
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
         old, new = self._old.get(name), self.marks[name]
@@ -122,29 +116,18 @@ class Recollection:
         assert self._places is not None
         masks = old.mask, new.mask
         surface, virtual = self._places
-        found = run_reprojection(sums, surface, masks, (old.surface, new.surface), device=self._device)
-        if not new.virtual or virtual is None:
-            return found
-        other = run_reprojection(sums, virtual, masks, (old.virtual, new.virtual), device=self._device)
-        better: FloatArray = map_chunks(_prefer_better, found, other)
-        return better
+        # Where the reflection was, all but the surface's own marks are compared.
+        second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
+        features = old.surface, new.surface
+        memory, device = self._temporal.memory, self._device
+        return run_reprojection(sums, surface, masks, features, virtual=second, memory=memory, device=device)
 
 
-def _find_near(places: FloatArray, grid: FloatArray, reach: float) -> NDArray[np.bool_]:
+def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:
     """Return which pixels moved less than ``reach``."""
-    step = np.abs(places - grid)
-    return np.asarray((step[..., 0] < reach) & (step[..., 1] < reach))
-
-
-def _prefer_better(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return what two places hold: the one that agrees better counts more, and where one holds nothing the other alone.
-
-    Each is (height, width, 8), with the agreement last.
-    """
-    square = first[..., AGREEMENT:] ** 2
-    other = second[..., AGREEMENT:] ** 2
-    share = other / np.maximum(square + other, np.float32(1e-12))
-    return np.asarray(first + share * (second - first), dtype=np.float32)
+    height, width = places.shape[:2]
+    across = np.abs(places[..., 0] - np.arange(width, dtype=np.float32)) < reach
+    return np.asarray(across & (np.abs(places[..., 1] - np.arange(height, dtype=np.float32)[:, None]) < reach))
 
 
 def _find_all_places(

@@ -26,8 +26,9 @@ from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_s
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.engine import FilterOutput, run_filter, run_upsampling
+from lobewise.kernels.engine import run_filter
 from lobewise.kernels.features import Feature
+from lobewise.kernels.runs import JoinedOutput, SampleGrid
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past
@@ -41,7 +42,7 @@ from lobewise.temporal.sums import (
     make_sums,
     summarize,
 )
-from lobewise.temporal.trust import find_trust
+from lobewise.temporal.trust import find_trust, find_trust_radius, spread_trust
 from lobewise.upsampling import DEFAULT_RADIUS, spread
 
 BORROWED_ERROR = 0.005
@@ -156,11 +157,11 @@ class TemporalFilter:
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)
         noise = self._estimate_noise(frame)
-        sums = {
+        outputs = {
             name: self._join(frame, layer, recollection.recall(name), chosen, noise) for name, layer in layers.items()
         }
-        result = self._make_result(frame, layers, sums, chosen, bad, recollection.share)
-        kept = {name: each[0] for name, each in sums.items()}
+        result = self._make_result(frame, layers, outputs, chosen, bad, recollection.share)
+        kept = {name: output.sums for name, output in outputs.items()}
         self._past = Past(guides, chosen.similarity, kept, recollection.marks, recollection.allowance)
         return replace(result, seconds=time.perf_counter() - start)
 
@@ -192,53 +193,60 @@ class TemporalFilter:
 
     def _join(
         self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: DenoiseSettings, noise: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the sums of this frame and its history, and what a tap that matches fully counts in them."""
+    ) -> JoinedOutput:
+        """Return the sums of this frame and its history, and what they tell."""
         scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
-        where = slice(place[0], None, scale), slice(place[1], None, scale)
         own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
-        samples = gather_samples(layer.radiance, layer.albedo, layer.mask, where, ALBEDO_FLOOR / own)
-        if history is not None:
-            trust = find_trust(layer, samples, history, scale, place, own, chosen.device)
-            history = map_chunks(fade, history, trust)
-            frames = history[..., FRAMES] + np.float32(1.0)
-            unit = np.asarray(frames**self.temporal.strictness, dtype=np.float32)
-        else:
-            unit = np.ones(layer.mask.shape, np.float32)
-        common: dict[str, Any] = {
-            "radius": chosen.radius,
-            "albedo": layer.albedo,
-            "modulate": False,
-            "moment": True,
-            "strictness": unit,
-            "device": chosen.device,
-        }
+        growth = self.temporal.strictness
+        albedo, device = layer.albedo, chosen.device
+        grid = SampleGrid(layer.mask, layer.features, scale=scale, place=place, albedo=albedo, device=device)
+        samples = gather_samples(layer.radiance, albedo, layer.mask, grid.shaded, ALBEDO_FLOOR / own)
+        trust = None if history is None else find_trust(grid, samples, history, own)
         if isinstance(frame, SparseFrame):
-            output = run_upsampling(layer.radiance, layer.mask, layer.features, scale=scale, place=place, **common)
-        else:
-            output = run_filter(layer.radiance, layer.mask, layer.features, form=chosen.form, **common)
+            return grid.join(
+                layer.radiance,
+                radius=chosen.radius,
+                history=history,
+                trust=trust,
+                trust_radius=find_trust_radius(grid),
+                growth=growth,
+                own=own,
+            )
+        # A form of whole frames may be several passes; the same arithmetic follows them.
+        unit = np.ones(layer.mask.shape, np.float32)
+        if history is not None and trust is not None:
+            history = map_chunks(fade, history, spread_trust(grid, trust))
+            unit = np.asarray((history[..., FRAMES] + np.float32(1.0)) ** growth, dtype=np.float32)
+        output = run_filter(
+            layer.radiance,
+            layer.mask,
+            layer.features,
+            form=chosen.form,
+            radius=chosen.radius,
+            albedo=albedo,
+            modulate=False,
+            moment=True,
+            strictness=unit,
+            device=device,
+        )
         # A kernel that is k times narrower holds a k-th of the samples, which are worth as much.
         assert output.moment is not None
         gathered = output.image, output.weight_sum, output.effective_samples, output.moment, unit
         sums = map_chunks(make_sums, *gathered, *([] if history is None else [history]))
         add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32), counted=unit)
-        return sums, unit
+        *told, variance = map_chunks(summarize, sums, unit, *([] if albedo is None else [albedo]))
+        return JoinedOutput(*told, sums=sums, variance=variance)
 
     @staticmethod
     def _make_result(
         frame: AnyFrame,
         layers: dict[str, Layer],
-        sums: dict[str, tuple[FloatArray, FloatArray]],
+        outputs: dict[str, JoinedOutput],
         chosen: DenoiseSettings,
         bad: NDArray[np.bool_],
         share: float,
     ) -> Result:
-        outputs = {}
-        variance = np.zeros(frame.shape, np.float32)
-        for name, layer in layers.items():
-            *told, own_variance = map_chunks(summarize, *sums[name], *([] if layer.albedo is None else [layer.albedo]))
-            outputs[name] = FilterOutput(*told)
-            variance += own_variance
+        variance = np.asarray(sum(output.variance for output in outputs.values()), dtype=np.float32)
         sparse = isinstance(frame, SparseFrame)
         parts = {
             name: output.image if sparse else keep_unfiltered(layers[name], output) for name, output in outputs.items()
@@ -256,9 +264,9 @@ class TemporalFilter:
         lobes = [name for name in layers if name != "rest"]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
-            image=image,
-            diffuse=blacken_bad(parts["diffuse"]) if "diffuse" in parts else None,
-            specular=blacken_bad(parts["specular"]) if "diffuse" in parts else None,
+            image=np.ascontiguousarray(image),
+            diffuse=np.ascontiguousarray(blacken_bad(parts["diffuse"])) if "diffuse" in parts else None,
+            specular=np.ascontiguousarray(blacken_bad(parts["specular"])) if "diffuse" in parts else None,
             weight_sum=weight_sum,
             effective_samples=effective_samples,
             bad_pixels=bad,
