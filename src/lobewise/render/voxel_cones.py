@@ -15,7 +15,7 @@ from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.points import Indirect, Points
-from lobewise.render.rays import make_rng
+from lobewise.render.rays import make_opaque, make_rng
 from lobewise.render.voxel_grid import (
     Faces,
     Floats,
@@ -27,7 +27,7 @@ from lobewise.render.voxel_grid import (
     plan_layout,
 )
 from lobewise.render.voxel_hits import Hits, cast_hits, find_bounds
-from lobewise.render.voxel_march import SHARPEST_TAN, find_reflection, gather_diffuse, trace_cone
+from lobewise.render.voxel_march import SHARPEST_TAN, draw_jitter, find_reflection, gather_diffuse, trace_cone
 from lobewise.render.voxel_refraction import can_refract, cross_glass
 
 RESOLUTIONS = (16, 32, 64, 128, 256)
@@ -66,10 +66,12 @@ class VoxelCones:
     Raises
     ------
     InputError
-        If a number is out of range, or the scene has no surface.
+        If a number is out of range, or the scene has no surface of finite size.
     """
 
     name = "voxel_cones"
+    worth = 64.0
+    can_replay = True
 
     def __init__(
         self,
@@ -101,6 +103,11 @@ class VoxelCones:
         self._grid = self._build(progress)
 
     @property
+    def state(self) -> Grid:
+        """What cones read beside the points; see `lobewise.render.points.IndirectMethod`."""
+        return self._grid
+
+    @property
     def grid(self) -> Grid:
         """The voxels as they are now."""
         return self._grid
@@ -119,10 +126,6 @@ class VoxelCones:
                 progress(done, total)
 
         with dr.suspend_grad():
-            if not self._scene.shapes():
-                raise InputError(
-                    describe_problem("scene", expected="a surface", got="none", action="add a shape to the scene")
-                )
             bounds = find_bounds(self._scene, self._resolution)
             hits = cast_hits(self._scene, self._materials, bounds, report)
             layout = plan_layout(bounds, hits)
@@ -140,11 +143,10 @@ class VoxelCones:
                 grid = fill_grid(layout, faces, depth, _extend(series[-3:], count[np.array(faces.slot)]))
         return grid
 
-    def shade(self, points: Points, *, samples: int, seed: int) -> Indirect:
+    def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` sets of jittered cones; see `lobewise.render.points.IndirectMethod`."""
         grid, surface = self._grid, points.surface
-        seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-        end = dr.opaque(mi.UInt32, samples)
+        seed_value, end = make_opaque(seed), make_opaque(samples)
         origin, normal = points.si.p, surface.normal
         matte = points.active & (dr.max(surface.diffuse_albedo) > 0)
         shiny = points.active & (surface.lobe_kind != float(LobeKind.NONE))
@@ -158,10 +160,10 @@ class VoxelCones:
 
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
-            shift = (rng.next_float32(), rng.next_float32())
-            cone = trace_cone(grid, origin, normal, axis, tangent, shift, shiny)
+            jitter = draw_jitter(rng)
+            cone = trace_cone(grid, origin, normal, axis, tangent, jitter, shiny)
             if self._is_clear:
-                reflected, through = self._look_through(points, rng, shift)
+                reflected, through = self._look_through(points, rng, jitter)
                 specular += cone.radiance * reflected + through
             else:
                 specular += cone.radiance * surface.specular_albedo
@@ -178,11 +180,11 @@ class VoxelCones:
             hit_distance=dr.select(shiny, met, 0.0),
         )
 
-    def _look_through(self, points: Points, rng: Any, shift: tuple[Any, Any]) -> tuple[Any, Any]:
+    def _look_through(self, points: Points, rng: Any, jitter: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return the albedo that is left for reflection, and the radiance that comes through clear surfaces."""
         crossing = cross_glass(self._scene, points.si, rng, points.active)
         ray = crossing.ray
-        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(SHARPEST_TAN), shift, crossing.active)
+        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(SHARPEST_TAN), jitter, crossing.active)
         through = crossing.weight * (cone.radiance + crossing.emitted)
         return points.surface.specular_albedo - crossing.first, dr.select(crossing.active, through, 0.0)
 
@@ -207,9 +209,10 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
         rng = make_rng(lane, index, mi.UInt32(0))
         point = mi.Point2f(rng.next_float32(), rng.next_float32())
         light, radiance = scene.sample_emitter_direction(si, point, True, mi.Bool(True))
-        cosine = dr.dot(light.d, hits.normal)
-        radiance = dr.select(light.pdf != 0, mi.Color3f(radiance), 0.0)
-        return index + 1, first + radiance * dr.maximum(cosine, 0.0), second + radiance * dr.maximum(-cosine, 0.0)
+        # A place inside a light source gets no number from it.
+        arriving = mi.Color3f(radiance) * dr.dot(light.d, hits.normal)
+        arriving = dr.select((light.pdf > 0) & dr.isfinite(dr.sum(arriving)), arriving, 0.0)
+        return index + 1, first + dr.maximum(arriving, 0.0), second + dr.maximum(-arriving, 0.0)
 
     start = (mi.UInt32(0), dr.zeros(mi.Color3f, len(hits)), dr.zeros(mi.Color3f, len(hits)))
     _, first, second = dr.while_loop(start, go_on, take, label="light samples")

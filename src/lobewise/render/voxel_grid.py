@@ -23,6 +23,9 @@ DIRECTIONS = 6
 MOST_DEPTH = 5.0
 """Optical depth of an opaque voxel: what lies behind it shows with a weight of 0.007."""
 
+FLAT = 0.9
+"""Length of the mean of the unit normals in a voxel from which they are taken to be those of a plane."""
+
 Floats = NDArray[np.float64]
 
 
@@ -32,7 +35,7 @@ class Grid:
 
     ``row`` tells, for every voxel of every level (level by level, x fastest), where in ``values`` it is, 0 for empty
     ones; ``values`` holds four numbers (red, green, blue, tau) per row and direction; ``starts`` where levels begin;
-    ``planes``, for the smallest voxels, per row and axis the mean normal ``n`` of what rays along it met, and ``n.p``.
+    ``planes``, per row and axis, the mean normal ``n`` of what rays met, and ``n.p``, or zeros where it is curved.
     """
 
     row: Any
@@ -80,11 +83,11 @@ class Layout:
     rows: int
 
 
-def _shrink(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
+def _find_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
     """Return the numbers of the voxels of the next level that hold given ones."""
     x, y, z = cells % resolution, cells // resolution % resolution, cells // resolution**2
     half = resolution // 2
-    return np.unique(x // 2 + half * (y // 2 + half * (z // 2)))
+    return x // 2 + half * (y // 2 + half * (z // 2))
 
 
 def plan_layout(bounds: Bounds, hits: Hits) -> Layout:
@@ -102,7 +105,7 @@ def plan_layout(bounds: Bounds, hits: Hits) -> Layout:
         starts.append(sum(len(other) for other in tables))
         tables.append(table)
         rows += len(cells)
-        cells, size = _shrink(cells, size), size // 2
+        cells, size = np.unique(_find_parents(cells, size)), size // 2
     row_of_hit = tables[0][hits.cell].astype(np.int64)
     slots = tuple(row_of_hit * DIRECTIONS + side.direction for side in hits.sides)
     return Layout(
@@ -153,17 +156,31 @@ def make_faces(layout: Layout, hits: Hits, count: Floats) -> Faces:
     position = np.array(hits.position, dtype=np.float64)
     normal = np.array(hits.normal, dtype=np.float64)
     normals = _average(layout, (normal, -normal), count)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
     positions = _average(layout, (position, position), count)
-    planes = np.concatenate([normals, np.sum(normals * positions, axis=-1, keepdims=True)], axis=-1)[::2]
-    smallest = (len(layout.levels[0].cells) + 1) * DIRECTIONS // 2
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     return Faces(
         slot=mi.UInt32(filled.astype(np.uint32)),
         position=_make(mi.Vector3f, positions[filled]),
-        normal=_make(mi.Vector3f, normals[filled]),
+        normal=_make(mi.Vector3f, (normals / np.maximum(lengths, 1e-6))[filled]),
         albedo=_make(mi.Color3f, _average(layout, [side.albedo for side in hits.sides], count)[filled]),
-        planes=mi.Float(planes[:smallest].astype(np.float32).ravel()),
+        planes=_find_planes(layout, normals[::2], positions[::2], count[::2]),
     )
+
+
+def _find_planes(layout: Layout, normals: Floats, positions: Floats, count: Floats) -> Any:
+    """Return the planes of `Grid`, from the means of level 0 per row and axis."""
+    sums = np.concatenate([normals, positions, np.ones((len(count), 1))], axis=-1) * count[:, None]
+    sums = sums.reshape(layout.rows, 3, 7)
+    size = layout.bounds.resolution
+    for below, above in zip(layout.levels, layout.levels[1:], strict=False):
+        rows = above.first_row + np.searchsorted(above.cells, _find_parents(below.cells, size))
+        np.add.at(sums, rows, sums[below.first_row : below.first_row + len(below.cells)])
+        size //= 2
+    mean = sums[..., :6] / np.maximum(sums[..., 6:], 1.0)
+    length = np.linalg.norm(mean[..., :3], axis=-1, keepdims=True)
+    normal = np.where(length >= FLAT, mean[..., :3] / np.maximum(length, 1e-6), 0.0)
+    planes = np.concatenate([normal, np.sum(normal * mean[..., 3:], axis=-1, keepdims=True)], axis=-1)
+    return mi.Float(planes.astype(np.float32).ravel())
 
 
 def _make(kind: Any, values: Floats) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.errors import InputError, describe_problem
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import dispatch_surface
@@ -21,7 +22,7 @@ RAYS = 2
 MOST_HITS = 64
 """How many surfaces one ray may pass."""
 
-MARGIN = 1.3
+MARGIN = 0.3
 """Voxels between the scene and the border of the grid; no whole number, so that walls of a box fall inside voxels."""
 
 # The mean cosine of light that falls on a surface evenly, at which directional albedos stand for hemispherical ones.
@@ -66,14 +67,38 @@ class Hits:
         return len(self.cell)
 
 
+def _find_box(shape: Any) -> NDArray[np.float64]:
+    """Return the corners (2, 3) of a shape's box; a mesh's own is not set where Mitsuba has merged several into it."""
+    if shape.is_mesh():
+        vertices = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
+        return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    box = shape.bbox()
+    return np.stack([np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)])
+
+
 def find_bounds(scene: Any, resolution: int) -> Bounds:
-    """Return the cube that holds a scene, slightly grown."""
+    """Return the cube that holds the surfaces of a scene, slightly grown.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they have no finite size.
+    """
     # Lights and cameras, which belong to the scene's own box, need no voxels; a sky's is infinite.
-    boxes = [shape.bbox() for shape in scene.shapes()]
-    lower = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
-    upper = np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
-    voxel = float((upper - lower).max()) / (resolution - 2.0 * MARGIN)
-    corner = 0.5 * (lower + upper) - 0.5 * resolution * voxel
+    boxes = np.array([_find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
+    boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
+    extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
+    if not extent > 0.0:
+        raise InputError(
+            describe_problem(
+                "scene",
+                expected="surfaces of finite size",
+                got=f"{len(boxes)} of them, {extent:g} wide",
+                action="add a shape to the scene",
+            )
+        )
+    voxel = extent / (resolution - 2.0 * MARGIN)
+    corner = 0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0)) - 0.5 * resolution * voxel
     return Bounds((float(corner[0]), float(corner[1]), float(corner[2])), voxel, resolution)
 
 

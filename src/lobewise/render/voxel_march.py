@@ -17,14 +17,8 @@ DIFFUSE_TAN = 0.5773502691896258
 SHARPEST_TAN = 0.005
 """Tangent of half the narrowest cone's angle."""
 
-FOOTPRINT = 0.25
+FOOTPRINT = 1.0 / 6.0
 """Voxels looked up are as wide as this share of the cone, so that those beside the cone's axis do not count."""
-
-LIFT = 1.5
-"""How many voxels of the level looked up at a cone keeps from the plane that it starts from."""
-
-NEAR = 1.5
-"""Voxels from its start within which a cone asks which surfaces lie ahead."""
 
 TOUCHING = 0.5
 """Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
@@ -32,7 +26,10 @@ TOUCHING = 0.5
 SAME_WAY = 0.8
 """so far that the cosine between their normals is at least this."""
 
-ENOUGH = 0.02
+SHORTEST = 1e-3
+"""Least step, in edges of a voxel: one that ends on a border must get into the next voxel."""
+
+ENOUGH = 0.1
 """Transmittance below which a cone ends."""
 
 
@@ -57,54 +54,40 @@ class _March:
     inverse: Any
 
 
-def look_up(grid: Grid, position: Any, direction: Any, level: Any, start: tuple[Any, Any] | None = None) -> Any:
-    """Return what travellers along a direction meet: tau times radiance and tau, per edge of a voxel of the level.
+def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
+    """Return what travellers along a direction meet in a voxel: tau times radiance and tau, per edge of the voxel.
 
-    Trilinear between voxels of one level. Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. With a
-    ``start`` on a surface, its position and normal (level 0 alone), only other surfaces count, and only if they lie
-    ahead: a wall close by from which the traveller moves away does not stop him.
+    Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. ``start`` is the surface that the traveller comes from,
+    its position and normal: only other surfaces count, and only if they lie ahead, for a wall close by from which the
+    traveller moves away does not stop him.
 
     Departs from Crassin 2011, who blends opacities by ``d_a^2``: with ``|d_a|`` and optical depths a wall stops the
     same share of light whatever the angle at which it is passed.
     """
     size = grid.resolution >> level
-    first = dr.gather(mi.UInt32, grid.starts, level)
-    scale = dr.rcp(grid.voxel * mi.Float(mi.UInt32(1) << level))
-    place = (position - grid.lower) * scale - 0.5
-    corner = dr.floor(place)
-    share = place - corner
     most = mi.Int32(size) - 1
-    near = [dr.clip(mi.Int32(c), 0, most) for c in corner]
-    far = [dr.clip(mi.Int32(c) + 1, 0, most) for c in corner]
-    spread = dr.abs(direction)
-    side = [dr.select(d >= 0, mi.UInt32(2 * axis), mi.UInt32(2 * axis + 1)) for axis, d in enumerate(direction)]
+    x, y, z = (mi.UInt32(dr.clip(mi.Int32(c), 0, most)) for c in cell)
+    place = dr.gather(mi.UInt32, grid.starts, level) + x + size * (y + size * z)
+    slot = dr.gather(mi.UInt32, grid.row, place) * DIRECTIONS
     total = mi.Vector4f(0)
-    for number in range(8):
-        bits = [(number >> axis) & 1 for axis in range(3)]
-        x, y, z = (mi.UInt32(far[axis] if bit else near[axis]) for axis, bit in enumerate(bits))
-        parts = [share[axis] if bit else 1.0 - share[axis] for axis, bit in enumerate(bits)]
-        weight = parts[0] * parts[1] * parts[2]
-        slot = dr.gather(mi.UInt32, grid.row, first + x + size * (y + size * z)) * DIRECTIONS
-        for axis in range(3):
-            value = dr.gather(mi.Vector4f, grid.values, slot + side[axis])
-            part = weight * spread[axis]
-            if start is not None:
-                plane = dr.gather(mi.Vector4f, grid.planes, slot // 2 + axis)
-                part = dr.select(_is_ahead(grid, plane, start, direction), part, 0.0)
-            total += value * part
+    for axis, component in enumerate(direction):
+        side = dr.select(component >= 0, mi.UInt32(2 * axis), mi.UInt32(2 * axis + 1))
+        value = dr.gather(mi.Vector4f, grid.values, slot + side)
+        plane = dr.gather(mi.Vector4f, grid.planes, slot // 2 + axis)
+        total += value * dr.select(_is_ahead(edge, plane, start, direction), dr.abs(component), 0.0)
     return total
 
 
-def _is_ahead(grid: Grid, plane: Any, start: tuple[Any, Any], direction: Any) -> Any:
+def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> Any:
     origin, own = start
     normal = mi.Vector3f(plane.x, plane.y, plane.z)
     height = dr.dot(normal, mi.Vector3f(origin)) - plane.w
-    is_own = (dr.abs(height) < TOUCHING * grid.voxel) & (dr.abs(dr.dot(normal, own)) > SAME_WAY)
-    return ~is_own & (height * dr.dot(normal, direction) < 0)
+    is_own = (dr.abs(height) < TOUCHING * edge) & (dr.abs(dr.dot(normal, own)) > SAME_WAY)
+    return ~is_own & ~(height * dr.dot(normal, direction) > 0)
 
 
 def trace_cone(
-    grid: Grid, origin: Any, normal: Any, direction: Any, tangent: Any, shift: tuple[Any, Any], active: Any
+    grid: Grid, origin: Any, normal: Any, direction: Any, tangent: Any, jitter: tuple[Any, ...], active: Any
 ) -> Cone:
     """Return what a cone from a surface meets.
 
@@ -117,64 +100,61 @@ def trace_cone(
         The cone's axis, unit.
     tangent : Float
         Of half its angle.
-    shift : (Float, Float)
-        In [0, 1): how far the first step is shortened, and which of two levels is taken between them.
+    jitter : tuple of four Float
+        In [0, 1): how far the voxels are moved along each axis, and which of two levels is taken between them. Over
+        all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size.
     active : Bool
     """
     size = grid.voxel * mi.Float(grid.resolution)
-    relative = origin - grid.lower
+    relative = mi.Vector3f(origin - grid.lower)
+    offset = mi.Vector3f(*jitter[:3]) - 0.5
     ends = [
         dr.select(d > 0, (size - r) / d, dr.select(d < 0, -r / d, dr.inf))
         for r, d in zip(relative, direction, strict=True)
     ]
     end = dr.minimum(dr.minimum(ends[0], ends[1]), ends[2])
-    steepness = dr.dot(direction, normal)
 
     def go_on(march: _March) -> Any:
         return active & (march.distance < end) & (march.transmittance > ENOUGH)
 
-    def add(march: _March, seen: Any, length: Any, share: Any) -> tuple[_March]:
-        kept = dr.exp(-seen.w * share)
-        found = march.transmittance * (1.0 - kept)
-        scale = dr.select(seen.w > 0, found / seen.w, 0.0)
-        march.radiance += mi.Color3f(seen.x, seen.y, seen.z) * scale
-        # Where half of the cone is stopped, within this step, is how far away it sees.
-        before, after = march.transmittance, march.transmittance * kept
-        part = dr.log(dr.maximum(2.0 * before, 1.0)) / dr.maximum(seen.w * share, 1e-6)
-        passes = (before > 0.5) & (after <= 0.5)
-        march.inverse = dr.select(passes, dr.rcp(march.distance + length * part), march.inverse)
-        march.transmittance = after
-        march.distance += length
-        return (march,)
-
-    def begin(march: _March) -> tuple[_March]:
-        share = dr.select(march.distance > 0, 1.0, 0.5 + 0.5 * shift[0])
-        length = grid.voxel * share
-        seen = look_up(
-            grid, origin + direction * (march.distance + 0.5 * length), direction, mi.UInt32(0), (origin, normal)
-        )
-        return add(march, seen, length, share)
+    steps = [dr.rcp(dr.abs(d)) for d in direction]
 
     def step(march: _March) -> tuple[_March]:
         width = 2.0 * FOOTPRINT * march.distance * tangent / grid.voxel
-        level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + shift[1]))
+        level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + jitter[3]))
         level = dr.minimum(level, grid.levels - 1)
         edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
-        length = dr.minimum(edge, end - march.distance)
-        middle = march.distance + 0.5 * length
-        # A cone would see the surface that it starts from: it keeps away from that by what is looked up.
-        rise = dr.maximum(LIFT * edge - middle * steepness, 0.0)
-        seen = look_up(grid, origin + direction * middle + normal * rise, direction, level)
-        return add(march, seen, length, length / edge)
+        place = (relative + direction * march.distance) / edge + offset
+        cell = dr.floor(place)
+        gaps = [
+            dr.select(d > 0, c + 1.0 - p, p - c) * step
+            for d, p, c, step in zip(direction, place, cell, steps, strict=True)
+        ]
+        length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
+        share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
+        seen = look_up(grid, cell, level, direction, (origin, normal), edge)
 
-    near = NEAR * grid.voxel
+        # Where half of the cone is stopped is how far away it sees.
+        before, after = march.transmittance, march.transmittance * dr.exp(-seen.w * share)
+        part = dr.log(dr.maximum(2.0 * before, 1.0)) / dr.maximum(seen.w, 1e-6)
+        passes = (before > 0.5) & (after <= 0.5)
+        march.inverse = dr.select(passes, dr.rcp(march.distance + edge * part), march.inverse)
+        march.radiance += mi.Color3f(seen.x, seen.y, seen.z) * dr.select(seen.w > 0, (before - after) / seen.w, 0.0)
+        march.transmittance = after
+        march.distance += edge * share
+        return (march,)
+
     start = _March(distance=mi.Float(0), radiance=mi.Color3f(0), transmittance=mi.Float(1), inverse=mi.Float(0))
-    march = dr.while_loop((start,), lambda march: active & (march.distance < near), begin, label="cone near")[0]
-    march = dr.while_loop((march,), go_on, step, label="cone")[0]
+    march = dr.while_loop((start,), go_on, step, label="cone")[0]
     # What is left when a cone ends early counts as met.
     whole = dr.select(march.transmittance > ENOUGH, 1.0, dr.rcp(1.0 - march.transmittance))
     left = dr.select(march.transmittance > ENOUGH, march.transmittance, 0.0)
     return Cone(radiance=march.radiance * whole, transmittance=left, inverse=march.inverse)
+
+
+def draw_jitter(rng: Any) -> tuple[Any, ...]:
+    """Return the random numbers of one cone."""
+    return tuple(rng.next_float32() for _ in range(4))
 
 
 def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
@@ -214,8 +194,7 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, rng: Any, active: Any) 
     def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any, Any]:
         point = mi.Point2f(rng.next_float32(), rng.next_float32())
         axis = find_diffuse_axis(normal, number, turn, point)
-        shift = (rng.next_float32(), rng.next_float32())
-        cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), shift, active)
+        cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), draw_jitter(rng), active)
         return number + 1, total + cone.radiance, rng
 
     _, total, _ = dr.while_loop((mi.UInt32(0), mi.Color3f(0), rng), go_on, take, label="diffuse cones")
