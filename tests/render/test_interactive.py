@@ -29,7 +29,7 @@ def scene(mi: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def base(scene: Any) -> Session:
-    return Session(scene, settings=QUICK)
+    return Session(scene, settings=QUICK, options={"voxel_cones": {"resolution": 32}})
 
 
 @pytest.fixture
@@ -138,6 +138,38 @@ def test_every_setting_gives_a_picture_like_the_others(session: Session, changes
         assert frame.settings == asked
     if changes.get("adaptive") == 0.0 or changes.get("scale") == 1:
         assert frame.recomputed == 0
+
+
+@pytest.mark.parametrize("method", ["voxel_cones", "virtual_lights"])
+def test_methods_agree_about_the_brightness(session: Session, method: str) -> None:
+    """Coarse voxels and clamped lights: a quarter is their bias, not a factor of two that a lost term would be."""
+    asked = replace(QUICK, spp=16, adaptive=0.0)
+    expected = session.render(None, asked).get_view("indirect").mean()
+    frames = [session.render(None, replace(asked, method=method)) for _ in range(2)]
+    assert frames[0].get_view("indirect").mean() == pytest.approx(expected, rel=0.25)
+    # What is recorded in the first frame is replayed in the second, with other random numbers.
+    samples = [frame.parts["sparse"].radiance.color for frame in frames]
+    assert samples[1].mean() == pytest.approx(samples[0].mean(), rel=0.25)
+
+
+def test_lights_that_change_are_noticed(mi: Any) -> None:
+    scene = load_scene("showroom", width=SIZE, height=SIZE)
+    session = Session(scene, settings=replace(QUICK, method="voxel_cones"), options={"voxel_cones": {"resolution": 16}})
+    before = session.render()
+    parameters = mi.traverse(scene)
+    name = next(key for key in parameters.keys() if key.endswith("radiance.value"))  # noqa: SIM118
+    parameters[name] = parameters[name] * 3.0
+    parameters.update()
+    session.update_lights()
+    after = session.render()
+    for part in ("direct", "indirect"):
+        ratio = after.get_view(part).mean() / before.get_view(part).mean()
+        assert ratio == pytest.approx(3.0, rel=0.05), part
+
+
+def test_options_are_for_methods_that_exist(scene: Any) -> None:
+    with pytest.raises(InputError, match="method"):
+        Session(scene, options={"voxels": {"resolution": 64}})
 
 
 def test_views_show_what_they_say(session: Session, path: list[Camera]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -73,6 +73,9 @@ class Session:
         The same seed and the same calls give the same images.
     progress : callable, optional
         Called with ``(done, total)`` while a method prepares the scene (voxels, lights).
+    options : mapping of mapping, optional
+        By the name of a method, what its class (`PathLight`, `VoxelCones`, `VirtualLights`) takes beside scene and
+        materials: ``{"voxel_cones": {"resolution": 64}}``.
 
     Raises
     ------
@@ -95,10 +98,11 @@ class Session:
         settings: InteractiveSettings | None = None,
         seed: int = 0,
         progress: Callable[[int, int], None] | None = None,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         loaded = load_scene(scene, width=width, height=height) if isinstance(scene, str) else scene
         self._stages = Stages(loaded)
-        self._methods = Methods(self._stages, progress)
+        self._methods = Methods(self._stages, progress, options)
         self._settings = settings or InteractiveSettings()
         self._seed = seed
         start = self._stages.start_size

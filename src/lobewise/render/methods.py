@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -32,11 +32,26 @@ class Methods:
         Of the scene.
     progress : callable, optional
         Called with ``(done, total)`` while a method prepares.
+    options : mapping of mapping, optional
+        By the name of a method, arguments of its class that differ from their defaults.
+
+    Raises
+    ------
+    InputError
+        If there is no method of a name in ``options``.
     """
 
-    def __init__(self, stages: Stages, progress: Callable[[int, int], None] | None = None) -> None:
+    def __init__(
+        self,
+        stages: Stages,
+        progress: Callable[[int, int], None] | None = None,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        for name in options or {}:
+            require_choice("method", name, METHODS)
         self._stages = stages
         self._progress = progress
+        self._options = dict(options or {})
         self._made: dict[str, Any] = {}
 
     def get(self, name: str) -> IndirectMethod:
@@ -51,7 +66,8 @@ class Methods:
         if name not in self._made:
             module, kind = _HOMES[name]
             make = getattr(import_module(f"lobewise.render.{module}"), kind)
-            more = {"progress": self._progress} if name in PREPARED else {}
+            more: dict[str, Any] = {"progress": self._progress} if name in PREPARED else {}
+            more.update(self._options.get(name, {}))
             self._made[name] = make(self._stages.scene, self._stages.materials, **more)
         method: IndirectMethod = self._made[name]
         return method
