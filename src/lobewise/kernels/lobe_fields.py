@@ -100,8 +100,11 @@ def _define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> li
     if kind is not None:
         specular = specular & (kind > hl.f32(0.5)) & (kind < hl.f32(3.5))
         lambert = surface & (kind == hl.f32(LobeKind.NONE)) if diffuse_fallback else lambert
-    # It hangs on every guide, so that without a row of its own each output would compute them all.
-    (which,) = grid.share([hl.select(specular, hl.u8(1), lambert, hl.u8(2), hl.u8(0))])
+    # What an output depends on hangs on every guide; without rows of their own each would compute it all.
+    which = hl.select(specular, hl.u8(1), lambert, hl.u8(2), hl.u8(0))
+    which, *kept = grid.share([which, *normal, *axis, *shape])
+    normal, axis, shape = kept[:3], kept[3:6], kept[6:]
+    grid.is_shared = True
 
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:
         return hl.select(which == 1, value, which == 2, diffuse, hl.f32(harmless))

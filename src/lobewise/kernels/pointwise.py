@@ -38,6 +38,8 @@ class Grid:
     x: hl.Var = field(default_factory=lambda: hl.Var("x"))
     y: hl.Var = field(default_factory=lambda: hl.Var("y"))
     stages: list[hl.Func] = field(default_factory=list)
+    is_shared: bool = False
+    """Whether the outputs do little more than read what is kept; else what they have in common is kept for them."""
 
     @property
     def size(self) -> tuple[hl.Expr, hl.Expr]:
@@ -169,13 +171,11 @@ def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func
     The values of a row lie in cache, one plane each, and are interleaved as they are written.
     """
     x, y, c = grid.x, grid.y, hl.Var("c")
-    # What several outputs have in common is computed by one function.
-    pixel = grid.share([value for values in outputs for value in values])
+    if len(outputs) > 1 and not grid.is_shared:
+        pixel = iter(grid.share([value for values in outputs for value in values]))
+        outputs = [[next(pixel) for _ in values] for values in outputs]
     outs: list[hl.Func] = []
-    start = 0
-    for number, values in enumerate(outputs):
-        parts = pixel[start : start + len(values)]
-        start += len(values)
+    for number, parts in enumerate(outputs):
         out = hl.Func(f"out{number}")
         if len(parts) == 1:
             out[x, y] = parts[0]
