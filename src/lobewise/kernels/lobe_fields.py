@@ -102,8 +102,8 @@ def _define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> li
         lambert = surface & (kind == hl.f32(LobeKind.NONE)) if diffuse_fallback else lambert
     # What an output depends on hangs on every guide; without rows of their own each would compute it all.
     which = hl.select(specular, hl.u8(1), lambert, hl.u8(2), hl.u8(0))
-    which, *kept = grid.share([which, *normal, *axis, *shape])
-    normal, axis, shape = kept[:3], kept[3:6], kept[6:]
+    which, *kept = grid.share([which, *axis, *shape])
+    axis, shape = kept[:3], kept[3:]
     grid.is_shared = True
 
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:
