@@ -214,8 +214,8 @@ def _reflect_tangent(
 
     if grid.has("tangent"):
         tangent, bitangent, directed = _find_tangent(grid.read("tangent"), normal)
-        directions = grid.share([*tangent, *bitangent])
-        tangent, bitangent = directions[:3], directions[3:]
+        tangent = grid.share(tangent)
+        bitangent = _cross(normal, tangent)
         # Without a direction only the area of the lobe is known.
         mean = hl.sqrt(alphas[0] * alphas[1])
         alphas = [hl.select(directed, alpha, mean) for alpha in alphas]
