@@ -8,29 +8,25 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
-from lobewise.denoising import denoise
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
+from lobewise.frame import Camera, Radiance, Result
+from lobewise.render.direct_filter import filter_direct
 from lobewise.render.interactive_frame import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
 from lobewise.render.methods import Methods
-from lobewise.render.resting import Resting
+from lobewise.render.resting import Again, Resting
 from lobewise.render.scenes import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
 
-DIRECT_RADIUS = 3
-"""Kernel radius, pixels, with which direct light is filtered: the samples of 4x4 pixels are stratified together."""
-DIRECT_SIGMA = 1.5
-"""Standard deviation of its screen distance, pixels."""
 STILL_DENSITY = 2
 """How much nearer shaded pixels are to each other while nothing moves."""
 
@@ -296,12 +292,10 @@ class Session:
             return upsample(sparse, settings.make_filter_settings())
         return chain.temporal.add(sparse)
 
-    def _repair(
-        self, chain: _Chain, shared: _Shared, method: Any, result: Result
-    ) -> tuple[Result, tuple[NDArray[np.intp], NDArray[np.intp], FloatArray] | None]:
+    def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:
         """Return the result with the least supported pixels shaded again, and these with their radiance."""
         spp = chain.settings.spp
-        again: list[tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]] = []
+        again: list[Again] = []
 
         def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
             # The samples of the frame itself were drawn with its own seed.
@@ -316,29 +310,9 @@ class Session:
         """Return direct light as it is shown: filtered while things move, the mean of all frames as they rest."""
         settings, new = chain.settings, shared.direct
         mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
-        count = chain.resting.frames
         if not settings.filter_direct or settings.similarity == UNFILTERED:
             return mean
-        asked = replace(settings.make_filter_settings(), radius=DIRECT_RADIUS, screen_sigma=DIRECT_SIGMA, beta="auto")
-        guides = shared.hits
-        clean = denoise(
-            Frame(
-                Radiance(mean.diffuse + mean.specular, diffuse=mean.diffuse, specular=mean.specular),
-                guides.gbuffer,
-                shared.camera,
-                spp=count,
-                lobe_tables=guides.lobe_tables,
-            ),
-            asked,
-        )
-        assert clean.diffuse is not None and clean.specular is not None
-        # The kernel gives way as the mean gets its own samples.
-        own = np.float32(1.0 - 1.0 / count)
-        return DirectLight(
-            mean.emitted,
-            clean.diffuse + own * (mean.diffuse - clean.diffuse),
-            clean.specular + own * (mean.specular - clean.specular),
-        )
+        return filter_direct(mean, shared.hits, settings.make_filter_settings(), chain.resting.frames)
 
 
 def _is_same(first: Camera, second: Camera) -> bool:

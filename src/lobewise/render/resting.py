@@ -15,6 +15,10 @@ BORROWED = 32.0
 """Samples of its own that the mean of what a pixel was given by the filter is worth."""
 
 
+Again = tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]
+"""Rows and columns of pixels that were shaded once more, and their radiance, (count, 3)."""
+
+
 @dataclass
 class Resting:
     """The mean of what was seen since the picture stands still.
@@ -28,6 +32,7 @@ class Resting:
     given: FloatArray | None = None
     own: FloatArray | None = None
     own_count: FloatArray | None = None
+    first: tuple[SparseFrame, Again | None] | None = None
 
     def add_direct(self, parts: list[FloatArray]) -> list[FloatArray]:
         """Return the means of images that every frame has anew, these included; begins the frame."""
@@ -39,12 +44,7 @@ class Resting:
             self.direct = [old + step * (new - old) for old, new in zip(self.direct, parts, strict=True)]
         return self.direct
 
-    def add_indirect(
-        self,
-        given: FloatArray,
-        sparse: SparseFrame,
-        again: tuple[NDArray[np.intp], NDArray[np.intp], FloatArray] | None,
-    ) -> FloatArray:
+    def add_indirect(self, given: FloatArray, sparse: SparseFrame, again: Again | None) -> FloatArray:
         """Return the best estimate of indirect light, (height, width, 3).
 
         Parameters
@@ -53,25 +53,33 @@ class Resting:
             What the filter made of this frame.
         sparse : SparseFrame
             The samples of this frame.
-        again : (rows, columns, radiance), optional
-            Pixels that were shaded once more, radiance of shape (count, 3).
+        again : Again, optional
+            Pixels that were shaded once more.
         """
-        if self.own is None or self.own_count is None or self.given is None:
-            self.own, self.own_count = np.zeros_like(given), np.zeros(given.shape[:2], np.float32)
-            self.given = given
-        else:
-            self.given = self.given + np.float32(1.0 / self.frames) * (given - self.given)
-        where = slice(sparse.place[0], None, sparse.scale), slice(sparse.place[1], None, sparse.scale)
-        color = sparse.radiance.color
-        good = find_good(color)
-        self.own[where] += np.where(good[..., None], color, np.float32(0.0))
-        self.own_count[where] += good
-        if again is not None:
-            rows, columns, radiance = again
-            good = find_good(radiance[:, None])[:, 0]
-            self.own[rows, columns] += np.where(good[:, None], radiance, np.float32(0.0))
-            self.own_count[rows, columns] += good
-        if self.frames == 1:
+        if self.frames == 1 or self.given is None:
+            # While things move there is no second frame to ask for the sums.
+            self.given, self.first = given, (sparse, again)
             return given
+        if self.own is None or self.own_count is None:
+            self.own, self.own_count = np.zeros_like(given), np.zeros(given.shape[:2], np.float32)
+        if self.first is not None:
+            _count(self.own, self.own_count, *self.first)
+            self.first = None
+        _count(self.own, self.own_count, sparse, again)
+        self.given = self.given + np.float32(1.0 / self.frames) * (given - self.given)
         borrowed = np.float32(BORROWED)
         return np.asarray((borrowed * self.given + self.own) / (borrowed + self.own_count)[..., None])
+
+
+def _count(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, again: Again | None) -> None:
+    """Add the samples of a frame to the sums, in place."""
+    where = slice(sparse.place[0], None, sparse.scale), slice(sparse.place[1], None, sparse.scale)
+    color = sparse.radiance.color
+    good = find_good(color)
+    own[where] += np.where(good[..., None], color, np.float32(0.0))
+    own_count[where] += good
+    if again is not None:
+        rows, columns, radiance = again
+        good = find_good(radiance[:, None])[:, 0]
+        own[rows, columns] += np.where(good[:, None], radiance, np.float32(0.0))
+        own_count[rows, columns] += good
