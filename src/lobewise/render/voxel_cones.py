@@ -27,7 +27,14 @@ from lobewise.render.voxel_grid import (
     plan_layout,
 )
 from lobewise.render.voxel_hits import Hits, cast_hits, find_bounds
-from lobewise.render.voxel_march import SHARPEST_TAN, draw_jitter, find_reflection, gather_diffuse, trace_cone
+from lobewise.render.voxel_march import (
+    SHARPEST_TAN,
+    draw_axis,
+    draw_jitter,
+    find_reflection,
+    gather_diffuse,
+    trace_cone,
+)
 from lobewise.render.voxel_refraction import can_refract, cross_glass
 
 RESOLUTIONS = (16, 32, 64, 128, 256)
@@ -161,7 +168,8 @@ class VoxelCones:
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             jitter = draw_jitter(rng)
-            cone = trace_cone(grid, origin, normal, axis, tangent, jitter, shiny)
+            drawn = draw_axis(axis, tangent, normal, mi.Point2f(rng.next_float32(), rng.next_float32()))
+            cone = trace_cone(grid, origin, normal, drawn, tangent, jitter, shiny)
             if self._is_clear:
                 reflected, through = self._look_through(points, rng, jitter)
                 specular += cone.radiance * reflected + through

@@ -17,7 +17,7 @@ DIFFUSE_TAN = 0.5773502691896258
 SHARPEST_TAN = 0.005
 """Tangent of half the narrowest cone's angle."""
 
-FOOTPRINT = 1.0 / 6.0
+FOOTPRINT = 0.1
 """Voxels looked up are as wide as this share of the cone, so that those beside the cone's axis do not count."""
 
 TOUCHING = 0.5
@@ -225,3 +225,18 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
     mirrored.z = dr.maximum(mirrored.z, 0.02)
     axis = dr.normalize(tangent * mirrored.x + across * mirrored.y + normal * mirrored.z)
     return axis, dr.clip(tan_half, SHARPEST_TAN, DIFFUSE_TAN)
+
+
+def draw_axis(axis: Any, tangent: Any, normal: Any, point: Any) -> Any:
+    """Return the axis of one cone out of a lobe, drawn as the spherical Gaussian about ``axis`` is distributed.
+
+    The voxels looked up are narrower than the lobe; that the cone moves makes up for it. With ``cos(half) = 1 - 1/l``
+    the density is inverted in closed form: ``cos = 1 + ln(1 - u (1 - exp(-2 l))) / l``. What would fall below the
+    surface is mirrored to its upper side.
+    """
+    spread = 1.0 - dr.rsqrt(1.0 + dr.square(tangent))
+    fall = dr.log(dr.maximum(1.0 - point.x * (1.0 - dr.exp(-2.0 / spread)), 1e-6))
+    cosine = dr.clip(1.0 + spread * fall, -1.0, 1.0)
+    sine, turn = dr.safe_sqrt(1.0 - dr.square(cosine)), dr.sincos(2.0 * dr.pi * point.y)
+    drawn = mi.Frame3f(axis).to_world(mi.Vector3f(sine * turn[1], sine * turn[0], cosine))
+    return dr.normalize(drawn - normal * dr.minimum(2.0 * dr.dot(drawn, normal), 0.0))
