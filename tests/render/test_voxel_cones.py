@@ -120,6 +120,7 @@ def make_cornell(mi: Any, size: int = 48) -> Any:
     return mi.load_dict(description)
 
 
+@pytest.mark.slow
 def test_cornell_box_agrees_with_paths(mi: Any, shade: Cones) -> None:
 
     scene = make_cornell(mi)
@@ -147,6 +148,32 @@ def test_same_seed_same_bits_and_another_jitters(mi: Any, shade: Cones) -> None:
     np.testing.assert_array_equal(first["diffuse"], again["diffuse"])
     assert (first["diffuse"] != other["diffuse"]).mean() > 0.5
     assert abs(first["diffuse"].mean() / other["diffuse"].mean() - 1.0) < 0.05
+
+
+def test_another_seed_size_and_count_need_no_other_kernel(mi: Any, shade: Cones) -> None:
+    import drjit as dr
+
+    from lobewise.render.bsdfs import read_scene_materials
+    from lobewise.render.points import find_points
+    from lobewise.render.voxel_cones import VoxelCones
+
+    scene = make_cornell(mi)
+    materials = read_scene_materials(scene)
+    method = VoxelCones(scene, materials, resolution=32, bounces=0)
+
+    def run(pixels: int, samples: int, seed: int) -> list[Any]:
+        size = dr.opaque(mi.UInt32, 48), dr.opaque(mi.UInt32, 48)
+        points = find_points(scene, materials, dr.arange(mi.UInt32, pixels), size)
+        dr.eval(points)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.eval(method.shade(points, samples=samples, seed=seed))
+            return list(dr.kernel_history([dr.KernelType.JIT]))
+
+    run(2304, 1, 1)
+    for kernels in (run(2304, 1, 2), run(1000, 1, 3), run(2304, 3, 1)):
+        assert kernels
+        assert all(kernel["cache_hit"] for kernel in kernels)
 
 
 def test_a_pixel_does_not_depend_on_the_others(mi: Any, shade: Cones) -> None:
@@ -381,6 +408,7 @@ def test_cones_are_drawn_as_their_lobe_is_distributed(mi: Any, rng: np.random.Ge
     assert (np.array(drawn)[2] > -1e-6).all()
 
 
+@pytest.mark.slow
 def test_glass_shows_what_is_behind_it(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
     ball = {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.7, "bsdf": {"type": "dielectric"}}
     scene = make_box_scene({"ball": ball}, size=32)
@@ -392,6 +420,7 @@ def test_glass_shows_what_is_behind_it(mi: Any, shade: Cones, make_box_scene: Co
     assert abs(found / expected - 1.0) < CORNELL_SURFACE
 
 
+@pytest.mark.slow
 def test_light_of_the_sky_is_in_the_voxels_alone(mi: Any, shade: Cones) -> None:
     # A hemispherical bowl under a white sky; its own light reaches it, the sky's does not count.
     bowl = {"type": "twosided", "inner": gray(0.6)}

@@ -154,13 +154,13 @@ class VoxelCones:
         """Return the mean of ``samples`` sets of jittered cones; see `lobewise.render.points.IndirectMethod`."""
         grid, surface = self._grid, points.surface
         seed_value, end = make_opaque(seed), make_opaque(samples)
-        origin, normal = points.si.p, surface.normal
+        origin, normal, shading = points.si.p, mi.Vector3f(points.si.n), surface.normal
         matte = points.active & (dr.max(surface.diffuse_albedo) > 0)
         shiny = points.active & (surface.lobe_kind != float(LobeKind.NONE))
         view = -points.ray.d
         mirror = surface.lobe_kind == float(LobeKind.DELTA)
         alphas = (dr.select(mirror, 0.0, alpha) for alpha in (surface.alpha_u, surface.alpha_v))
-        axis, tangent = find_reflection(view, normal, surface.tangent, *alphas)
+        axis, tangent = find_reflection(view, shading, surface.tangent, *alphas)
 
         def go_on(index: Any, diffuse: Any, specular: Any, inverse: Any) -> Any:
             return index < end
@@ -168,14 +168,14 @@ class VoxelCones:
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             jitter = draw_jitter(rng)
-            drawn = draw_axis(axis, tangent, normal, mi.Point2f(rng.next_float32(), rng.next_float32()))
+            drawn = draw_axis(axis, tangent, shading, mi.Point2f(rng.next_float32(), rng.next_float32()))
             cone = trace_cone(grid, origin, normal, drawn, tangent, jitter, shiny)
             if self._is_clear:
                 reflected, through = self._look_through(points, rng, jitter)
                 specular += cone.radiance * reflected + through
             else:
                 specular += cone.radiance * surface.specular_albedo
-            diffuse += gather_diffuse(grid, origin, normal, rng, matte)
+            diffuse += gather_diffuse(grid, origin, normal, shading, rng, matte)
             return index + 1, diffuse, specular, inverse + cone.inverse
 
         start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0))
@@ -234,7 +234,7 @@ def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
     """Return what faces radiate that reflect, beside the direct light, what they see in a grid (Color3f)."""
     rng = make_rng(faces.slot, dr.opaque(mi.UInt32, bounce), mi.UInt32(0))
     radiance = direct + faces.albedo * gather_diffuse(
-        grid, mi.Point3f(faces.position), faces.normal, rng, mi.Bool(True)
+        grid, mi.Point3f(faces.position), faces.normal, faces.normal, rng, mi.Bool(True)
     )
     dr.eval(radiance)
     return radiance

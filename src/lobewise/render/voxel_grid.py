@@ -1,8 +1,7 @@
 """Voxels that hold what a scene's surfaces radiate, sparse, in levels of ever larger voxels, for six directions each.
 
 A voxel stores, for travellers along each of the six axis directions, an optical depth ``tau`` and ``tau`` times the
-radiance that comes towards them: both add up, over a ray and over the corners of an interpolation, so what a ray is
-given does not depend on where its steps fall.
+radiance that comes towards them: both add up along a ray, so what it is given does not depend on where its steps fall.
 """
 
 from __future__ import annotations

@@ -18,7 +18,11 @@ SHARPEST_TAN = 0.005
 """Tangent of half the narrowest cone's angle."""
 
 FOOTPRINT = 0.1
-"""Voxels looked up are as wide as this share of the cone, so that those beside the cone's axis do not count."""
+"""Voxels looked up are as wide as this share of the cone: large ones make what is opaque in them larger than it is.
+
+Crassin 2011 takes the whole cone. With a half, a third, a sixth and a tenth the mean light between two walls under an
+open sky was 1.37, 1.25, 1.19 and 1.13 times that of paths; axes are drawn at random, so the cone is covered anyway.
+"""
 
 TOUCHING = 0.5
 """Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
@@ -95,7 +99,7 @@ def trace_cone(
     ----------
     grid : Grid
     origin, normal : Point3f, Vector3f
-        Where the cone starts and which way is away from the surface there.
+        Where the cone starts and the normal of the surface itself there, of either sign.
     direction : Vector3f
         The cone's axis, unit.
     tangent : Float
@@ -117,7 +121,7 @@ def trace_cone(
     def go_on(march: _March) -> Any:
         return active & (march.distance < end) & (march.transmittance > ENOUGH)
 
-    steps = [dr.rcp(dr.abs(d)) for d in direction]
+    speeds = [dr.select(dr.abs(d) > 1e-8, dr.abs(d), 0.0) for d in direction]
 
     def step(march: _March) -> tuple[_March]:
         width = 2.0 * FOOTPRINT * march.distance * tangent / grid.voxel
@@ -126,10 +130,8 @@ def trace_cone(
         edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
         place = (relative + direction * march.distance) / edge + offset
         cell = dr.floor(place)
-        gaps = [
-            dr.select(d > 0, c + 1.0 - p, p - c) * step
-            for d, p, c, step in zip(direction, place, cell, steps, strict=True)
-        ]
+        ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(direction, place, cell, strict=True)]
+        gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
         length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
         share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
         seen = look_up(grid, cell, level, direction, (origin, normal), edge)
@@ -184,8 +186,11 @@ def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
     return mi.Frame3f(normal).to_world(local)
 
 
-def gather_diffuse(grid: Grid, origin: Any, normal: Any, rng: Any, active: Any) -> Any:
-    """Return the cosine-weighted mean of the radiance that falls on a diffuse surface (Color3f)."""
+def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any, active: Any) -> Any:
+    """Return the mean of the radiance that falls on a diffuse surface, weighted by the cosine to a normal (Color3f).
+
+    ``normal`` is that of the surface itself, of either sign; the cones lie about ``shading``, the one that light sees.
+    """
     turn = rng.next_float32()
 
     def go_on(number: Any, total: Any, rng: Any) -> Any:
@@ -193,7 +198,7 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, rng: Any, active: Any) 
 
     def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any, Any]:
         point = mi.Point2f(rng.next_float32(), rng.next_float32())
-        axis = find_diffuse_axis(normal, number, turn, point)
+        axis = find_diffuse_axis(shading, number, turn, point)
         cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), draw_jitter(rng), active)
         return number + 1, total + cone.radiance, rng
 
