@@ -55,10 +55,11 @@ def find_unsupported(
     wanted = (weight < least) | (weight < quality * median)
     if np.count_nonzero(wanted) > count:
         # The order is total, by weight and then by place, so that the same pixels are chosen everywhere.
-        order = np.argsort(np.where(wanted, weight, np.inf), axis=None, kind="stable")[:count]
-        wanted = np.zeros(weight.size, dtype=bool)
-        wanted[order] = True
-        wanted = wanted.reshape(weight.shape)
+        limit = np.partition(weight[wanted], count)[count]
+        less = wanted & (weight < limit)
+        equal = np.flatnonzero(wanted & (weight == limit))
+        wanted = less
+        wanted.flat[equal[: count - np.count_nonzero(less)]] = True
     return np.asarray(wanted)
 
 

@@ -246,31 +246,42 @@ class TemporalFilter:
         bad: NDArray[np.bool_],
         share: float,
     ) -> Result:
-        variance = np.asarray(sum(output.variance for output in outputs.values()), dtype=np.float32)
-        sparse = isinstance(frame, SparseFrame)
-        parts = {
-            name: output.image if sparse else keep_unfiltered(layers[name], output) for name, output in outputs.items()
-        }
+        told = list(outputs.values())
         if isinstance(frame, SparseFrame):
-            image = np.asarray(sum(parts.values()), dtype=np.float32)
-            holes = ~np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs.values()])
+            with np.errstate(invalid="ignore", over="ignore"):
+                total = np.asarray(sum(output.image for output in told), dtype=np.float32)
+            good = find_good(total)
+            image, *images = (_put_side_by_side(part) for part in (total, *(output.image for output in told)))
+            parts = dict(zip(outputs, images, strict=True))
+            holes = ~(good & np.logical_or.reduce([output.weight_sum > 0.0 for output in told]))
             bad = spread(frame, bad)
         else:
+            parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
             image = compose(frame, list(parts.values()))
-            holes = bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs.values()])
-        holes |= ~find_good(image)
+            good = find_good(image)
+            holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
+        if not good.all():
+            parts = {name: blacken_bad(part) for name, part in parts.items()}
         if holes.any():
             image = refill(image, holes, chosen)
         lobes = [name for name in layers if name != "rest"]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
-            image=np.ascontiguousarray(image),
-            diffuse=np.ascontiguousarray(blacken_bad(parts["diffuse"])) if "diffuse" in parts else None,
-            specular=np.ascontiguousarray(blacken_bad(parts["specular"])) if "diffuse" in parts else None,
+            image=image,
+            diffuse=parts.get("diffuse"),
+            specular=parts.get("specular"),
             weight_sum=weight_sum,
             effective_samples=effective_samples,
             bad_pixels=bad,
             settings={**asdict(chosen), "history_share": share},
             seconds=0.0,
-            variance=variance,
+            variance=np.asarray(sum(output.variance for output in told), dtype=np.float32),
         )
+
+
+def _put_side_by_side(image: FloatArray) -> FloatArray:
+    """Return an image whose channels lie side by side; channel by channel, which NumPy is several times faster at."""
+    interleaved = np.empty(image.shape, np.float32)
+    for channel in range(image.shape[2]):
+        interleaved[..., channel] = image[..., channel]
+    return interleaved
