@@ -362,8 +362,8 @@ def test_diffuse_cones_share_the_hemisphere_as_the_cosine_does(mi: Any, rng: np.
     together = np.concatenate(axes, axis=1)
     cosine = normal @ together
     np.testing.assert_allclose(np.linalg.norm(together, axis=0), 1.0, atol=ROUNDING)
-    # Of max(n.w, 0) / pi: the mean of w is 2/3 n, that of w w^T is I/4 + n n^T / 4; four standard errors.
-    bound = 4.0 / np.sqrt(DIFFUSE_CONES * count)
+    # Of max(n.w, 0) / pi: the mean of w is 2/3 n, that of w w^T is I/4 + n n^T / 4; four standard errors of at most a half.
+    bound = 2.0 / np.sqrt(DIFFUSE_CONES * count)
     assert np.abs(together.mean(axis=1) - normal * 2.0 / 3.0).max() < bound
     assert np.abs(together @ together.T / cosine.size - 0.25 * (np.eye(3) + np.outer(normal, normal))).max() < bound
 

@@ -233,9 +233,8 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
 def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
     """Return what faces radiate that reflect, beside the direct light, what they see in a grid (Color3f)."""
     rng = make_rng(faces.slot, dr.opaque(mi.UInt32, bounce), mi.UInt32(0))
-    radiance = direct + faces.albedo * gather_diffuse(
-        grid, mi.Point3f(faces.position), faces.normal, faces.normal, rng, mi.Bool(True)
-    )
+    position, reflects = mi.Point3f(faces.position), dr.max(faces.albedo) > 0
+    radiance = direct + faces.albedo * gather_diffuse(grid, position, faces.normal, faces.normal, rng, reflects)
     dr.eval(radiance)
     return radiance
 
