@@ -118,7 +118,7 @@ def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> No
         for stage in funcs.surface_stages[:-1]:
             stage.compute_at(last, last.args()[2]).vectorize(x, lanes)
     for gathered in funcs.gathered:
-        func = gathered.func.bound(c, 0, gathered.channels).vectorize(c)
+        func = gathered.func.bound(c, 0, gathered.channels).vectorize(c).unroll(x, 4)
         if gathered.shared:
             func.compute_at(out, xo)
         else:
