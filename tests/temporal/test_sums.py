@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.history import HISTORY_CHANNELS
+from lobewise.kernels.joining import SMALLEST_WEIGHT
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import (
     FRAMES,
     MOMENT,
-    SMALLEST_WEIGHT,
     SQUARED_WEIGHT,
     WEIGHT,
     Samples,

@@ -11,13 +11,11 @@ from lobewise.denoising.recipe import find_good
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
 from lobewise.kernels.history import HISTORY_CHANNELS
+from lobewise.kernels.joining import SMALLEST_WEIGHT
 from lobewise.lobes.vectors import LUMINANCE
 
 WEIGHT, SQUARED_WEIGHT, MOMENT, FRAMES = 3, 4, 5, 6
 """Channels beside the weighted radiance over albedo, 0 to 2."""
-
-SMALLEST_WEIGHT = 1e-12
-"""Weight sum to which a smaller one is raised: a pixel that resembles nothing keeps the little that it has."""
 
 LARGEST_OWN_WEIGHT = 1e8
 """Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
