@@ -1,0 +1,49 @@
+"""The page on virtual lights is true: its figures are those of the JSON file, and its code runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "virtual_lights.md"
+
+
+@pytest.fixture
+def results() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((ROOT / "benchmarks" / "results" / "virtual_lights.json").read_text())
+    return found
+
+
+def test_figures_come_from_the_results(monkeypatch: pytest.MonkeyPatch, results: dict[str, Any]) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    spec = importlib.util.spec_from_file_location("virtual_lights", ROOT / "benchmarks" / "virtual_lights.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.fill_page(PAGE.read_text(), results) == PAGE.read_text()
+
+
+def test_limit_mends_what_the_default_leaves(results: dict[str, Any]) -> None:
+    for name, row in results["scenes"].items():
+        errors = row["errors"]
+        for similarity in ("sg", "ggx"):
+            default, limited = (errors[f"{similarity}, {kind}"]["paths, sharp"] for kind in ("default", "limited"))
+            assert limited < 0.8 * default, name
+            best = min(each["paths, sharp"] for each in row["sweep"][similarity].values())
+            assert limited < 1.15 * best, name
+
+
+@pytest.mark.mitsuba
+def test_code_runs() -> None:
+    pytest.importorskip("mitsuba")
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.S):
+        exec(compile(block, PAGE.name, "exec"), names)
+    assert 0.0 < names["tau"] < 1.0
