@@ -103,8 +103,8 @@ def schedule_reprojection_cpu(funcs: ReprojectionFuncs, target: hl.Target) -> No
     """Rows in parallel, columns in vectors; the four taps gather, so their planes are computed where they are read.
 
     Measured (EPYC with AVX-512), 512x512, processor time of both threads: 12 ms for plane and normal at one place,
-    39 ms for plane, ``ggx`` and hit distance at two; most of it is reading. The channels of a pixel are copied at once, pixel by
-    pixel and before anything is computed of them: vectors that read lane by lane take a fifth more.
+    39 ms for plane, ``ggx`` and hit distance at two; most of it is reading. The channels of a pixel are copied at once,
+    pixel by pixel and before anything is computed of them: vectors that read lane by lane take a fifth more.
 
     The last vector of a row begins where it must to end with the row, so a row has a vector at least.
     """
