@@ -21,7 +21,7 @@ from lobewise.viewer import Viewer
 
 FLAGS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-PATIENCE = 40.0
+PATIENCE = 120.0
 """Seconds for anything to happen, kernels to be compiled on a busy machine among it."""
 
 
@@ -161,17 +161,28 @@ class Page:
         target = (self.viewer.statistics["frames"] if since is None else since) + count
         self.wait(lambda: self.viewer.statistics["frames"] >= target, f"{count} pictures")
 
-    def wait_for_change(self, before: np.ndarray, least: float = 1.0) -> np.ndarray:
-        """Return what is shown when it differs by ``least`` codes in the mean."""
+    def wait_for_change(self, before: np.ndarray, least: float = 1.0, block: int = 1) -> np.ndarray:
+        """Return what is shown when it differs by ``least`` codes in the mean, noise within blocks left aside."""
         found = [before]
 
         def changed() -> bool:
             found[0] = self.look()
-            same = found[0].shape == before.shape
-            return not same or float(np.abs(found[0].astype(float) - before).mean()) > least
+            return compare(found[0], before, block) > least
 
         self.wait(changed, "the picture to change")
         return found[0]
+
+
+def compare(one: np.ndarray, other: np.ndarray, block: int = 1) -> float:
+    """Return the mean difference of two pictures in codes, of the means of blocks."""
+    if one.shape != other.shape:
+        return float("inf")
+    rows, columns = (size // block for size in one.shape[:2])
+    means = [
+        image[: rows * block, : columns * block].reshape(rows, block, columns, block, 3).mean(axis=(1, 3))
+        for image in (one.astype(float), other.astype(float))
+    ]
+    return float(np.abs(means[0] - means[1]).mean())
 
 
 @pytest.fixture
@@ -188,6 +199,10 @@ def visit(browser: Any) -> Iterator[Callable[..., Page]]:
     yield open_page
     for page in pages:
         page.close()
+    end = time.monotonic() + PATIENCE
+    while any(page.viewer.statistics["browsers"] for page in pages):
+        assert time.monotonic() < end, "browsers that are gone are not forgotten"
+        time.sleep(0.02)
     assert [page.errors for page in pages] == [[] for _ in pages]
 
 

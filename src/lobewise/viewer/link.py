@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import OrderedDict
@@ -18,6 +19,7 @@ MOST_RESTARTS = 3
 """How often within `RESTART_SPAN` seconds the process is started again."""
 RESTART_SPAN = 60.0
 _PATIENCE = 2.0
+_log = logging.getLogger(__name__)
 
 
 class Link:
@@ -170,7 +172,11 @@ class Link:
             fatal = isinstance(report, Problem) and report.client is None
             if fatal:
                 self._stopped = True
-            self._receive(report)
+            try:
+                self._receive(report)
+            except Exception:
+                # Something about one browser; the others go on.
+                _log.exception("a report of the renderer could not be shown")
 
     def _revive(self) -> bool:
         """Start the process again after it died, and ask for what every browser sees; False where that is no use."""

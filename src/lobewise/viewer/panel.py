@@ -217,7 +217,7 @@ class Panel:
             hint = FLY_HINT if scene else ZOOM_HINT
             reset = gui.add_button("Reset camera" if scene else "Show all", hint=hint)
         with gui.add_folder("Wipe"):
-            self._wiped = gui.add_checkbox("Compare A with B", False, hint="Left of the line A, right of it B.")
+            self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
         with gui.add_folder("Settings A" if scene else "Filter A"):
             self.left = LookPanel(gui, found, look, actions.render)

@@ -92,9 +92,23 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
     inside_rows, inside_columns = (row >= 0) & (row < height), (column >= 0) & (column < width)
     out = np.empty((rows, columns, 3), np.uint8)
     out[:] = BARS
-    part = picture[row[inside_rows].astype(int)[:, None], column[inside_columns].astype(int)[None, :]]
-    out[np.ix_(inside_rows, inside_columns)] = part
+    if inside_rows.any() and inside_columns.any():
+        top, bottom = _find_run(inside_rows)
+        left, right = _find_run(inside_columns)
+        rows_taken, columns_taken = row[inside_rows].astype(int), column[inside_columns].astype(int)
+        if times == 1.0:
+            # Pixel for pixel, and slices are several times faster than lists of places.
+            part = picture[rows_taken[0] : rows_taken[-1] + 1, columns_taken[0] : columns_taken[-1] + 1]
+        else:
+            part = picture[rows_taken[:, None], columns_taken[None, :]]
+        out[top:bottom, left:right] = part
     return out
+
+
+def _find_run(inside: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return where the one run of True begins, and where it has ended."""
+    places = np.flatnonzero(inside)
+    return int(places[0]), int(places[-1]) + 1
 
 
 def wipe(left: Pixels, right: Pixels, place: float, labels: tuple[str, str]) -> Pixels:

@@ -7,6 +7,7 @@ import io
 import socket
 import threading
 import time
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -88,6 +89,7 @@ class Viewer:
         self._cameras: CameraMap | None = None
         self._failure: LobewiseError | None = None
         self._notice = f"Opening {target} \u2026"
+        self._doing = ""
         self._memory = 0
         self._frames = 0
         self._restarts = 0
@@ -136,9 +138,9 @@ class Viewer:
     def statistics(self) -> dict[str, Any]:
         """Figures for tests and benchmarks.
 
-        ``frames``: pictures shown; ``fps``: of the last 20 pictures of each browser; ``browsers``; ``memory``: bytes
-        of the process that renders; ``restarts``; ``process``: its id; ``size`` and ``seconds`` of each browser's
-        last picture.
+        ``frames``: pictures shown; ``browsers``; ``process``, ``memory`` and ``restarts`` of the process that renders:
+        its id, bytes, and how often it died. Lists with an entry for each browser: ``fps`` of the last 20 pictures;
+        ``size``, ``accumulated`` and ``seconds`` of the last one; ``eyes``: where the camera is, in its own unit.
         """
         with self._lock:
             guests = list(self._guests.values())
@@ -153,6 +155,7 @@ class Viewer:
                 "size": [picture.size for picture in pictures],
                 "accumulated": [picture.accumulated for picture in pictures],
                 "seconds": [picture.seconds for picture in pictures],
+                "eyes": [tuple(map(float, guest.pose.position)) for guest in guests],
             }
 
     def wait(self) -> None:
@@ -187,6 +190,8 @@ class Viewer:
         # It greets on standard output, which has one line of ours.
         with contextlib.redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=self._host, port=port, label="lobewise", verbose=False)
+        # A picture may be on its way to a browser that is just leaving.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         # Any browser could ask for a tunnel through somebody's server, which would make the page public.
         server.request_share_url = _refuse_sharing  # type: ignore[method-assign]
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="medium")
@@ -195,8 +200,11 @@ class Viewer:
         server.on_client_disconnect(self._dismiss)
         self._server = server
 
-    def _welcome(self, client: Any) -> None:
-        """Take a browser in; it gets its controls as soon as there is something to control."""
+    async def _welcome(self, client: Any) -> None:
+        """Take a browser in; it gets its controls as soon as there is something to control.
+
+        In the server's own thread, so that nobody is taken in who has already gone.
+        """
         guest = Guest(client, read_pose(client.camera), self._fixed_size)
         client.scene.set_background_image(_make_blank(), format="jpeg")
         with self._lock:
@@ -209,7 +217,8 @@ class Viewer:
         client.camera.on_update(follow)
         self._ask(guest)
 
-    def _dismiss(self, client: Any) -> None:
+    async def _dismiss(self, client: Any) -> None:
+        """Forget a browser that has gone."""
         with self._lock:
             self._guests.pop(client.client_id, None)
         self._link.forget(client.client_id)
@@ -269,9 +278,12 @@ class Viewer:
     def _receive(self, report: Report) -> None:
         """Do what a report of the other process says."""
         if isinstance(report, Picture):
+            self._doing = ""
             self._show(report)
         elif isinstance(report, Progress):
-            self._announce(f"{report.text} \u2026")
+            self._doing = report.text
+            if self._found is None:
+                self._announce(f"{report.text} \u2026")
         elif isinstance(report, Opened):
             self._open(report.description)
         elif isinstance(report, SavedFile):
@@ -379,7 +391,8 @@ class Viewer:
                 with self._lock:
                     slow = self._guests.get(order.client)
                 if slow is not None and slow.status is not None:
-                    slow.note = f"Working on the next picture for {busy:.0f} s \u2026"
+                    doing = self._doing or "Working on the next picture"
+                    slow.note = f"{doing}: {busy:.0f} s \u2026"
                     if slow.picture is None:
                         slow.status.content = write_message(slow.note)
                     else:

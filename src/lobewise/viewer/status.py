@@ -47,10 +47,9 @@ def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "
     width, height = picture.size
     parts = [f"{width}\u202f\u00d7\u202f{height}"]
     if rendered:
-        averaged = picture.accumulated
-        parts += [f"frame {shown}", f"{averaged} frame{'s' if averaged > 1 else ''} averaged"]
+        parts += [f"frame {shown}", f"{picture.accumulated} averaged"]
     if picture.recomputed:
-        parts.append(f"{picture.recomputed} pixels shaded again")
+        parts.append(f"{picture.recomputed} re-computed")
     total = picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0)
     rate = "" if fps is None else f"{fps:.1f} fps \u00b7 "
     head = f'<b style="font-size:1.15em">{rate}{1e3 * total:.0f} ms</b>'
@@ -64,5 +63,6 @@ def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "
         if name in picture.seconds
     ]
     table = f'<table style="width:100%;border-collapse:collapse">{"".join(rows)}</table>'
-    below = f'<div style="{_QUIET}">{escape(note)}</div>' if note else ""
+    # A line of its own also where it is empty, so that the controls below never jump.
+    below = f'<div style="{_QUIET}">{escape(note) or "&nbsp;"}</div>'
     return f'<div style="{_BOX}">{head}<div style="{_QUIET}">{" · ".join(parts)}</div>{table}{below}</div>'

@@ -106,7 +106,7 @@ class Worker:
         now = time.monotonic()
         if now - self._told > 0.2 or done == total:
             self._told = now
-            self._send(Progress(f"Preparing the scene: {100 * done // max(total, 1)} %"))
+            self._send(Progress(f"Preparing the scene, {100 * done // max(total, 1)} %"))
 
     def _answer(self, opened: OpenTarget, order: Order) -> None:
         """Do one order; what goes wrong is told to its browser and ends nothing."""
