@@ -448,8 +448,40 @@ def test_a_sky_lights_a_room(mi: Any, make_box_scene: Box) -> None:
 
 def test_black_surfaces_give_no_light(mi: Any) -> None:
     black = {"type": "conductor", "material": "none", "specular_reflectance": {"type": "rgb", "value": 0.0}}
-    scene = mi.load_dict({"type": "scene", "a": {"type": "sphere", "bsdf": black}, "b": {"type": "constant"}})
+    items = {"type": "scene", "a": {"type": "sphere", "bsdf": black}, "b": {"type": "constant"}}
+    scene = mi.load_dict({**items, "sensor": {"type": "perspective"}})
     assert make_lights(scene, count=16).lights.number == 0
+
+
+def test_what_is_recorded_can_be_replayed(mi: Any) -> None:
+    from lobewise.render.bridge import dr
+    from lobewise.render.bsdfs import read_scene_materials
+    from lobewise.render.points import find_points
+
+    scene = make_corner(mi, cone=30.0)
+    points = view(scene)
+    method = make_lights(scene, count=256)
+    materials = read_scene_materials(scene)
+
+    @dr.freeze(state_fn=lambda *_, **__: (scene, method.state))
+    def replay(pixel: Any, width: Any, samples: Any, seed: Any) -> list[Any]:
+        points = find_points(scene, materials, pixel, (width, width))
+        light = method.shade(points, samples=samples, seed=seed)
+        return [light.diffuse, light.specular]
+
+    params = mi.traverse(scene)
+    for turn, (samples, seed) in enumerate([(1, 0), (2, 7), (1, 12345), (1, 12345)]):
+        if turn == 2:
+            params["spot.to_world"] = mi.Transform4f().look_at(origin=[0.2, 3, 0], target=[0.2, 0, 1.0], up=[1, 0, 0])
+            params.update()
+            method.update()
+        expected = total(method.shade(points, samples=samples, seed=seed))
+        assert expected.max() > 0.0
+        pixel = dr.arange(mi.UInt32, 64)
+        dr.eval(pixel)
+        found = replay(pixel, *(dr.opaque(mi.UInt32, number) for number in (8, samples, seed)))
+        np.testing.assert_array_equal(get_image(found[0]) + get_image(found[1]), expected)
+    assert replay.n_recordings == 1
 
 
 @pytest.mark.parametrize("number", [0, 1])

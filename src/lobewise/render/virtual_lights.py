@@ -19,7 +19,7 @@ from lobewise.render.bsdfs import Material
 from lobewise.render.camera import get_image_size
 from lobewise.render.paths import weigh
 from lobewise.render.points import Indirect, Points
-from lobewise.render.rays import make_rng
+from lobewise.render.rays import make_opaque, make_rng
 from lobewise.render.virtual_lights_paths import LightPaths, LightSet, find_sphere
 from lobewise.render.virtual_lights_shading import Lighting, split_scattering
 
@@ -97,6 +97,8 @@ class VirtualLights:
     """
 
     name = "virtual_lights"
+    worth = 4.0
+    can_replay = True
 
     def __init__(
         self,
@@ -139,14 +141,23 @@ class VirtualLights:
             shortest=2.0 * self._clamp * half_diagonal,
             radius=2.0 * self._radius * half_diagonal,
         )
-        self._bound = dr.opaque(mi.Float, self._lighting.bound)
+        self._numbers = {
+            "number": dr.opaque(mi.UInt32, self._lights.number),
+            "max_depth": dr.opaque(mi.UInt32, self._max_depth),
+            "width": dr.opaque(mi.UInt32, get_image_size(self._scene)[0]),
+        }
+
+    @property
+    def state(self) -> Any:
+        """See `lobewise.render.points.IndirectMethod`."""
+        return self._numbers, self._lighting.state
 
     @property
     def lights(self) -> LightSet:
         """The lights themselves."""
         return self._lights
 
-    def shade(self, points: Points, *, samples: int, seed: int, all_lights: bool = False) -> Indirect:
+    def shade(self, points: Points, *, samples: Any, seed: Any, all_lights: bool = False) -> Indirect:
         """Return the light of some of the lights; see `lobewise.render.points.IndirectMethod`.
 
         A sample takes one run of about `LIGHTS_PER_SAMPLE` of the lights, in the order of their paths, weighed so that
@@ -160,18 +171,17 @@ class VirtualLights:
         all_lights : bool
             Take every light in each sample instead.
         """
-        runs = 1 if all_lights else max(1, math.ceil(self._lights.number / LIGHTS_PER_SAMPLE))
-        run_count, end = dr.opaque(mi.UInt32, runs), dr.opaque(mi.UInt32, samples)
-        stride = dr.opaque(mi.UInt32, max(1, runs // samples))
-        seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-        first_run = self._choose_run(points.pixel, run_count, seed)
+        end, seed_value = make_opaque(samples), make_opaque(seed)
+        runs = self._count_runs(mi.UInt32(1), all_lights)
+        stride = dr.maximum(runs // end, 1)
+        first_run = self._choose_run(points.pixel, runs, seed_value)
 
         def go_on(index: Any, *sums: Any) -> Any:
             return index < end
 
         def take(index: Any, diffuse: Any, specular: Any, hits: Any, inverse: Any) -> tuple[Any, ...]:
             rng = make_rng(points.pixel, index, seed_value)
-            walk = self._walk(points, rng, (first_run + index * stride) % run_count, run_count)
+            walk = self._walk(points, rng, (first_run + index * stride) % runs, runs)
             return (
                 index + 1,
                 diffuse + walk.diffuse,
@@ -203,17 +213,20 @@ class VirtualLights:
         all_lights : bool
             As for `shade`.
         """
-        runs = 1 if all_lights else max(1, math.ceil(self._lights.number / (samples * LIGHTS_PER_SAMPLE)))
-        run_count = dr.opaque(mi.UInt32, runs)
-        run = self._choose_run(points.pixel, run_count, 0)
-        worth = np.asarray(self._lighting.count_worth(points, run, run_count))
+        runs = self._count_runs(make_opaque(samples), all_lights)
+        run = self._choose_run(points.pixel, runs, mi.UInt32(0))
+        worth = np.asarray(self._lighting.count_worth(points, run, runs))
         lit = worth[np.asarray(points.active) & (worth > 0.0)]
         return float(np.median(lit)) if lit.size else 1.0
 
-    def _choose_run(self, pixel: Any, runs: Any, seed: int) -> Any:
-        width = dr.opaque(mi.UInt32, get_image_size(self._scene)[0])
-        shift = dr.opaque(mi.UInt32, (seed * _STEP_FRAME) & 0xFFFFFFFF)
-        return dr.mul_hi(pixel % width * _STEP_X + pixel // width * _STEP_Y + shift, runs)
+    def _count_runs(self, samples: Any, all_lights: bool) -> Any:
+        each = samples * LIGHTS_PER_SAMPLE
+        runs = dr.maximum((self._numbers["number"] + each - 1) // each, 1)
+        return mi.UInt32(1) if all_lights else runs
+
+    def _choose_run(self, pixel: Any, runs: Any, seed: Any) -> Any:
+        width = self._numbers["width"]
+        return dr.mul_hi(pixel % width * _STEP_X + pixel // width * _STEP_Y + seed * _STEP_FRAME, runs)
 
     def _walk(self, points: Points, rng: Any, run: Any, runs: Any) -> _Walk:
         """Return what one run of the lights brings, in the sums of the last state."""
@@ -238,10 +251,10 @@ class VirtualLights:
         )
         if not self._follows:
             walk.diffuse, walk.specular = self._lighting.gather(
-                points.si, points.bsdf, run, runs, dr.opaque(mi.UInt32, self._max_depth - 2), rng, points.active
+                points.si, points.bsdf, run, runs, self._numbers["max_depth"] - 2, rng, points.active
             )
             return walk
-        max_depth = dr.opaque(mi.UInt32, self._max_depth)
+        max_depth = self._numbers["max_depth"]
 
         def go_on(walk: _Walk) -> Any:
             return walk.active
@@ -272,7 +285,7 @@ class VirtualLights:
 
         # Only the part of the surface's own light that its virtual lights do not bring goes on.
         geometry = walk.last_cosine * dr.abs(dr.dot(si.n, walk.ray.d)) / dr.square(si.t)
-        beyond = 1.0 - dr.minimum(self._bound / geometry, 1.0)
+        beyond = 1.0 - dr.minimum(self._lighting.bound / geometry, 1.0)
         kept = dr.select(walk.last_delta, 1.0, beyond if self._compensates else 0.0)
         walk.throughput *= dr.select(later, kept, 1.0)
         walk.active = found & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)

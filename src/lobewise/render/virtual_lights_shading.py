@@ -52,9 +52,15 @@ class Lighting:
         self._number = dr.opaque(mi.UInt32, lights.number)
         self._has_spheres = radius > 0.0
         self._radius = dr.opaque(mi.Float, radius)
-        self.bound = 1.0 / max(shortest, 1e-12) ** 2
+        self.bound = dr.opaque(mi.Float, 1.0 / max(shortest, 1e-12) ** 2)
         """Largest geometry term, per unit of area."""
-        self._bound = dr.opaque(mi.Float, self.bound)
+
+    @property
+    def state(self) -> Any:
+        """All arrays that shading reads beside the scene (a PyTree)."""
+        lights = self._lights
+        arrays = lights.si, lights.bsdf, lights.incoming, lights.cosine, lights.flux, lights.depth
+        return arrays, self._number, self._radius, self.bound
 
     def gather(
         self, si: Any, bsdf: Any, run: Any, runs: Any, most_depth: Any, rng: Any, active: Any
@@ -109,7 +115,7 @@ class Lighting:
             light = self._fetch(index)
             towards, inverse = self._aim(si, light)
             value = light.flux * self._emit(light, towards, index < end)
-            value = mi.luminance(value * dr.minimum(dr.abs(dr.dot(light.si.n, towards)) * inverse, self._bound))
+            value = mi.luminance(value * dr.minimum(dr.abs(dr.dot(light.si.n, towards)) * inverse, self.bound))
             value *= dr.select(dr.dot(si.n, towards) * dr.dot(si.n, si.to_world(si.wi)) > 0, 1.0, 0.0)
             value *= mi.luminance(self._see(si, light, value > 0))
             return index + 1, total + value, squares + dr.square(value)
@@ -152,7 +158,7 @@ class Lighting:
         emitted = light.flux * self._emit(light, towards, near)
         facing = dr.abs(dr.dot(light.si.n, towards)) * inverse
         geometry = dr.abs(wo.z) * facing
-        bounded = dr.minimum(1.0, self._bound / geometry)
+        bounded = dr.minimum(1.0, self.bound / geometry)
         value *= emitted * (facing * dr.select(geometry > 0, bounded, 0.0))
         value = dr.select(near & dr.isfinite(dr.max(value)), value, 0.0)
         value *= self._see(si, light, dr.max(value) > 0)
