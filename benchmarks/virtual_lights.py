@@ -201,29 +201,25 @@ def run_box() -> dict[str, Any]:
 
 
 def run_speed() -> dict[str, Any]:
-    """Return the milliseconds of 128x128 points of a 512x512 image, and of tracing the lights."""
+    """Return the milliseconds of the indirect light of 128x128 pixels of 512x512, and of tracing the lights."""
+    from lobewise.render import load_scene
+    from lobewise.render.stages import Stages
     from lobewise.render.virtual_lights import VirtualLights
 
     row: dict[str, Any] = {}
-    for name in ("showroom", "brushed"):
-        (scene, materials), look = open_scene(name, SIZE)
-        from lobewise.render.bridge import dr
-
-        method = VirtualLights(scene, materials, count=PATHS)
-        sparse = np.add.outer(np.arange(0, SIZE, 4) * SIZE, np.arange(0, SIZE, 4)).ravel()
-        spent: dict[str, list[float]] = {"update": [], "recording": [], "kernel": [], "kernel_cpu": []}
-        for seed in range(16):
+    rows, columns = (part.ravel() for part in np.indices((SIZE // 4, SIZE // 4)) * 4)
+    for name in CROPS:
+        stages = Stages(load_scene(name, width=SIZE, height=SIZE))
+        method = VirtualLights(stages.scene, stages.materials, count=PATHS)
+        spent: dict[str, list[float]] = {"update": [], "shade": [], "shade_cpu": []}
+        for seed in range(32):
             begin = time.perf_counter()
             method.update()
             spent["update"].append(time.perf_counter() - begin)
-            begin = time.perf_counter()
-            light = method.shade(look(sparse), samples=1, seed=seed)
-            spent["recording"].append(time.perf_counter() - begin)
             begin, cpu = time.perf_counter(), time.process_time()
-            dr.eval(light)
-            dr.sync_thread()
-            spent["kernel"].append(time.perf_counter() - begin)
-            spent["kernel_cpu"].append(time.process_time() - cpu)
+            stages.shade_indirect(method, rows, columns, 1, seed)
+            spent["shade"].append(time.perf_counter() - begin)
+            spent["shade_cpu"].append(time.process_time() - cpu)
         row[name] = {key: round(1e3 * min(values[2:]), 1) for key, values in spent.items()}
         print("speed", name, row[name], flush=True)
     return row
@@ -291,11 +287,9 @@ def make_tables(results: Mapping[str, Any]) -> dict[str, str]:
         cells = [f"{row[kind]['rel_mse']:.4f} ({100 * (row[kind]['mean'] - 1):+.1f} %)" for kind in kinds]
         box.append(f"| {count} | " + " | ".join(cells) + " |")
 
-    speed = ["| | tracing the lights | recording | kernel | of all threads together |", "| --- |" + " --- |" * 4]
+    speed = ["| | tracing the lights | shading | of all threads together |", "| --- |" + " --- |" * 3]
     for name, row in results["speed"].items():
-        speed.append(
-            f"| {name} | {row['update']} ms | {row['recording']} ms | {row['kernel']} ms | {row['kernel_cpu']} ms |"
-        )
+        speed.append(f"| {name} | {row['update']} ms | {row['shade']} ms | {row['shade_cpu']} ms |")
     tables = {"errors": lines, "sweep": sweep, "limits": limits, "box": box, "speed": speed}
     return {name: "\n".join(table) for name, table in tables.items()}
 

@@ -97,6 +97,8 @@ class VirtualLights:
     """
 
     name = "virtual_lights"
+    # Variance of a path's light over that of a sample, the median over pixels: 1.7 to 39 for diffuse light in three
+    # built-in scenes, 1.5 to 6 for specular light.
     worth = 4.0
     can_replay = True
 
@@ -144,6 +146,7 @@ class VirtualLights:
         self._numbers = {
             "number": dr.opaque(mi.UInt32, self._lights.number),
             "max_depth": dr.opaque(mi.UInt32, self._max_depth),
+            # Of the film as it is now; another one's pixels are spread less evenly, no more.
             "width": dr.opaque(mi.UInt32, get_image_size(self._scene)[0]),
         }
 
