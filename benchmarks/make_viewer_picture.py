@@ -42,6 +42,8 @@ def main() -> None:
         wait(page, lambda: viewer.statistics["frames"] > seen + 1)
         if not is_frame:
             wait(page, lambda: viewer.statistics["accumulated"][0] >= arguments.frames)
+        # Away from the controls, whose hints would cover others.
+        page.mouse.move(300, 60)
         page.wait_for_timeout(1500)
         page.screenshot(path=arguments.output)
         browser.close()

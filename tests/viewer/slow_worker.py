@@ -19,6 +19,9 @@ def run_slow_worker(pipe: Connection, target: Target) -> None:
     if target.name == "missing":
         pipe.send(Problem("there is no such thing; look elsewhere."))
         return
+    if target.name == "broken":
+        pipe.send(Problem("something is broken.", ours=True))
+        return
     pipe.send(Opened(Description(FrameLook(), 4, 4)))
     forgotten: list[int] = []
     while (order := pipe.recv()) is not None:

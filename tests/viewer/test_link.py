@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.viewer import Viewer, link
 from lobewise.viewer.link import MOST_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
@@ -192,6 +193,28 @@ class TestViewer:
         path.write_bytes(b"no image")
         with Viewer(str(path), is_frame=True, port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.exr"):
             viewer.wait()
+
+    def test_without_viser_it_says_what_to_install(self, monkeypatch):
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+        with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[viewer\]'"):
+            Viewer("thing", is_frame=True).start()
+
+    def test_mistakes_of_ours_are_told_apart(self, monkeypatch):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        for name, kind in (("missing", LobewiseError), ("broken", RuntimeError)):
+            with Viewer(name, is_frame=True, port=0) as viewer, pytest.raises(kind):
+                viewer.wait()
+
+    def test_the_page_of_the_manual_runs(self, monkeypatch, floor_file):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        text = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
+        (block,) = re.findall(r"```python\n(.*?)```", text, flags=re.S)
+        waited = []
+        monkeypatch.setattr(Viewer, "wait", lambda viewer: waited.append(viewer.url))
+        monkeypatch.chdir(floor_file.parent)
+        exec(compile(block.replace("frame.exr", floor_file.name), "viewer.md", "exec"), {"__name__": "__main__"})
+        assert waited[0].startswith("http://127.0.0.1:")
 
     def test_a_port_that_is_taken(self):
         import socket

@@ -198,10 +198,14 @@ class SavedFile:
 
 @dataclass(frozen=True)
 class Problem:
-    """One sentence about what went wrong; without a client the target cannot be shown at all."""
+    """One sentence about what went wrong; without a client the target cannot be shown at all.
+
+    ``ours`` tells a mistake of the program from one that the user can mend.
+    """
 
     text: str
     client: int | None = None
+    ours: bool = False
 
 
 Order = Request | Save | Forget

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import socket
 import threading
@@ -56,11 +57,6 @@ class Viewer:
     changes : dict, optional
         Settings to begin with: fields of `SceneLook` or `FrameLook`.
 
-    Raises
-    ------
-    MissingDependencyError
-        If viser is not installed.
-
     Examples
     --------
     >>> with Viewer("frame.exr", is_frame=True) as viewer:  # doctest: +SKIP
@@ -87,7 +83,7 @@ class Viewer:
         self._guests: dict[int, Guest] = {}
         self._found: Description | None = None
         self._cameras: CameraMap | None = None
-        self._failure: LobewiseError | None = None
+        self._failure: Exception | None = None
         self._notice = f"Opening {target} \u2026"
         self._doing = ""
         self._memory = 0
@@ -112,7 +108,11 @@ class Viewer:
         ------
         InputError
             If host and port are not to be had.
+        MissingDependencyError
+            If viser is not installed.
         """
+        if importlib.util.find_spec("viser") is None:
+            raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
         port = find_port(self._host, self._asked_port)
         # First, because it takes longer than the page.
         self._link.start()
@@ -165,6 +165,8 @@ class Viewer:
         ------
         LobewiseError
             If the target cannot be opened.
+        RuntimeError
+            If that is no fault of the target.
         """
         # With a timeout Ctrl-C gets through on every system.
         while not self._over.wait(0.5):
@@ -182,10 +184,7 @@ class Viewer:
                 server.stop()
 
     def _serve(self, port: int) -> None:
-        try:
-            import viser
-        except ImportError as problem:
-            raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.") from problem
+        import viser
 
         # It greets on standard output, which has one line of ours.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -291,7 +290,7 @@ class Viewer:
             if guest is not None:
                 guest.client.send_file_download(report.name, report.data, save_immediately=True)
         elif report.client is None:
-            self._failure = LobewiseError(report.text)
+            self._failure = RuntimeError(report.text) if report.ours else LobewiseError(report.text)
             self._announce(report.text, bad=True)
             self._over.set()
         else:
@@ -367,7 +366,7 @@ class Viewer:
             guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
         self._announce(text, bad=True)
         if not again and self._found is None:
-            self._failure = LobewiseError(text)
+            self._failure = RuntimeError(text)
             self._over.set()
 
     def _tick(self) -> None:

@@ -83,7 +83,7 @@ class Worker:
             self._send(Problem(str(problem)))
             return
         except Exception as problem:
-            self._send(Problem(describe_failure(problem)))
+            self._send(Problem(describe_failure(problem), ours=True))
             return
         while (order := self._pipe.recv()) is not None:
             self._answer(opened, order)
@@ -125,7 +125,7 @@ class Worker:
         except LobewiseError as problem:
             self._send(Problem(str(problem), order.client))
         except Exception as problem:
-            self._send(Problem(describe_failure(problem), order.client))
+            self._send(Problem(describe_failure(problem), order.client, ours=True))
 
     def _draw(self, order: Request, shots: list[Shot], *, final: bool) -> Picture:
         from lobewise.display import choose_exposure
