@@ -29,7 +29,6 @@ from lobewise.render.voxel_grid import (
 from lobewise.render.voxel_hits import Hits, cast_hits, find_bounds
 from lobewise.render.voxel_march import (
     SHARPEST_TAN,
-    draw_axis,
     draw_jitter,
     find_reflection,
     gather_diffuse,
@@ -77,7 +76,7 @@ class VoxelCones:
     """
 
     name = "voxel_cones"
-    worth = 64.0
+    worth = 8.0
     can_replay = True
 
     def __init__(
@@ -168,8 +167,8 @@ class VoxelCones:
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             jitter = draw_jitter(rng)
-            drawn = draw_axis(axis, tangent, shading, mi.Point2f(rng.next_float32(), rng.next_float32()))
-            cone = trace_cone(grid, origin, normal, drawn, tangent, jitter, shiny)
+            shared = draw_jitter(make_rng(mi.UInt32(0), index, seed_value))
+            cone = trace_cone(grid, origin, normal, axis, tangent, shared, shiny, smooth=True)
             if self._is_clear:
                 reflected, through = self._look_through(points, rng, jitter)
                 specular += cone.radiance * reflected + through

@@ -24,6 +24,13 @@ Crassin 2011 takes the whole cone. With a half, a third, a sixth and a tenth the
 open sky was 1.37, 1.25, 1.19 and 1.13 times that of paths; axes are drawn at random, so the cone is covered anyway.
 """
 
+SMOOTH_FOOTPRINT = 0.7
+"""The same for smooth cones, whose axes stay. With 0.35, 0.7 and 1 the mean light that the showroom's metal reflects
+was 1.05, 1.02 and 0.99 times that of paths."""
+
+SMOOTH_STEP = 0.5
+"""Step of smooth cones, in edges of the voxels that they look up."""
+
 TOUCHING = 0.5
 """Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
 
@@ -82,6 +89,19 @@ def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any,
     return total
 
 
+def interpolate(grid: Grid, place: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
+    """Return what `look_up` does, interpolated between the eight voxels around a place, in edges of the voxels."""
+    corner = dr.floor(place - 0.5)
+    part = place - 0.5 - corner
+    total = mi.Vector4f(0)
+    for number in range(8):
+        shift = mi.Vector3f(number & 1, number >> 1 & 1, number >> 2)
+        weights = dr.select(shift > 0.5, part, 1.0 - part)
+        weight = weights.x * weights.y * weights.z
+        total += weight * look_up(grid, corner + shift, level, direction, start, edge)
+    return total
+
+
 def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> Any:
     origin, own = start
     normal = mi.Vector3f(plane.x, plane.y, plane.z)
@@ -91,7 +111,14 @@ def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> 
 
 
 def trace_cone(
-    grid: Grid, origin: Any, normal: Any, direction: Any, tangent: Any, jitter: tuple[Any, ...], active: Any
+    grid: Grid,
+    origin: Any,
+    normal: Any,
+    direction: Any,
+    tangent: Any,
+    jitter: tuple[Any, ...],
+    active: Any,
+    smooth: bool = False,
 ) -> Cone:
     """Return what a cone from a surface meets.
 
@@ -106,8 +133,11 @@ def trace_cone(
         Of half its angle.
     jitter : tuple of four Float
         In [0, 1): how far the voxels are moved along each axis, and which of two levels is taken between them. Over
-        all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size.
+        all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size. A smooth
+        cone takes the first for where in a step it looks.
     active : Bool
+    smooth : bool
+        Interpolate between voxels and look them up as wide as most of the cone: no noise, for eight times the work.
     """
     size = grid.voxel * mi.Float(grid.resolution)
     relative = mi.Vector3f(origin - grid.lower)
@@ -124,17 +154,24 @@ def trace_cone(
     speeds = [dr.select(dr.abs(d) > 1e-8, dr.abs(d), 0.0) for d in direction]
 
     def step(march: _March) -> tuple[_March]:
-        width = 2.0 * FOOTPRINT * march.distance * tangent / grid.voxel
+        footprint = SMOOTH_FOOTPRINT if smooth else FOOTPRINT
+        width = 2.0 * footprint * march.distance * tangent / grid.voxel
         level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + jitter[3]))
         level = dr.minimum(level, grid.levels - 1)
         edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
-        place = (relative + direction * march.distance) / edge + offset
-        cell = dr.floor(place)
-        ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(direction, place, cell, strict=True)]
-        gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
-        length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
-        share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
-        seen = look_up(grid, cell, level, direction, (origin, normal), edge)
+        place = (relative + direction * march.distance) / edge
+        if smooth:
+            share = dr.minimum(SMOOTH_STEP, (end - march.distance) / edge)
+            middle = place + direction * (SMOOTH_STEP * jitter[0])
+            seen = interpolate(grid, middle, level, direction, (origin, normal), edge)
+        else:
+            place += offset
+            cell = dr.floor(place)
+            ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(direction, place, cell, strict=True)]
+            gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
+            length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
+            share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
+            seen = look_up(grid, cell, level, direction, (origin, normal), edge)
 
         # Where half of the cone is stopped is how far away it sees.
         before, after = march.transmittance, march.transmittance * dr.exp(-seen.w * share)
@@ -230,18 +267,3 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
     mirrored.z = dr.maximum(mirrored.z, 0.02)
     axis = dr.normalize(tangent * mirrored.x + across * mirrored.y + normal * mirrored.z)
     return axis, dr.clip(tan_half, SHARPEST_TAN, DIFFUSE_TAN)
-
-
-def draw_axis(axis: Any, tangent: Any, normal: Any, point: Any) -> Any:
-    """Return the axis of one cone out of a lobe, drawn as the spherical Gaussian about ``axis`` is distributed.
-
-    The voxels looked up are narrower than the lobe; that the cone moves makes up for it. With ``cos(half) = 1 - 1/l``
-    the density is inverted in closed form: ``cos = 1 + ln(1 - u (1 - exp(-2 l))) / l``. What would fall below the
-    surface is mirrored to its upper side.
-    """
-    spread = 1.0 - dr.rsqrt(1.0 + dr.square(tangent))
-    fall = dr.log(dr.maximum(1.0 - point.x * (1.0 - dr.exp(-2.0 / spread)), 1e-6))
-    cosine = dr.clip(1.0 + spread * fall, -1.0, 1.0)
-    sine, turn = dr.safe_sqrt(1.0 - dr.square(cosine)), dr.sincos(2.0 * dr.pi * point.y)
-    drawn = mi.Frame3f(axis).to_world(mi.Vector3f(sine * turn[1], sine * turn[0], cosine))
-    return dr.normalize(drawn - normal * dr.minimum(2.0 * dr.dot(drawn, normal), 0.0))
