@@ -59,6 +59,10 @@ class TestWindow:
         np.testing.assert_array_equal(tall[10:40], self.picture)
         assert (tall[:10] == BARS).all()
 
+    def test_a_picture_that_fills_is_cut(self):
+        np.testing.assert_array_equal(fit_window(self.picture, Window(60, 30, fill=True)), self.picture[5:25])
+        np.testing.assert_array_equal(fit_window(self.picture, Window(30, 30, fill=True)), self.picture[:, 5:35])
+
     def test_zoom_shows_whole_pixels(self):
         seen = fit_window(self.picture, Window(400, 300, zoom=2.0))
         assert seen.shape == (300, 400, 3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 from lobewise.viewer.cameras import CameraMap, Pose
@@ -72,6 +73,8 @@ class Guest:
             placed = cameras.to_camera(self.pose)
             if placed is None:
                 return None
+            # Sizes are multiples of 8: the few pixels by which aspects differ are cut.
+            window = replace(window, fill=not self._fixed_size)
             self.pace.fixed = self._fixed_size or not panel.adapt
             factor = self.pace.factor if self.is_moving else 1.0
             size = self._choose_size(found, window, factor)

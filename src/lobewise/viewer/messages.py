@@ -75,12 +75,15 @@ class Window:
         1 shows the whole picture.
     centre : (float, float)
         What is in the middle: 0, 0 is the picture's middle, +-1 half the height that is seen at zoom 1; x right, y up.
+    fill : bool
+        Whether a picture of another aspect is cut instead of getting bars.
     """
 
     width: int = 1
     height: int = 1
     zoom: float = 1.0
     centre: tuple[float, float] = (0.0, 0.0)
+    fill: bool = False
 
 
 @dataclass(frozen=True)

@@ -78,9 +78,10 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
     """
     height, width = picture.shape[:2]
     aspect = window.width / window.height
-    tall = max(float(height), width / aspect)
+    tall = min(float(height), width / aspect) if window.fill else max(float(height), width / aspect)
     # A pixel's difference is not worth a bar.
-    if window.zoom == 1.0 and window.centre == (0.0, 0.0) and abs(tall * aspect - width) < 1.5 and tall - height < 1.5:
+    alike = abs(tall * aspect - width) < 1.5 and abs(tall - height) < 1.5
+    if window.zoom == 1.0 and window.centre == (0.0, 0.0) and alike:
         return picture
     seen = tall / window.zoom
     times = max(1.0, min(np.ceil(window.height / seen), _MOST_MAGNIFIED)) if seen * 1.5 < window.height else 1.0

@@ -144,7 +144,9 @@ class Worker:
         pixels = wipe(pictures[0], pictures[1], order.wipe, labels) if two else pictures[0]
         if final:
             # For a file, without bars and whole, whatever part is looked at.
-            self._shown[order.client] = wipe(plain[0], plain[1], order.wipe, labels) if two else plain[0]
+            whole = pictures[0] is plain[0]
+            wiped = pixels if whole or not two else wipe(plain[0], plain[1], order.wipe, labels)
+            self._shown[order.client] = wiped if two else plain[0]
         return Picture(
             client=order.client,
             number=order.number,
