@@ -152,6 +152,16 @@ def test_methods_agree_about_the_brightness(session: Session, method: str) -> No
     assert samples[1].mean() == pytest.approx(samples[0].mean(), rel=0.25)
 
 
+def test_lobes_are_no_sharper_than_virtual_lights_are_dense(session: Session) -> None:
+    asked = replace(QUICK, method="virtual_lights")
+    found = {}
+    for limit, settings in ((True, asked), (False, replace(asked, limit_lobes=False))):
+        found[limit] = session.render(None, settings).parts["result"].settings["tau"]
+    assert found[True] > 1.5 * found[False]
+    # What a user sets is left alone.
+    assert session.render(None, replace(asked, tau=0.02)).parts["result"].settings["tau"] == 0.02
+
+
 def test_lights_that_change_are_noticed(mi: Any) -> None:
     scene = load_scene("showroom", width=SIZE, height=SIZE)
     session = Session(scene, settings=replace(QUICK, method="voxel_cones"), options={"voxel_cones": {"resolution": 16}})

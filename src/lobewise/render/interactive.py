@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
+from lobewise.denoising import DenoiseSettings
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Camera, Radiance, Result
 from lobewise.render.direct_filter import filter_direct
@@ -36,6 +37,7 @@ class _Chain:
     """What one stream of frames remembers."""
 
     settings: InteractiveSettings
+    chosen: DenoiseSettings
     temporal: TemporalFilter
     camera: Camera | None = None
     size: tuple[int, int] | None = None
@@ -103,6 +105,7 @@ class Session:
         self._seed = seed
         start = self._stages.start_size
         self.resize(width or start[0], height or start[1])
+        self._limits: dict[tuple[str, int], float] = {}
         self._chains: dict[int, _Chain] = {}
 
     @property
@@ -157,6 +160,7 @@ class Session:
     def update_lights(self) -> None:
         """Take notice of lights, materials or geometry that changed in the scene."""
         self._methods.update()
+        self._limits.clear()
         self.reset()
 
     def render(self, camera: Camera | None = None, settings: InteractiveSettings | None = None) -> InteractiveFrame:
@@ -192,10 +196,11 @@ class Session:
 
     def _render(self, camera: Camera, asked: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
         seconds: dict[str, float] = {}
+        with _Watch(seconds, "gbuffer"):
+            self._stages.place_camera(camera, *self._size)
         chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
         seed = (self._seed << 20) + chains[0].number
         with _Watch(seconds, "gbuffer"):
-            self._stages.place_camera(camera, *self._size)
             hits = self._stages.trace_guides(camera)
         with _Watch(seconds, "direct"):
             direct = self._stages.shade_direct(seed)
@@ -205,10 +210,11 @@ class Session:
     def _find_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
         """Return the stream of frames that goes on with these settings, told whether it stands still."""
         chain = self._chains.get(index)
+        chosen = self._choose_filter(settings)
         if chain is None or chain.size != self._size or chain.settings.method != settings.method:
-            chain = _Chain(settings, TemporalFilter(settings.make_filter_settings()), size=self._size)
-        elif chain.settings.make_filter_settings() != settings.make_filter_settings():
-            chain.temporal = TemporalFilter(settings.make_filter_settings())
+            chain = _Chain(settings, chosen, TemporalFilter(chosen), size=self._size)
+        elif chain.chosen != chosen:
+            chain.chosen, chain.temporal = chosen, TemporalFilter(chosen)
         same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
         if not (same and settings.accumulate):
             chain.resting = Resting()
@@ -216,6 +222,17 @@ class Session:
         chain.number += 1
         self._chains[index] = chain
         return chain
+
+    def _choose_filter(self, settings: InteractiveSettings) -> DenoiseSettings:
+        """Return the settings of the filter, with lobes no sharper than the light is dense."""
+        chosen = settings.make_filter_settings()
+        if settings.tau != "auto" or not settings.limit_lobes:
+            return chosen
+        key = settings.method, settings.spp
+        if key not in self._limits:
+            self._limits[key] = self._stages.find_band_limit(self._methods.get(settings.method), settings.spp)
+        limit = self._limits[key]
+        return replace(chosen, tau=limit) if limit > 0.0 else chosen
 
     def _finish(self, chain: _Chain, shared: _Shared) -> InteractiveFrame:
         settings, hits = chain.settings, shared.hits
@@ -286,10 +303,10 @@ class Session:
         settings = chain.settings
         if settings.similarity == UNFILTERED:
             chain.temporal.reset()
-            return upsample(sparse, settings.make_filter_settings(), bilinear=True)
+            return upsample(sparse, chain.chosen, bilinear=True)
         if not settings.temporal:
             chain.temporal.reset()
-            return upsample(sparse, settings.make_filter_settings())
+            return upsample(sparse, chain.chosen)
         return chain.temporal.add(sparse)
 
     def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:

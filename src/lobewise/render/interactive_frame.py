@@ -43,6 +43,9 @@ class InteractiveSettings:
         Whether a frame knows those before it.
     adaptive : float
         Largest share of the pixels that is shaded again because nothing supports them, 0 (none) to 1.
+    limit_lobes : bool
+        Whether lobes are widened (where ``tau`` is "auto") to what light that is not sampled by the BRDF can show:
+        virtual lights on a sharp lobe are spikes, which a narrow kernel would keep (Tokuyoshi 2015, "Limitations (2)").
     filter_direct : bool
         Whether direct light, which has one light sample a pixel, is filtered over 7x7 pixels.
     accumulate : bool
@@ -60,6 +63,7 @@ class InteractiveSettings:
     normal_exponent: float = 64.0
     temporal: bool = True
     adaptive: float = 0.05
+    limit_lobes: bool = True
     filter_direct: bool = True
     accumulate: bool = True
 

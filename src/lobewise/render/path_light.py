@@ -34,6 +34,10 @@ class PathLight:
         self._materials = materials
         self._max_depth = max_depth
 
+    def find_band_limit(self, points: Points, samples: int) -> float:
+        """Return 0: directions follow the lobes; see `lobewise.render.points.IndirectMethod`."""
+        return 0.0
+
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `lobewise.render.points.IndirectMethod`."""
         settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, albedo=False)

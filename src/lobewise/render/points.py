@@ -70,6 +70,12 @@ class IndirectMethod(Protocol):
     def state(self) -> Any:
         """The Dr.Jit arrays that a replay reads beside the scene (a PyTree), or None."""
 
+    def find_band_limit(self, points: Points, samples: int) -> float:
+        """Return the angle, radians, below which a lobe shows the method's samples instead of the scene; 0 for none.
+
+        Light that is not sampled by the BRDF is made of few directions, which a sharp lobe tells apart.
+        """
+
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the indirect light at points, not evaluated yet.
 

@@ -89,6 +89,9 @@ class DirectLight:
     specular: FloatArray
 
 
+LIMIT_PIXELS = 32
+"""Columns and rows of the pixels that tell how dense light is."""
+
 _GUIDES = {
     "depth": 1,
     "position": 3,
@@ -184,6 +187,15 @@ class Stages:
         numbers = (make_opaque(samples), make_opaque(seed)) if method.can_replay else (samples, seed)
         diffuse, specular, distance = known[1](pixel, *size, *numbers)
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
+
+    def find_band_limit(self, method: IndirectMethod, samples: int) -> float:
+        """Return a method's band-limit, radians, as some pixels of the picture have it."""
+        width, height = get_image_size(self.scene)
+        columns, rows = min(width, LIMIT_PIXELS), min(height, LIMIT_PIXELS)
+        grid = np.arange(rows)[:, None] * height // rows * width + np.arange(columns) * width // columns
+        size = (dr.opaque(mi.UInt32, length) for length in (width, height))
+        points = find_points(self.scene, self.materials, mi.UInt32(grid.ravel().astype(np.uint32)), tuple(size))
+        return method.find_band_limit(points, samples)
 
     @staticmethod
     def _make_grid(width: int, height: int) -> tuple[Any, Any, Any]:

@@ -201,6 +201,10 @@ class VirtualLights:
             diffuse=diffuse * share, specular=specular * share, hit_distance=dr.select(hits > 0, distance, 0.0)
         )
 
+    def find_band_limit(self, points: Points, samples: int) -> float:
+        """Return `find_sharpness_limit` of the lights that points see, radians."""
+        return find_sharpness_limit(self.count_lights_seen(points, samples=samples))
+
     def count_lights_seen(self, points: Points, *, samples: int = 1, all_lights: bool = False) -> float:
         """Return how many equal lights those that a pixel takes are worth, for `find_sharpness_limit`.
 

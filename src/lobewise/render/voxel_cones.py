@@ -149,6 +149,10 @@ class VoxelCones:
                 grid = fill_grid(layout, faces, depth, _extend(series[-3:], count[np.array(faces.slot)]))
         return grid
 
+    def find_band_limit(self, points: Points, samples: int) -> float:
+        """Return 0: directions follow the lobes; see `lobewise.render.points.IndirectMethod`."""
+        return 0.0
+
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` sets of jittered cones; see `lobewise.render.points.IndirectMethod`."""
         grid, surface = self._grid, points.surface
