@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 STAGES = {
-    "gbuffer": "guides",
-    "direct": "direct light",
+    "gbuffer": "guides and direct light",
     "indirect": "indirect light at 1/4",
     "upsampling": "upsampling over space and time",
     "adaptive": "re-computation of 5 %",

@@ -57,6 +57,38 @@ def test_temporal_page_runs() -> None:
     np.testing.assert_allclose(names["result"].image.mean(), 0.5, rtol=0.05)
 
 
+def test_interactive_page_says_what_was_measured_and_runs() -> None:
+    import sys
+
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    from interactive_page import make_interactive_page
+
+    results = ROOT / "benchmarks" / "results"
+    names = ("interactive_quality", "interactive", "viewer")
+    page = make_interactive_page(*(json.loads((results / f"{name}.json").read_text()) for name in names))
+    assert (ROOT / "docs" / "interactive.md").read_text() == page
+
+
+@pytest.mark.mitsuba
+@pytest.mark.slow
+def test_interactive_page_runs() -> None:
+    import os
+
+    from lobewise.errors import MissingDependencyError
+    from lobewise.render import load_mitsuba
+
+    try:
+        load_mitsuba("cpu")
+    except MissingDependencyError as error:
+        if os.environ.get("CI"):
+            pytest.fail(f"CI must render: {error}")
+        pytest.skip(str(error))
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "interactive.md").read_text(), flags=re.S):
+        exec(compile(block, "interactive.md", "exec"), names)
+    assert [image.shape for image in names["images"]] == [(128, 128, 3)] * 3
+
+
 def test_readme_commands_exist() -> None:
     from typer.main import get_command
 

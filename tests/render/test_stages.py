@@ -38,6 +38,10 @@ def get_path_light(stages: Stages, max_depth: int = 8) -> Any:
     return PathLight(stages.scene, stages.materials, max_depth=max_depth)
 
 
+def shade_direct(stages: Stages, seed: int, camera: Any = None) -> Any:
+    return stages.trace_first(camera or stages.start_camera, seed)[1]
+
+
 def list_pixels(size: int = SIZE) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = np.indices((size, size))
     return rows.ravel(), columns.ravel()
@@ -45,7 +49,7 @@ def list_pixels(size: int = SIZE) -> tuple[np.ndarray, np.ndarray]:
 
 def test_guides_are_those_of_a_whole_frame_but_for_averages(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
-    hits = stages.trace_guides(stages.start_camera)
+    hits, _ = stages.trace_first(stages.start_camera, 0)
     frame = render_frame(showroom, spp=64, aov_only=True)
     for name in ("depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind"):
         assert np.allclose(getattr(hits.gbuffer, name), getattr(frame.gbuffer, name), atol=BIT, rtol=BIT), name
@@ -63,7 +67,7 @@ def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
     for camera in make_orbit(stages.start_camera, (0.0, 0.75, -0.6), 3, 20.0):
         for size in (24, 40):
             stages.place_camera(camera, size, size)
-            hits = stages.trace_guides(camera)
+            hits, _ = stages.trace_first(camera, 0)
             frame = render_frame(showroom, spp=1, aov_only=True)
             assert hits.gbuffer.shape == (size, size)
             assert np.allclose(hits.gbuffer.position, frame.gbuffer.position, atol=1e-4)
@@ -72,7 +76,7 @@ def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
 
 def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
-    parts = [stages.shade_direct(seed) for seed in range(256)]
+    parts = [shade_direct(stages, seed) for seed in range(256)]
     reference = render_frame(showroom, spp=1024, max_depth=2).radiance
     for name, expected in (
         ("diffuse", reference.diffuse),
@@ -87,8 +91,8 @@ def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None
 def test_sixteen_neighbours_know_more_of_a_lamp_than_chance_would(stages: Stages) -> None:
     """Interleaved samples of a soft shadow: their 4x4 means vary less than those of independent ones."""
     stages.place_camera(stages.start_camera, 256, 256)
-    mean = np.mean([stages.shade_direct(seed).diffuse for seed in range(64)], axis=0)
-    error = stages.shade_direct(100).diffuse - mean
+    mean = np.mean([shade_direct(stages, seed).diffuse for seed in range(64)], axis=0)
+    error = shade_direct(stages, 100).diffuse - mean
     blocks = error.reshape(64, 4, 64, 4, 3).mean(axis=(1, 3))
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     independent = np.square(error).reshape(64, 4, 64, 4, 3).mean(axis=(1, 3)) / 16.0
@@ -101,14 +105,14 @@ def test_sixteen_neighbours_know_more_of_a_lamp_than_chance_would(stages: Stages
 def test_lights_and_sky_are_seen_where_they_are(mi: Any, make_furnace: Callable[..., Any]) -> None:
     stages = Stages(make_furnace({"type": "diffuse", "reflectance": 0.5}))
     stages.place_camera(stages.start_camera, 8, 8)
-    light = stages.shade_direct(0)
+    light = shade_direct(stages, 0)
     assert np.allclose(light.emitted, 0.0)
     assert np.allclose(light.specular, 0.0)
-    assert np.mean([stages.shade_direct(seed).diffuse for seed in range(32)]) == pytest.approx(0.5, rel=MEAN_NOISE)
+    assert np.mean([shade_direct(stages, seed).diffuse for seed in range(32)]) == pytest.approx(0.5, rel=MEAN_NOISE)
     away = stages.start_camera
     backwards = type(away)(away.position, -away.forward, away.up, away.fov_y)
     stages.place_camera(backwards, 8, 8)
-    light = stages.shade_direct(0)
+    light = shade_direct(stages, 0)
     assert np.allclose(light.emitted, 1.0)
     assert np.allclose(light.diffuse + light.specular, 0.0)
 
@@ -116,7 +120,7 @@ def test_lights_and_sky_are_seen_where_they_are(mi: Any, make_furnace: Callable[
 def test_a_mirror_shows_the_sky_as_direct_light(make_furnace: Callable[..., Any]) -> None:
     stages = Stages(make_furnace({"type": "conductor", "material": "none"}))
     stages.place_camera(stages.start_camera, 8, 8)
-    light = stages.shade_direct(3)
+    light = shade_direct(stages, 3)
     assert np.allclose(light.specular, 1.0, atol=1e-4)
     assert np.allclose(light.diffuse, 0.0)
 
@@ -129,7 +133,7 @@ def test_path_light_is_the_renderers_indirect_light(stages: Stages, showroom: An
     reference = render_frame(showroom, spp=256, light="indirect").radiance
     assert diffuse.mean() == pytest.approx(reference.diffuse.mean(), rel=MEAN_NOISE)
     assert specular.mean() == pytest.approx(reference.specular.mean(), rel=MEAN_NOISE)
-    hits = stages.trace_guides(stages.start_camera).gbuffer
+    hits = stages.trace_first(stages.start_camera, 0)[0].gbuffer
     mirrors = (hits.alpha_u < 0.06) & (hits.lobe_kind > 0) & (hits.hit_distance > 0)
     ratio = distance.reshape(SIZE, SIZE)[mirrors] / hits.hit_distance[mirrors]
     assert abs(np.median(ratio) - 1.0) < 0.05
@@ -163,11 +167,10 @@ def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> No
     stages = Stages(scene)
     for size in (12, 12, 16):
         stages.place_camera(stages.start_camera, size, size)
-        hits = stages.trace_guides(stages.start_camera)
+        hits, light = stages.trace_first(stages.start_camera, 0)
         expected = render_frame(scene, spp=1, aov_only=True).gbuffer
         assert len(hits.lobe_tables) == 1
         for name in ("depth", "alpha_u", "alpha_v", "material"):
             assert np.allclose(getattr(hits.gbuffer, name), getattr(expected, name), atol=BIT, rtol=BIT), name
-        light = stages.shade_direct(0)
         assert np.isfinite(light.diffuse).all()
         assert (light.diffuse + light.specular).max() > 0.1

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from lobewise.denoising.layers import make_layers
-from lobewise.denoising.recipe import keep_unfiltered
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.frame import Frame, Radiance
 from lobewise.kernels.engine import run_filter
@@ -47,7 +46,11 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
             albedo=layer.albedo,
             device=chosen.device,
         )
-        clean = keep_unfiltered(layer, output)
+        clean = output.image
+        # Surfaces without the lobe have none of its light; what else no tap matches is left as it is.
+        lost = (output.weight_sum <= 0.0) & (layer.radiance[..., 1] > 0.0)
+        if lost.any():
+            clean[lost] = layer.radiance[lost]
         own = np.float32(1.0 - 1.0 / samples)
         parts.append(clean if samples == 1 else clean + own * (layer.radiance - clean))
     return DirectLight(light.emitted, *parts)

@@ -201,9 +201,7 @@ class Session:
         chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
         seed = (self._seed << 20) + chains[0].number
         with _Watch(seconds, "gbuffer"):
-            hits = self._stages.trace_guides(camera)
-        with _Watch(seconds, "direct"):
-            direct = self._stages.shade_direct(seed)
+            hits, direct = self._stages.trace_first(camera, seed)
         shared = _Shared(camera, seed, hits, direct, seconds)
         return [self._finish(chain, shared) for chain in chains]
 

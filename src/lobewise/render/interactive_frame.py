@@ -15,8 +15,8 @@ from lobewise.sparse_frame import MOST_SCALE
 
 UNFILTERED = "none"
 """The similarity that compares nothing."""
-STAGES = ("gbuffer", "direct", "indirect", "upsampling", "adaptive", "composite")
-"""What the seconds of a frame are told apart by, in the order in which it is made."""
+STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
+"""What the seconds of a frame are told apart by, in the order in which it is made; the first makes direct light too."""
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,8 @@ class Frozen:
         # What is recorded must not depend on how many lanes there are, as where each vector goes does.
         results = [_flatten(result) for result in self._run(*arguments)]
         dr.eval(results)
-        return [np.array(result, dtype=np.float32, copy=True) for result in results]
+        # On the CPU these are views, which keep Dr.Jit's memory alive.
+        return [result.numpy() for result in results]
 
     def _run(self, *arguments: Any) -> list[Any]:
         if self._frozen is not None:
@@ -104,8 +105,8 @@ _GUIDES = {
     "diffuse_albedo": 3,
     "specular_albedo": 3,
     "hit_distance": 1,
-    "hit_position": 3,
 }
+"""Guides that the filters look at, and how many channels each has."""
 
 
 def _flatten(value: Any) -> Any:
@@ -135,8 +136,7 @@ class Stages:
         self.start_size = get_image_size(scene)
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
-        self._guides = Frozen(self._find_guides, lambda: scene)
-        self._direct = Frozen(self._shade_direct, lambda: scene)
+        self._first = Frozen(self._trace_first, lambda: scene)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
@@ -147,25 +147,28 @@ class Stages:
             parameters.update()
         set_camera(self.scene, camera)
 
-    def trace_guides(self, camera: Camera) -> FirstHits:
-        """Return the guides of all pixels."""
+    def trace_first(self, camera: Camera, seed: int) -> tuple[FirstHits, DirectLight]:
+        """Return the guides of all pixels, and what lights them directly: one sample of the lights each.
+
+        Parameters
+        ----------
+        camera : Camera
+            Where `place_camera` has put the sensor.
+        seed : int
+            Another one for every frame.
+        """
         width, height = get_image_size(self.scene)
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
-        flat = self._guides(*self._make_grid(width, height), *eye)
-        images = {
-            name: values.reshape((height, width) if count == 1 else (height, width, count))
-            for (name, count), values in zip(_GUIDES.items(), flat, strict=True)
-        }
-        if not self.lobe_tables:
-            del images["material"]
-        return FirstHits(GBuffer(**images), camera, self.lobe_tables)
-
-    def shade_direct(self, seed: int) -> DirectLight:
-        """Return what lights all pixels directly, one sample of the lights each."""
-        width, height = get_image_size(self.scene)
         shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
-        flat = self._direct(*self._make_grid(width, height), *shifts)
-        return DirectLight(*(values.reshape(height, width, 3) for values in flat))
+        flat = self._first(*self._make_grid(width, height), *eye, *shifts)
+        images = [
+            values.reshape((height, width) if count == 1 else (height, width, count))
+            for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
+        ]
+        guides = dict(zip(_GUIDES, images, strict=False))
+        if not self.lobe_tables:
+            del guides["material"]
+        return FirstHits(GBuffer(**guides), camera, self.lobe_tables), DirectLight(*images[len(_GUIDES) :])
 
     def shade_indirect(
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
@@ -204,17 +207,11 @@ class Stages:
         dr.eval(pixel)
         return pixel, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
 
-    def _find_guides(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
+    def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))
         guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
         inverse = guides["mirror_inverse"]
-        seen = inverse > 0
-        distance = dr.select(seen, dr.rcp(inverse), dr.select(guides["mirror_count"] > 0, dr.inf, 0.0))
-        guides["hit_distance"] = distance
-        guides["hit_position"] = dr.select(seen, guides["mirror_position"] * distance, 0.0)
-        return [guides[name] for name in _GUIDES]
-
-    def _shade_direct(self, pixel: Any, width: Any, height: Any, *shifts: Any) -> list[Any]:
-        points = find_points(self.scene, self.materials, pixel, (width, height))
+        missed = dr.select(guides["mirror_count"] > 0, dr.inf, 0.0)
+        guides["hit_distance"] = dr.select(inverse > 0, dr.rcp(inverse), missed)
         light = shade_direct(self.scene, self.materials, points, width, shifts)
-        return [light.emitted, light.diffuse, light.specular]
+        return [*(guides[name] for name in _GUIDES), light.emitted, light.diffuse, light.specular]

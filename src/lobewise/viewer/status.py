@@ -7,8 +7,7 @@ from html import escape
 from lobewise.viewer.messages import Picture
 
 STAGES = {
-    "gbuffer": "G-buffer",
-    "direct": "direct light",
+    "gbuffer": "G-buffer, direct light",
     "indirect": "indirect light",
     "upsampling": "upsampling",
     "adaptive": "adaptive",
