@@ -1,6 +1,8 @@
 """How the viewer responds: seconds to the first picture, frames per second while the camera moves, memory on an orbit.
 
-A headless Chromium (``chromium`` on the path, driven by playwright) looks at the page, on the same machine and cores.
+A headless Chromium (``chromium`` on the path, driven by playwright) looks at the page. Without a GPU it draws in
+software, which takes a core or more of those that the viewer runs on; so frames per second are measured twice: with
+that browser, and with a client that speaks the page's protocol and draws nothing, as if the browser had its own.
 
 python benchmarks/viewer.py --output benchmarks/results/viewer.json
 """
@@ -14,6 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -103,8 +106,95 @@ def drag_for(page: Any, seconds: float) -> int:
     return step
 
 
+class QuietClient:
+    """What a page is to the viewer, without a page: it takes every picture and moves the camera."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        import viser
+        from websockets.sync.client import connect
+
+        self._viewer = viewer
+        address = viewer.url.replace("http", "ws")
+        protocol: Any = f"viser-v{viser.__version__}"
+        self._socket = connect(address, subprotocols=[protocol], compression=None, max_size=None)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        self._turn = 0.0
+        self.look(0.0)
+
+    def _read(self) -> None:
+        for _ in self._socket:
+            pass
+
+    def look(self, angle: float) -> None:
+        """Put the camera on the orbit, so many radians from where it began."""
+        import msgspec
+
+        cameras = self._viewer._cameras
+        position, look_at = np.array([0.0, 0.0, 4.0]), np.zeros(3)
+        up, fov = np.array([0.0, 1.0, 0.0]), 0.8
+        if cameras is not None:
+            start = cameras.start
+            look_at, up, fov = start.look_at, start.up, start.fov
+            arm = start.position - look_at
+            position = look_at + math.cos(angle) * arm + math.sin(angle) * np.cross(up, arm)
+            position += (1.0 - math.cos(angle)) * up * float(up @ arm)
+        message = {
+            "type": "ViewerCameraMessage",
+            "wxyz": [1.0, 0.0, 0.0, 0.0],
+            "position": position.tolist(),
+            "fov": float(fov),
+            "near": 0.01,
+            "far": 1000.0,
+            "image_height": WINDOW["height"],
+            "image_width": WINDOW["width"],
+            "look_at": look_at.tolist(),
+            "up_direction": up.tolist(),
+        }
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def move_for(self, seconds: float) -> None:
+        """Move the camera to and fro, thirty times a second."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._turn += 0.03
+            self.look(0.3 * math.sin(self._turn))
+            time.sleep(1.0 / 30.0)
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+
+
+def measure_pace(method: str) -> dict[str, Any]:
+    """Return frames per second while the camera moves, of a client that takes no time, and where the time goes."""
+    with Viewer("showroom", port=0, size=SIZE, fixed_size=True, changes={"method": method}) as viewer:
+        client = QuietClient(viewer)
+        start = time.monotonic()
+        while viewer.statistics["frames"] < 3:
+            if time.monotonic() - start > PATIENCE:
+                raise TimeoutError("no pictures")
+            time.sleep(0.05)
+        client.move_for(WARM_UP)
+        before, begin = viewer.statistics["frames"], time.perf_counter()
+        stages: list[dict[str, float]] = []
+        for _ in range(10):
+            client.move_for(MOVING / 10)
+            stages.append(viewer.statistics["seconds"][0])
+        count, seconds = viewer.statistics["frames"] - before, time.perf_counter() - begin
+        accumulated = viewer.statistics["accumulated"][0]
+        size = viewer.statistics["size"][0]
+        client.close()
+    return {
+        "frames_per_second": count / seconds,
+        "accumulated": accumulated,
+        "size": list(size),
+        "seconds": {name: median(stage[name] for stage in stages) for name in stages[0]},
+    }
+
+
 def measure_motion(browser: Any, method: str) -> dict[str, Any]:
-    """Return frames per second while the camera moves, and where the time goes."""
+    """Return frames per second while the camera is dragged in a browser, and where the time goes."""
     with Viewer("showroom", port=0, size=SIZE, fixed_size=True, changes={"method": method}) as viewer:
         page = browser.new_context(viewport=WINDOW).new_page()
         page.goto(viewer.url)
@@ -169,6 +259,10 @@ def main() -> None:
             method: median(time_first_picture(browser, method) for _ in range(STARTS)) for method in METHODS[:1]
         }
         print(found["first_picture"], flush=True)
+        found["pace"] = {}
+        for method in METHODS:
+            found["pace"][method] = measure_pace(method)
+            print("alone", method, found["pace"][method], flush=True)
         found["motion"] = {}
         for method in METHODS:
             found["motion"][method] = measure_motion(browser, method)

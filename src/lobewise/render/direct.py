@@ -16,6 +16,9 @@ from lobewise.sparse_frame import list_places
 PATTERN = 4
 """Pixels side by side that draw different samples; those of neighbouring blocks are the same ones."""
 
+NARROW = 0.3
+"""Alpha below which a lobe follows a ray of its own: a wider one is sampled well enough by the lights."""
+
 # Roberts 2018, "The unreasonable effectiveness of quasirandom sequences": 1/g and 1/g^2, g the plastic number.
 _STEP_X, _STEP_Y = 0.7548776662466927, 0.5698402909980532
 _FRAME_STEPS = (0.6180339887498949, 0.41421356237309515)
@@ -41,7 +44,7 @@ def shade_direct(
 
     The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
     that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
-    a specular lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
+    a narrow lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
     1997).
 
     Parameters
@@ -65,7 +68,8 @@ def shade_direct(
     lit &= light.pdf != 0
     local = si.to_local(light.d)
     # A sky is too large for samples of the lights alone.
-    narrow = points.surface.lobe_kind != float(LobeKind.NONE)
+    has_lobe = points.surface.lobe_kind != float(LobeKind.NONE)
+    narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < NARROW)
     shiny = points.active & (narrow | (scene.environment() is not None))
     choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
     value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, bsdf_point, points.active)

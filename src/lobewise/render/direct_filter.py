@@ -12,8 +12,11 @@ from lobewise.frame import Frame, Radiance
 from lobewise.kernels.engine import run_filter
 from lobewise.render.stages import DirectLight, FirstHits
 
-RADIUS = 3
-"""Kernel radius, pixels: the samples of 4x4 pixels are stratified together."""
+RADIUS = 2
+"""Kernel radius, pixels: the samples of 4x4 pixels are stratified together. 3 gains nothing."""
+SIMILARITY = "sg"
+"""What compares lobes where they are compared: over so few pixels it has the error of `ggx` on brushed metal, and less
+on the showroom's floor, and takes three quarters of the time."""
 SIGMA = 1.5
 """Standard deviation of the screen distance, pixels; the lowest error of 1, 1.5 and 2.5 in the showroom."""
 
@@ -27,11 +30,12 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     hits : FirstHits
         The same frame's.
     settings : DenoiseSettings
-        Which similarity; form, radius, exponent and screen distance are this filter's own.
+        Whether lobes are compared, or normals; the rest is this filter's own.
     samples : int
         How many of each pixel the light is the mean of, >= 1; the filter gives way as they get more.
     """
-    asked = replace(settings, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
+    similarity = settings.similarity if settings.similarity == "normal" else SIMILARITY
+    asked = replace(settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
     radiance = Radiance(light.diffuse, diffuse=light.diffuse, specular=light.specular)
     frame = Frame(radiance, hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)
     chosen = resolve_settings(frame, asked)

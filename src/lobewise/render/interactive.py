@@ -318,7 +318,9 @@ class Session:
             again.append((rows, columns, radiance.color[:, 0]))
             return radiance
 
-        mended = recompute(result, shade, samples=1.0, budget=chain.settings.adaptive)
+        # What is shown is the sum.
+        whole = replace(result, diffuse=None, specular=None)
+        mended = recompute(whole, shade, samples=1.0, budget=chain.settings.adaptive)
         return mended, again[0] if again else None
 
     def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
