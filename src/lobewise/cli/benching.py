@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import show_progress
-from lobewise.errors import InputError, describe_problem
+from lobewise.cli.shared import parse_size, show_progress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,24 +67,6 @@ def interactive(
     if output is not None:
         write_text(output, to_json(found))
         print_line(f"Wrote {output}")
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Return width and height of ``WxH``.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
-    width, mark, height = text.lower().partition("x")
-    if not (mark and width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise InputError(
-            describe_problem(
-                "size", expected="WIDTHxHEIGHT in pixels", got=repr(text), action="pass for example 512x512"
-            )
-        )
-    return int(width), int(height)
 
 
 def _print_stages(device: str, rows: Sequence[dict[str, Any]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,3 +56,24 @@ def parse_beta(text: str) -> str | float:
         raise InputError(
             describe_problem("beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto")
         ) from None
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of ``WxH``.
+
+    Raises
+    ------
+    InputError
+        If it is none, or out of 8 to 8192.
+    """
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if found and min(map(int, found.groups())) >= 8 and max(map(int, found.groups())) <= 8192:
+        return int(found[1]), int(found[2])
+    raise InputError(
+        describe_problem(
+            "--size",
+            expected="columns x rows from 8 to 8192, such as 512x512",
+            got=repr(text),
+            action="write two numbers",
+        )
+    )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import parse_beta
+from lobewise.cli.shared import parse_beta, parse_size
 from lobewise.errors import InputError, describe_problem, require_choice
 
 
@@ -85,7 +84,7 @@ def view(
         is_frame=is_frame,
         host=host,
         port=port,
-        size=None if size is None else _parse_size(size),
+        size=None if size is None else parse_size(size),
         fixed_size=fixed_size,
         changes=changes,
     )
@@ -118,18 +117,3 @@ def _is_frame(target: str) -> bool:
         require_choice("scene", target, list_scenes())
     require_readable(path, what="scene")
     return False
-
-
-def _parse_size(text: str) -> tuple[int, int]:
-    """Return columns and rows of ``WxH``."""
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
-    if found and min(map(int, found.groups())) >= 8 and max(map(int, found.groups())) <= 8192:
-        return int(found[1]), int(found[2])
-    raise InputError(
-        describe_problem(
-            "--size",
-            expected="columns x rows from 8 to 8192, such as 512x512",
-            got=repr(text),
-            action="write two numbers",
-        )
-    )
