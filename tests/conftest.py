@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +31,20 @@ def exr_folder() -> Path:
     if not folder.is_dir():
         pytest.fail(f"LOBEWISE_TEST_DATA is {root!r}, which has no folder exr/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def mi() -> Any:
+    """Return Mitsuba with its LLVM variant set, or skip and say why not; where CI is set that is a failure."""
+    from lobewise.errors import MissingDependencyError
+    from lobewise.render import load_mitsuba
+
+    try:
+        return load_mitsuba("cpu")
+    except MissingDependencyError as error:
+        if os.environ.get("CI"):
+            pytest.fail(f"CI must render: {error}")
+        pytest.skip(str(error))
 
 
 @pytest.fixture

@@ -71,18 +71,7 @@ def test_interactive_page_says_what_was_measured_and_runs() -> None:
 
 @pytest.mark.mitsuba
 @pytest.mark.slow
-def test_interactive_page_runs() -> None:
-    import os
-
-    from lobewise.errors import MissingDependencyError
-    from lobewise.render import load_mitsuba
-
-    try:
-        load_mitsuba("cpu")
-    except MissingDependencyError as error:
-        if os.environ.get("CI"):
-            pytest.fail(f"CI must render: {error}")
-        pytest.skip(str(error))
+def test_interactive_page_runs(mi: Any) -> None:
     names: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "interactive.md").read_text(), flags=re.S):
         exec(compile(block, "interactive.md", "exec"), names)

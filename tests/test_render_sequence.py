@@ -9,23 +9,12 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.errors import MissingDependencyError
 from lobewise.io import read_frame, read_sparse_frame
 from lobewise.sparse_frame import list_places
 
 
-@pytest.fixture(scope="module")
-def _renderer():
-    from lobewise.render import load_mitsuba
-
-    try:
-        load_mitsuba("cpu")
-    except MissingDependencyError as error:
-        pytest.skip(str(error))
-
-
 @pytest.fixture
-def render(_renderer, tmp_path, monkeypatch):
+def render(mi, tmp_path, monkeypatch):
     """Return a function that renders the showroom, 16x12, into an empty folder, by a line of options."""
     monkeypatch.chdir(tmp_path)
 

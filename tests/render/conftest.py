@@ -1,28 +1,14 @@
-"""Rendering tests: skipped with the reason where Mitsuba cannot run, failed for it on a machine that sets CI."""
+"""Scenes that the rendering tests share."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import pytest
 
-from lobewise.errors import MissingDependencyError
 from lobewise.frame import Frame, GBuffer
-from lobewise.render import load_mitsuba
-
-
-@pytest.fixture(scope="session")
-def mi() -> Any:
-    """Return Mitsuba with its LLVM variant set."""
-    try:
-        return load_mitsuba("cpu")
-    except MissingDependencyError as error:
-        if os.environ.get("CI"):
-            pytest.fail(f"CI must render: {error}")
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,7 @@ import io
 import numpy as np
 import pytest
 
-from lobewise.errors import MissingDependencyError
 from lobewise.io import read_frame
-from lobewise.render import load_mitsuba
 from tests.viewer.conftest import compare, run_viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.mitsuba]
@@ -26,16 +24,8 @@ NOISE = 12.0
 
 
 @pytest.fixture(scope="module")
-def showroom_viewer():
+def showroom_viewer(mi):
     """Return a viewer of the showroom, small and unfiltered; skip where Mitsuba cannot run."""
-    import os
-
-    try:
-        load_mitsuba("cpu")
-    except MissingDependencyError as error:
-        if os.environ.get("CI"):
-            pytest.fail(f"CI must render: {error}")
-        pytest.skip(str(error))
     with run_viewer("showroom", size=SIZE, changes=CHEAP) as viewer:
         yield viewer
 

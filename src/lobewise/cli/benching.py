@@ -73,7 +73,7 @@ def _print_stages(device: str, rows: Sequence[dict[str, Any]]) -> None:
     from lobewise.cli.output import print_table
     from lobewise.render.interactive_frame import STAGES
 
-    header = ["", *(f"{row['method']}\n{row['width']}x{row['height']}" for row in rows)]
+    header = ["", *(f"{row['method']}_{row['width']}x{row['height']}".replace("_", "\n") for row in rows)]
     lines = [[name, *(f"{1000.0 * row['seconds'][name]:.1f}" for row in rows)] for name in (*STAGES, "frame")]
     lines.append(["frames a second", *(f"{row['frames_per_second']:.1f}" for row in rows)])
     print_table(f"milliseconds, rays on {device}", header, lines)

@@ -19,6 +19,10 @@ Again = tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]
 """Rows and columns of pixels that were shaded once more, and their radiance, (count, 3)."""
 
 
+HESITATION = 16.0
+"""Samples of its own from which a pixel counts half of them: one of few may be a firefly, and stand out."""
+
+
 @dataclass
 class Resting:
     """The mean of what was seen since the picture stands still.
@@ -67,8 +71,11 @@ class Resting:
             self.first = None
         _count(self.own, self.own_count, sparse, again)
         self.given = self.given + np.float32(1.0 / self.frames) * (given - self.given)
+        # The sum of n samples counts as one of n^2 / (n + h).
+        trusted = self.own_count / (self.own_count + np.float32(HESITATION))
         borrowed = np.float32(BORROWED)
-        return np.asarray((borrowed * self.given + self.own) / (borrowed + self.own_count)[..., None])
+        total = borrowed * self.given + trusted[..., None] * self.own
+        return np.asarray(total / (borrowed + trusted * self.own_count)[..., None])
 
 
 def _count(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, again: Again | None) -> None:
