@@ -1,11 +1,13 @@
 """How right the interactive chain is: sparse voxel cones upsampled, against the same voxel cones at every pixel.
 
-python benchmarks/interactive.py --output benchmarks/results/interactive_quality.json --pictures docs/images
+python benchmarks/interactive.py --output benchmarks/results/interactive_quality.json
+python benchmarks/interactive.py --results benchmarks/results/interactive_quality.json --pictures docs/images
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -82,14 +84,18 @@ def tune_normals(session: Session, cameras: list[Camera], reference: FloatArray,
     return min(list_grid(), key=find_error)
 
 
-def measure_scene(name: str, size: int) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """Return errors by chain, and the images that pictures are made of."""
+def open_scene(name: str, size: int) -> tuple[Session, list[Camera], FloatArray]:
+    """Return a session that is ready, the path, and the reference of its last camera."""
     session = Session(name, width=size, height=size)
     session.prepare(METHOD)
     cameras = make_orbit(session.camera, find_orbit_centre(session.scene), FRAMES, DEGREES_PER_FRAME)
-    reference = render_reference(session, cameras[-1])
+    return session, cameras, render_reference(session, cameras[-1])
+
+
+def measure_scene(name: str, size: int) -> dict[str, Any]:
+    """Return errors by chain."""
+    session, cameras, reference = open_scene(name, size)
     found: dict[str, Any] = {}
-    images: dict[str, FloatArray] = {"reference": reference}
     for temporal in (False, True):
         kind = "over time" if temporal else "single frame"
         tuned = tune_normals(session, cameras, reference, temporal)
@@ -104,14 +110,8 @@ def measure_scene(name: str, size: int) -> tuple[dict[str, Any], dict[str, Float
             frame = render_last(session, cameras, make_settings(temporal=temporal, **changes))
             rows[chain] = {**measure(frame, reference), "settings": changes, "recomputed": frame.recomputed}
             print(f"{name:10} {kind:12} {chain:14} {rows[chain]['rel_mse']:.5f}", flush=True)
-            if temporal:
-                images[chain] = frame.get_view("indirect")
-            if temporal and chain == "ggx":
-                images["before"], images["again"] = frame.parts["before"].image, frame.get_view("recomputed")
-                images["samples"] = frame.get_view("noisy") - frame.get_view("direct")
-                images["image"], images["direct"] = frame.image, frame.get_view("direct")
         found[kind] = rows
-    return found, images
+    return found
 
 
 def write_row(path: Path, panels: list[Any]) -> None:
@@ -122,39 +122,46 @@ def write_row(path: Path, panels: list[Any]) -> None:
     print(f"{path}: {row.shape[1]}x{row.shape[0]}, {path.stat().st_size / 1e3:.0f} kB")
 
 
-def write_pictures(folder: Path, name: str, images: dict[str, FloatArray]) -> None:
+def write_pictures(folder: Path, name: str, size: int, rows: dict[str, Any]) -> None:
     """Write what the page shows of a scene: chains beside each other, and what re-computation does."""
-    size = images["reference"].shape[0]
+    session, cameras, reference = open_scene(name, size)
+    frames = {
+        chain: render_last(session, cameras, make_settings(**rows[chain]["settings"]))
+        for chain in ("normal, tuned", "ggx")
+    }
+    ours = frames["ggx"]
+    direct = ours.parts["noisy_direct"]
+    samples = ours.get_view("noisy") - (direct.emitted + direct.diffuse + direct.specular)
     part = slice(size * 3 // 10, size * 3 // 10 + size // 2), slice(size * 3 // 8, size * 3 // 8 + size // 2)
-    exposure = choose_exposure(images["reference"])
+    exposure = choose_exposure(reference)
 
     def show(image: FloatArray) -> Any:
         return map_tones(image, exposure)[part]
 
-    write_row(
-        folder / f"interactive-{name}.png",
-        [show(images[key]) for key in ("samples", "normal, tuned", "ggx", "reference")],
-    )
-    mask = np.repeat((255.0 * images["again"][part]).astype(np.uint8)[..., None], 3, axis=-1)
+    images = [samples, *(frame.get_view("indirect") for frame in frames.values()), reference]
+    write_row(folder / f"interactive-{name}.png", [show(image) for image in images])
+    mask = np.repeat((255.0 * ours.get_view("recomputed")[part]).astype(np.uint8)[..., None], 3, axis=-1)
     write_row(
         folder / f"interactive-{name}-adaptive.png",
-        [show(images["before"]), mask, show(images["ggx"]), show(images["reference"])],
+        [show(ours.parts["before"].image), mask, show(ours.get_view("indirect")), show(reference)],
     )
 
 
 def main() -> None:
-    """Measure, and write the JSON and the pictures."""
+    """Measure, and write the JSON or the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, help="JSON to write")
-    parser.add_argument("--pictures", type=Path, help="folder for the pictures of the first scene")
+    parser.add_argument("--results", type=Path, help="JSON that says how the baseline was tuned, for the pictures")
+    parser.add_argument("--pictures", type=Path, help="folder for the pictures of the first scene; measures nothing")
     parser.add_argument("--size", type=int, default=512)
     parser.add_argument("scenes", nargs="*", default=list(SCENES))
     arguments = parser.parse_args()
-    found: dict[str, Any] = {}
-    for name in arguments.scenes:
-        found[name], images = measure_scene(name, arguments.size)
-        if arguments.pictures is not None and name == arguments.scenes[0]:
-            write_pictures(arguments.pictures, name, images)
+    if arguments.pictures is not None:
+        name = arguments.scenes[0]
+        rows = json.loads(arguments.results.read_text())["scenes"][name]["over time"]
+        write_pictures(arguments.pictures, name, arguments.size, rows)
+        return
+    found = {name: measure_scene(name, arguments.size) for name in arguments.scenes}
     if arguments.output is not None:
         head = {
             "machine": describe_machine(),

@@ -181,7 +181,12 @@ of an orbit of {quality["degrees_per_frame"]:g} degrees a frame, with its histor
 With history and re-computation `ggx` has, of the geometry-aware error: {told} (goal {TARGET_RATIO:g} of the geometry-aware chain: {say_target(max(plain for plain, _ in ratios.values()) <= TARGET_RATIO)};
 against the tuned one, which nobody asked for: {say_target(worst <= TARGET_RATIO)}).
 
-`python benchmarks/interactive.py --output benchmarks/results/interactive_quality.json --pictures docs/images`; {describe_machine(quality)}.
+```sh
+python benchmarks/interactive.py --output benchmarks/results/interactive_quality.json
+python benchmarks/interactive.py --results benchmarks/results/interactive_quality.json --pictures docs/images
+```
+
+{describe_machine(quality)}.
 
 ## What it cannot do
 

@@ -28,6 +28,11 @@ from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
 
+SMOOTH_WORTH = 8.0
+"""Paths that a sample is worth from which light is interpolated between samples more than it is averaged over them."""
+SMOOTH_SIGMA = 0.75
+"""Standard deviation of the screen distance then, in distances between samples: the lowest error of 0.5, 0.75 and 1.25
+on brushed metal over one frame and over eight."""
 STILL_DENSITY = 2
 """How much nearer shaded pixels are to each other while nothing moves."""
 
@@ -222,13 +227,15 @@ class Session:
         return chain
 
     def _choose_filter(self, settings: InteractiveSettings) -> DenoiseSettings:
-        """Return the settings of the filter, with lobes no sharper than the light is dense."""
-        chosen = settings.make_filter_settings()
+        """Return the settings of the filter: no wider than noise asks for, no sharper than the light is dense."""
+        chosen, method = settings.make_filter_settings(), self._methods.get(settings.method)
+        if settings.screen_sigma == "auto" and settings.spp * method.worth >= SMOOTH_WORTH:
+            chosen = replace(chosen, screen_sigma=SMOOTH_SIGMA * settings.scale)
         if settings.tau != "auto" or not settings.limit_lobes:
             return chosen
         key = settings.method, settings.spp
         if key not in self._limits:
-            self._limits[key] = self._stages.find_band_limit(self._methods.get(settings.method), settings.spp)
+            self._limits[key] = self._stages.find_band_limit(method, settings.spp)
         limit = self._limits[key]
         return replace(chosen, tau=limit) if limit > 0.0 else chosen
 
