@@ -393,7 +393,7 @@ def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Gen
 
 
 def test_smooth_cones_see_a_lobe_without_noise(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
-    """What one set of cones misses is the step that all pixels share, not grain."""
+    """What is left to chance is where in a step a cone looks, not where it goes."""
     metal = {"type": "roughconductor", "alpha": 0.2, "material": "Al"}
     scene = make_box_scene({"ball": {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.7, "bsdf": metal}}, size=32)
     once, _ = shade(scene, samples=1, resolution=64)

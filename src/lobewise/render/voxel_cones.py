@@ -171,8 +171,7 @@ class VoxelCones:
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             jitter = draw_jitter(rng)
-            shared = draw_jitter(make_rng(mi.UInt32(0), index, seed_value))
-            cone = trace_cone(grid, origin, normal, axis, tangent, shared, shiny, smooth=True)
+            cone = trace_cone(grid, origin, normal, axis, tangent, jitter, shiny, smooth=True)
             if self._is_clear:
                 reflected, through = self._look_through(points, rng, jitter)
                 specular += cone.radiance * reflected + through
