@@ -9,8 +9,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+from interactive_page import make_interactive_page
+
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
+INTERACTIVE = ("interactive_quality", "interactive", "viewer")
+"""What docs/interactive.md is made of."""
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
 COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")
 TITLES = {
@@ -474,6 +478,8 @@ def main() -> None:
     gallery = json.loads((RESULTS / "gallery.json").read_text())
     (ROOT / "docs" / "results.md").write_text(make_results_page(quality, filters, paper, hits, upsampling))
     (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
+    measured = (json.loads((RESULTS / f"{name}.json").read_text()) for name in INTERACTIVE)
+    (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))
 
 
 if __name__ == "__main__":
