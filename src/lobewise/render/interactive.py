@@ -31,8 +31,8 @@ from lobewise.upsampling import upsample
 SMOOTH_WORTH = 8.0
 """Paths that a sample is worth from which light is interpolated between samples more than it is averaged over them."""
 SMOOTH_SIGMA = 1.25
-"""Standard deviation of the screen distance then, in distances between samples: of 0.75, 1.25 and 2 the lowest error of a
-single frame in showroom and brushed; over eight frames less would do there, and leaves more noise elsewhere."""
+"""Standard deviation of the screen distance then, in distances between samples: of 0.75, 1.25 and 2 the lowest error of
+a single frame in showroom and brushed; over eight frames less would do there, and leaves more noise elsewhere."""
 STILL_DENSITY = 2
 """How much nearer shaded pixels are to each other while nothing moves."""
 
