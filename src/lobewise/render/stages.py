@@ -6,7 +6,9 @@ functions are frozen: the first call records the kernels, later ones launch them
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,11 +58,24 @@ class Frozen:
     def _run(self, *arguments: Any) -> list[Any]:
         if self._frozen is not None:
             try:
-                return self._frozen(*arguments)
+                with _no_collection():
+                    return self._frozen(*arguments)
             except RuntimeError:
                 # Arrays that a material keeps outside the scene (fitted lobes, Python BSDFs) cannot be recorded.
                 self._frozen = None
         return self._plain(*arguments)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keep Python from collecting garbage: an old scene that dies while Dr.Jit records takes the process down."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 @dataclass(frozen=True)
