@@ -55,7 +55,7 @@ class Guest:
         return time.monotonic() - self.moved_at < STILL_AFTER
 
     def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
-        """Return what to ask for now; None where there is nothing to see.
+        """Return what the browser would see next; None where there is nothing to see.
 
         Parameters
         ----------
