@@ -26,7 +26,7 @@ from lobewise.metrics import Flicker, rel_mse
 from lobewise.render import render_frame, render_pixels, render_reference, set_camera
 from lobewise.sparse_frame import SparseFrame, make_sparse
 from lobewise.upsampling import upsample
-from quality import fetch, fetch_reference, find_anisotropic
+from similarities import fetch, fetch_reference, find_anisotropic
 from upsampling import FLICKER_SPP, FLICKERING, ORBIT, SCALE, Cache, run_alone, run_through
 
 ROOT = Path(__file__).parents[1]

@@ -1,4 +1,4 @@
-"""Write the pictures of the README from the frames that ``quality.py`` has rendered.
+"""Write the pictures of the README from the frames that ``similarities.py`` has rendered.
 
 python benchmarks/make_pictures.py --cache ~/.cache/lobewise-quality
 """
@@ -14,7 +14,7 @@ import numpy as np
 from lobewise.denoising import denoise
 from lobewise.display import choose_exposure, map_tones
 from lobewise.io.png import encode_png
-from quality import fetch, fetch_reference
+from similarities import fetch, fetch_reference
 
 ROOT = Path(__file__).parents[1]
 # Two spheres, the patchwork floor and their reflections: rows, columns.
@@ -25,11 +25,11 @@ GAP = 6
 def main() -> None:
     """Write docs/images/showroom.png: noisy, normal-aware (tuned), lobe-aware (default), reference."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cache", type=Path, required=True, help="folder that quality.py has filled")
+    parser.add_argument("--cache", type=Path, required=True, help="folder that similarities.py has filled")
     arguments = parser.parse_args()
     frame, reference = fetch(arguments.cache, "showroom", 4), fetch_reference(arguments.cache, "showroom")
-    quality = json.loads((ROOT / "benchmarks" / "results" / "quality.json").read_text())
-    tuned = quality["scenes"]["showroom"]["4"]["normal"]["settings"]
+    similarities = json.loads((ROOT / "benchmarks" / "results" / "similarities.json").read_text())
+    tuned = similarities["scenes"]["showroom"]["4"]["normal"]["settings"]
     images = [
         frame.radiance.color,
         denoise(frame, similarity="normal", **tuned).image,

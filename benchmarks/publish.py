@@ -39,10 +39,10 @@ def make_table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def make_error_table(quality: dict[str, Any], key: str, samples: list[str]) -> str:
+def make_error_table(similarities: dict[str, Any], key: str, samples: list[str]) -> str:
     """Return the errors ``key`` of every scene at the sample counts ``samples``."""
     rows = []
-    for scene, by_spp in quality["scenes"].items():
+    for scene, by_spp in similarities["scenes"].items():
         for spp in samples:
             row = by_spp[spp]
             cells = []
@@ -54,10 +54,10 @@ def make_error_table(quality: dict[str, Any], key: str, samples: list[str]) -> s
     return make_table(["scene", "spp", *(TITLES[name] for name in COLUMNS)], rows)
 
 
-def make_ratio_table(quality: dict[str, Any]) -> str:
+def make_ratio_table(similarities: dict[str, Any]) -> str:
     """Return the default's error over that of the tuned baseline and over the neural peer's."""
     rows = []
-    for scene, by_spp in quality["scenes"].items():
+    for scene, by_spp in similarities["scenes"].items():
         for spp, row in by_spp.items():
             cells = [
                 f"{row['default_over_normal']:.2f}",
@@ -70,10 +70,10 @@ def make_ratio_table(quality: dict[str, Any]) -> str:
     return make_table(header, rows)
 
 
-def make_anisotropic_table(quality: dict[str, Any]) -> str:
+def make_anisotropic_table(similarities: dict[str, Any]) -> str:
     """Return the errors on the anisotropic pixels, and how much lower than `sg` the anisotropic lobes are."""
     rows = []
-    for scene, by_spp in quality["scenes"].items():
+    for scene, by_spp in similarities["scenes"].items():
         for spp, row in by_spp.items():
             if "rel_mse_anisotropic" not in row["sg"]:
                 continue
@@ -84,11 +84,11 @@ def make_anisotropic_table(quality: dict[str, Any]) -> str:
     return make_table(header, rows)
 
 
-def make_hit_tables(quality: dict[str, Any], hits: dict[str, Any]) -> tuple[str, str]:
+def make_hit_tables(similarities: dict[str, Any], hits: dict[str, Any]) -> tuple[str, str]:
     """Return what the hit-distance term does on the four scenes, and on the one made for it."""
     names = ("sg", "asg", "ggx")
     rows = []
-    for scene, by_spp in quality["scenes"].items():
+    for scene, by_spp in similarities["scenes"].items():
         for spp, row in by_spp.items():
             ratios = [row[f"{name} with hits"]["rel_mse"] / row[name]["rel_mse"] for name in names]
             rows.append([scene, spp, *(f"{ratio:.2f}" for ratio in ratios)])
@@ -142,9 +142,9 @@ def describe_run(data: dict[str, Any]) -> str:
     return f"{machine['processor']}, {machine['threads']} threads, commit {machine['commit']}"
 
 
-def make_readme_figures(quality: dict[str, Any], filters: dict[str, Any], upsampling: dict[str, Any]) -> str:
+def make_readme_figures(similarities: dict[str, Any], filters: dict[str, Any], upsampling: dict[str, Any]) -> str:
     """Return the block of the README."""
-    table = make_error_table(quality, "rel_mse", ["4"])
+    table = make_error_table(similarities, "rel_mse", ["4"])
     wide = filters["oidn"]["1920x1080"]
     kernel = wide["sg kernel, separable, radius 8"]
     recipe = wide["denoise(ggx, separable, radius 8): diffuse and specular"]
@@ -152,7 +152,7 @@ def make_readme_figures(quality: dict[str, Any], filters: dict[str, Any], upsamp
     cells = upsampling["parts"]["orbit"]["all"]["default"]
     alone, over_time = cells["spatial"], cells["temporal"]
     flicker = upsampling["parts"]["flicker"]["whole frames"]
-    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of the four built-in scenes, {quality["size"]}x{quality["size"]}, 4 samples per pixel. The two
+    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of the four built-in scenes, {similarities["size"]}x{similarities["size"]}, 4 samples per pixel. The two
 baselines were tuned on each frame by grid search against its reference, ours ran with their defaults:
 
 {table}
@@ -296,42 +296,42 @@ beside the kernels are NumPy, and reflections are looked for in two places.
 
 
 def make_results_page(
-    quality: dict[str, Any],
+    similarities: dict[str, Any],
     filters: dict[str, Any],
     paper: dict[str, Any],
     hits: dict[str, Any],
     upsampling: dict[str, Any],
 ) -> str:
     """Return docs/results.md."""
-    every = list(next(iter(quality["scenes"].values())))
-    scenes, contacts = make_hit_tables(quality, hits)
+    every = list(next(iter(similarities["scenes"].values())))
+    scenes, contacts = make_hit_tables(similarities, hits)
     return f"""# Results
 
 Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit.
 
 ## Error
 
-`benchmarks/quality.py`, {describe_run(quality)}. {quality["size"]}x{quality["size"]} pixels, full form, radius 8, references of
-{quality["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
-baselines were tuned on each frame against its reference ({len(quality["grid"]["normal_exponent"])} exponents times
-{len(quality["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(quality["grid"]["band_limited_normal_exponent"])} times {len(quality["grid"]["band_limited_screen_sigma"])} times {len(quality["grid"]["band_limit"])} band-limits); ours and Open Image Denoise
+`benchmarks/similarities.py`, {describe_run(similarities)}. {similarities["size"]}x{similarities["size"]} pixels, full form, radius 8, references of
+{similarities["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
+baselines were tuned on each frame against its reference ({len(similarities["grid"]["normal_exponent"])} exponents times
+{len(similarities["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(similarities["grid"]["band_limited_normal_exponent"])} times {len(similarities["grid"]["band_limited_screen_sigma"])} times {len(similarities["grid"]["band_limit"])} band-limits); ours and Open Image Denoise
 (default quality, noise-free albedo and normal) ran with their defaults.
 
-{make_error_table(quality, "rel_mse", every)}
+{make_error_table(similarities, "rel_mse", every)}
 
 On the specular pixels alone (baselines tuned for these):
 
-{make_error_table(quality, "rel_mse_specular", every)}
+{make_error_table(similarities, "rel_mse_specular", every)}
 
 The default similarity's error over that of others, below 1 is better:
 
-{make_ratio_table(quality)}
+{make_ratio_table(similarities)}
 
 ### Anisotropic lobes
 
 On the pixels whose two alphas differ by more than a third:
 
-{make_anisotropic_table(quality)}
+{make_anisotropic_table(similarities)}
 
 ### The hit-distance term
 
@@ -465,18 +465,18 @@ python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality animation
 
 def main() -> None:
     """Write the pages."""
-    quality = json.loads((RESULTS / "quality.json").read_text())
+    similarities = json.loads((RESULTS / "similarities.json").read_text())
     filters = json.loads((RESULTS / "filters.json").read_text())
     upsampling = json.loads((RESULTS / "upsampling.json").read_text())
     readme = ROOT / "README.md"
     text = readme.read_text()
     head, rest = text.split(START)
     tail = rest.split(END)[1]
-    readme.write_text(f"{head}{START}\n{make_readme_figures(quality, filters, upsampling)}\n{END}{tail}")
+    readme.write_text(f"{head}{START}\n{make_readme_figures(similarities, filters, upsampling)}\n{END}{tail}")
     paper = json.loads((RESULTS / "paper_table.json").read_text())
     hits = json.loads((RESULTS / "hit_distance.json").read_text())
     gallery = json.loads((RESULTS / "gallery.json").read_text())
-    (ROOT / "docs" / "results.md").write_text(make_results_page(quality, filters, paper, hits, upsampling))
+    (ROOT / "docs" / "results.md").write_text(make_results_page(similarities, filters, paper, hits, upsampling))
     (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
     measured = (json.loads((RESULTS / f"{name}.json").read_text()) for name in INTERACTIVE)
     (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))

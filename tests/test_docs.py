@@ -97,16 +97,16 @@ def test_readme_pictures_and_links_exist() -> None:
 def test_published_figures_come_from_the_results() -> None:
     publisher = load_publisher()
     results = ROOT / "benchmarks" / "results"
-    quality = json.loads((results / "quality.json").read_text())
+    similarities = json.loads((results / "similarities.json").read_text())
     filters = json.loads((results / "filters.json").read_text())
     upsampling = json.loads((results / "upsampling.json").read_text())
     readme = (ROOT / "README.md").read_text()
     block = readme.split(publisher.START)[1].split(publisher.END)[0].strip()
-    assert block == publisher.make_readme_figures(quality, filters, upsampling).strip()
+    assert block == publisher.make_readme_figures(similarities, filters, upsampling).strip()
     paper = json.loads((results / "paper_table.json").read_text())
     hits = json.loads((results / "hit_distance.json").read_text())
     gallery = json.loads((results / "gallery.json").read_text())
-    page = publisher.make_results_page(quality, filters, paper, hits, upsampling)
+    page = publisher.make_results_page(similarities, filters, paper, hits, upsampling)
     assert (ROOT / "docs" / "results.md").read_text() == page
     assert (ROOT / "docs" / "gallery.md").read_text() == publisher.make_gallery_page(gallery)
 
@@ -114,9 +114,9 @@ def test_published_figures_come_from_the_results() -> None:
 def test_default_similarity_is_the_winner_of_the_comparison() -> None:
     from lobewise.denoising import DEFAULT_SIMILARITY
 
-    quality = json.loads((ROOT / "benchmarks" / "results" / "quality.json").read_text())
+    similarities = json.loads((ROOT / "benchmarks" / "results" / "similarities.json").read_text())
     logs = dict.fromkeys(("sg", "sg_mixture", "asg", "ggx"), 0.0)
-    for by_spp in quality["scenes"].values():
+    for by_spp in similarities["scenes"].values():
         for row in by_spp.values():
             for name in logs:
                 logs[name] += float(np.log(row[name]["rel_mse"]))

@@ -16,7 +16,7 @@ from lobewise.sparse_frame import AnyFrame
 
 SIMILARITIES = ("auto", "normal", "sg", "sg_mixture", "asg", "ggx")
 DEFAULT_SIMILARITY = "ggx"
-"""What "auto" takes where the frame has lobes: the winner of benchmarks/results/quality.json."""
+"""What "auto" takes where the frame has lobes: the winner of benchmarks/results/similarities.json."""
 USE_HITS = False
 """Whether "auto" compares what lobes hit."""
 LARGEST_RADIUS = 64
@@ -150,7 +150,7 @@ def choose_beta(spp: float) -> float:
     """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls.
 
     The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
-    with the cube root of the sample count; the factor is fitted (benchmarks/results/quality.json, "tuned beta").
+    with the cube root of the sample count; the factor is fitted (benchmarks/results/similarities.json, "tuned beta").
     """
     return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
 

@@ -6,7 +6,7 @@ and sample counts that a run leaves out keep their rows, each of which names its
 
 The four references take some twenty minutes on two cores.
 
-    python benchmarks/quality.py --cache ~/.cache/lobewise-quality -o benchmarks/results/quality.json
+    python benchmarks/similarities.py --cache ~/.cache/lobewise-quality -o benchmarks/results/similarities.json
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="folder for frames and references")
-    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "quality.json")
+    parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "similarities.json")
     parser.add_argument("--scene", choices=SCENES, action="append", help="only this scene (may be repeated)")
     parser.add_argument("--spp", type=int, choices=SAMPLES, action="append", help="only this sample count")
     arguments = parser.parse_args()
