@@ -130,7 +130,7 @@ def run_frame(frame: Frame, reference: FloatArray) -> dict[str, Any]:
     for form in ("separable", "atrous"):
         row[f"default ({form})"] = measure(denoise(frame, form=form).image, reference, *masks)
     if has_oidn():
-        row["oidn"] = measure(denoise_oidn(frame)[0], reference, *masks)
+        row["oidn"] = measure(denoise_oidn(frame, guides="centre")[0], reference, *masks)
     row["default_over_normal"] = row["default"]["rel_mse"] / row["normal"]["rel_mse"]
     row["default_over_normal_specular"] = (
         row["default"]["rel_mse_specular"] / row["normal (for specular)"]["rel_mse_specular"]
