@@ -15,6 +15,9 @@ from lobewise.render import list_moving_scenes, list_scenes, load_scene
 
 Frames = Callable[[str], Frame]
 
+SKY = {"stilllife": 0.2}
+"""Scenes with something to be seen behind all surfaces, and the most of the picture that it may take."""
+
 XML = """<scene version="3.0.0">
   <sensor type="perspective">
     <float name="fov" value="40"/>
@@ -134,7 +137,8 @@ def test_scene_is_lit_and_glossy(built_in_frames: Frames, name: str) -> None:
     shiny = np.isin(frame.gbuffer.lobe_kind, (LobeKind.GGX, LobeKind.BECKMANN, LobeKind.DELTA))
     assert shiny.mean() > 0.3
     assert (~shiny).mean() > 0.1
-    assert np.all(frame.gbuffer.depth > 0)
+    sky = (frame.gbuffer.depth == 0).mean()
+    assert sky == 0 if name not in SKY else 0.02 < sky < SKY[name]
 
 
 @pytest.mark.mitsuba
@@ -190,3 +194,90 @@ def test_sparks_has_fireflies(built_in_frames: Frames) -> None:
     deviation = np.sqrt(frame.variance.color * frame.spp).mean(axis=-1)
     assert (deviation > 7.0 * frame.radiance.color.mean(axis=-1)).mean() > 0.05
     assert (frame.gbuffer.lobe_kind == LobeKind.DELTA).mean() > 0.05
+
+
+@pytest.mark.mitsuba
+def test_stilllife_has_paint_glass_and_a_studio_all_around(built_in_frames: Frames) -> None:
+    frame = built_in_frames("stilllife")
+    gbuffer = frame.gbuffer
+    sky = gbuffer.depth == 0
+    # What is seen of the studio is of several colours.
+    assert frame.radiance.color[sky].std(axis=0).min() > 0.05
+    assert (gbuffer.lobe_kind == LobeKind.DELTA).mean() > 0.04
+    alpha = gbuffer.alpha_u[gbuffer.lobe_kind == LobeKind.GGX]
+    for low, high in ((0.015, 0.03), (0.1, 0.13), (0.15, 0.3)):  # lacquer, frosted glass, flakes and satin metal
+        assert ((alpha > low) & (alpha < high)).mean() > 0.02
+
+
+def test_studio_shines_from_soft_boxes_and_no_light_is_tiny() -> None:
+    pytest.importorskip("mitsuba")
+    from lobewise.render.variant import load_mitsuba
+
+    load_mitsuba()
+    from lobewise.render.scenes.stilllife import SUN_DEGREES, make_studio
+
+    studio = make_studio(256).mean(axis=-1)
+    solid_angle = np.sin((np.arange(256) + 0.5) / 256 * np.pi)[:, None] * np.full((1, 512), np.pi / 256 * np.pi / 256)
+    assert solid_angle.sum() == pytest.approx(4.0 * np.pi, rel=1e-4)
+    # A disc of the sun's width, whose soft edge makes it a little larger or smaller.
+    disc = 2.0 * np.pi * (1.0 - np.cos(np.deg2rad(0.5 * SUN_DEGREES)))
+    assert solid_angle[studio > 50.0].sum() == pytest.approx(disc, rel=0.15)
+    power = solid_angle * studio
+    bright = (studio > 2.0) & (studio < 50.0)
+    assert 0.3 < power[bright].sum() / power.sum() < 0.9
+
+
+@pytest.mark.mitsuba
+def test_corridor_has_mirrors_beside_satin_and_a_floor_of_many_alphas(built_in_frames: Frames) -> None:
+    frame = built_in_frames("corridor")
+    gbuffer = frame.gbuffer
+    x, y = gbuffer.position[..., 0], gbuffer.position[..., 1]
+    left, right, floor = x < -1.6, x > 1.6, np.abs(y) < 1e-4
+    assert ((gbuffer.lobe_kind == LobeKind.DELTA) & left).sum() > 10
+    near_mirror = (gbuffer.alpha_u > 0.01) & (gbuffer.alpha_u < 0.031) & (gbuffer.lobe_kind == LobeKind.GGX)
+    assert (near_mirror & left).sum() > 3
+    satin = (gbuffer.alpha_u >= 0.149) & (gbuffer.alpha_u <= 0.301)
+    assert (satin & right).sum() > 15
+    assert np.ptp(gbuffer.alpha_u[floor]) > 0.12
+    assert len(np.unique(np.round(gbuffer.alpha_u[floor], 3))) > 15
+    # Light in a mirror was scattered before, except where a lamp is seen in it; large pixels show its frame too.
+    mirror = (gbuffer.lobe_kind == LobeKind.DELTA) & left
+    assert np.median(frame.radiance.direct[mirror]) < 0.25 * np.median(frame.radiance.indirect[mirror])
+
+
+@pytest.mark.mitsuba
+def test_lathe_is_the_body_that_its_outline_says(mi: Any) -> None:
+    from lobewise.render.scenes.build import make_diffuse, make_lathe
+
+    # Half a circle from pole to pole: a ball, whose normals are its directions.
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 65)
+    outline = 0.8 * np.stack([np.maximum(np.cos(angle), 0.0), np.sin(angle)], axis=-1)
+    outline[[0, -1], 0] = 0.0
+    scene = mi.load_dict(
+        {"type": "scene", "body": make_lathe(outline, (0.3, 0.5, -0.2), make_diffuse((0.5, 0.5, 0.5)))}
+    )
+    generator = np.random.default_rng(5)
+    toward = generator.normal(size=(3, 400))
+    toward /= np.linalg.norm(toward, axis=0)
+    center = np.array([[0.3], [0.5], [-0.2]])
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(center + 3.0 * toward), mi.Vector3f(-toward)))
+    assert np.all(np.array(si.is_valid()))
+    # 96 facets around: their chords lie up to r (1 - cos(pi / 96)) = 0.0005 r inside.
+    assert np.allclose(np.linalg.norm(np.array(si.p) - center, axis=0), 0.8, atol=1e-3)
+    assert np.allclose(np.array(si.n), toward, atol=0.06)
+    assert np.allclose(np.array(si.sh_frame.n), toward, atol=5e-3)
+    assert np.array(si.uv).min() >= 0
+    assert np.array(si.uv).max() <= 1
+
+
+@pytest.mark.mitsuba
+def test_curve_goes_through_its_points(mi: Any) -> None:
+    from lobewise.render.scenes.build import make_curve
+
+    points = ((0.0, 0.0), (0.4, 0.1), (0.5, 0.6), (0.2, 1.0))
+    curve = make_curve(points, steps=8)
+    assert np.allclose(curve[::8], points)
+    assert curve.shape == (25, 2)
+    # Points on a line, evenly spaced, stay evenly spaced.
+    line = make_curve(((0.0, 0.0), (1.0, 2.0), (2.0, 4.0)), steps=4)
+    assert np.allclose(line, np.linspace((0.0, 0.0), (2.0, 4.0), 9))

@@ -128,7 +128,8 @@ except Exception as error:
 def test_importing_the_room_imports_no_mitsuba() -> None:
     code = "import sys, lobewise.render; print('mitsuba' in sys.modules, 'drjit' in sys.modules)"
     assert _run(code) == "False False"
-    assert _run("from lobewise.render import list_scenes; print(*list_scenes())") == "showroom brushed parlour sparks"
+    names = "showroom brushed parlour sparks stilllife corridor"
+    assert _run("from lobewise.render import list_scenes; print(*list_scenes())") == names
 
 
 def test_unknown_name_is_an_attribute_error() -> None:

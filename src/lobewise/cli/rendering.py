@@ -10,6 +10,7 @@ import typer
 
 from lobewise.cli.shared import Output, parse_place, show_progress
 from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.render.scenes import list_scenes
 
 if TYPE_CHECKING:
     from lobewise.frame import Camera
@@ -20,9 +21,7 @@ CAMERA_PATHS = ("orbit", "still")
 def render(
     scene: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENE", help="showroom, brushed, parlour, sparks, or a Mitsuba XML file.", show_default=False
-        ),
+        typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
     ],
     output: Output,
     spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4,

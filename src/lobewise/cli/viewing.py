@@ -9,6 +9,7 @@ import typer
 
 from lobewise.cli.shared import parse_beta, parse_size
 from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.render.scenes import list_scenes
 
 
 def view(
@@ -16,7 +17,7 @@ def view(
         str,
         typer.Argument(
             metavar="SCENE|FRAME.exr",
-            help="showroom, brushed, parlour, sparks, a Mitsuba XML file, or a finished EXR frame.",
+            help=f"{', '.join(list_scenes())}, a Mitsuba XML file, or a finished EXR frame.",
             show_default=False,
         ),
     ],
@@ -105,7 +106,6 @@ def view(
 def _is_frame(target: str) -> bool:
     """Return whether the target is an EXR file, and not a scene; raise where it cannot be either."""
     from lobewise.io.files import require_readable
-    from lobewise.render.scenes import list_scenes
 
     path = Path(target)
     if target in list_scenes():

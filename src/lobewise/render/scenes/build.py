@@ -135,3 +135,89 @@ def make_texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilin
         "filter_type": filter_type,
         "wrap_mode": "clamp",
     }
+
+
+def make_principled(color: Vector | Item, **parameters: float | Item) -> Item:
+    """Return a principled material, two-sided; ``parameters`` are the plugin's own (``roughness`` squared is alpha)."""
+    base = color if isinstance(color, dict) else make_rgb(color)
+    return {"type": "twosided", "inner": {"type": "principled", "base_color": base, **parameters}}
+
+
+def make_mirror(reflectance: Vector) -> Item:
+    """Return a perfectly smooth mirror, two-sided."""
+    inner = {"type": "conductor", "material": "none", "specular_reflectance": make_rgb(reflectance)}
+    return {"type": "twosided", "inner": inner}
+
+
+def make_lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segments: int = 96) -> Any:
+    """Return a smooth upright body of revolution as a mesh.
+
+    Parameters
+    ----------
+    profile : (points, 2)
+        Radius and height above ``center`` of the outline. Going upward it turns its outside to the right; one that
+        closes a body of glass ends where it begins, or on the axis.
+    segments : int
+        Facets around the axis.
+
+    Notes
+    -----
+    ``u`` runs once around, ``v`` along the outline by its length. Normals are those of the outline as a smooth curve:
+    where it is to have an edge, a point stands twice. On the axis the body has no tip.
+    """
+    radius, height = np.asarray(profile, dtype=np.float64).T
+    rows = len(radius)
+    step = np.stack([np.diff(radius), np.diff(height)], axis=-1)
+    length = np.linalg.norm(step, axis=-1)
+    step = np.divide(step, length[:, None], out=np.zeros_like(step), where=length[:, None] > 0)
+    slope = np.zeros((rows, 2))
+    slope[:-1] += step
+    slope[1:] += step
+    slope[radius == 0, 1] = 0.0  # what crosses the axis is level there
+    slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12)
+    along = np.concatenate([[0.0], np.cumsum(length)]) / length.sum()
+    angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
+    around = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], axis=-1)
+    up = np.array([0.0, 1.0, 0.0])
+    position = radius[:, None, None] * around + height[:, None, None] * up + np.array(center)
+    normal = slope[:, 1, None, None] * around - slope[:, 0, None, None] * up
+    uv = np.stack(np.broadcast_arrays(np.linspace(0.0, 1.0, segments + 1), along[:, None]), axis=-1)
+    corner = np.arange(rows - 1)[:, None] * (segments + 1) + np.arange(segments)
+    right, above = corner + 1, corner + segments + 1
+    # Two facets a cell, counterclockwise from outside; on the axis and at an edge some have no area.
+    first = np.stack([corner, right, above], axis=-1)[(length > 0) & (radius[:-1] > 0)]
+    second = np.stack([right, above + 1, above], axis=-1)[(length > 0) & (radius[1:] > 0)]
+    faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(bsdf)
+    mesh = mi.Mesh(
+        "lathe",
+        vertex_count=rows * (segments + 1),
+        face_count=len(faces),
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+        props=properties,
+    )
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = position.astype(np.float32).ravel()
+    values["vertex_normals"] = normal.astype(np.float32).ravel()
+    values["vertex_texcoords"] = uv.astype(np.float32).ravel()
+    values["faces"] = faces.astype(np.uint32).ravel()
+    values.update()
+    return mesh
+
+
+def make_curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np.float64]:
+    """Return a smooth curve through points of the plane, ``steps`` pieces between two of them.
+
+    Source: the cubic with tangents from neighbours, Catmull and Rom 1974, "A class of local interpolating splines".
+    """
+    knots = np.array(points, dtype=np.float64)
+    padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
+    t = np.arange(steps)[:, None] / steps
+    pieces = []
+    for a, b, c, d in zip(padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True):
+        pieces.append(b + 0.5 * t * (c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))))
+    curve: NDArray[np.float64] = np.concatenate([*pieces, knots[-1:]])
+    curve[:, 0] = np.maximum(curve[:, 0], 0.0)  # a spline may swing across the axis
+    return curve
