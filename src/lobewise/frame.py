@@ -250,6 +250,13 @@ class GBuffer(_Images):
         inf where it sees no surface.
     hit_position : array_like, shape (height, width, 3), optional
         World position of that hit.
+    hit_normal : array_like, shape (height, width, 3), optional
+        Mean over the specular reflections of the shading normal, facing the ray, of the surface that each sees (0 for
+        none): the shorter, the more mixed.
+    hit_albedo : array_like, shape (height, width, 3), optional
+        Mean likewise of the albedo, diffuse + specular, of that surface, in [0, 1]: 1 for a light source, 0 for none.
+    mean_normal : array_like, shape (height, width, 3), optional
+        Mean of the shading normal over all samples of the pixel (0 for no surface), where ``normal`` is one of them.
     motion : array_like, shape (height, width, 2), optional
         Pixels from here to where the surface point was in the previous frame, x right and y down.
     material : array_like, shape (height, width), optional
@@ -272,13 +279,17 @@ class GBuffer(_Images):
     specular_albedo: FloatArray | None = None
     hit_distance: FloatArray | None = None
     hit_position: FloatArray | None = None
+    hit_normal: FloatArray | None = None
+    hit_albedo: FloatArray | None = None
+    mean_normal: FloatArray | None = None
     motion: FloatArray | None = None
     material: FloatArray | None = None
 
     def __post_init__(self) -> None:
         channels: dict[str, int | None] = {item.name: None for item in fields(self)}
-        for name in ("position", "normal", "tangent", "diffuse_albedo", "specular_albedo", "hit_position"):
-            channels[name] = 3
+        for name in channels:
+            if name.endswith(("position", "normal", "tangent", "albedo")):
+                channels[name] = 3
         channels["motion"] = 2
         self._check(channels)
 

@@ -91,8 +91,9 @@ class TestRoundTrip:
         ]
         expected += ["depth.Z", "alpha.U", "alpha.V", "lobe_kind.I", "hit_distance.Z", "motion.X", "motion.Y"]
         expected += ["material.I"]
-        expected += [f"{n}.{c}" for n in ("position", "normal", "tangent", "hit_position") for c in "XYZ"]
-        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
+        expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
+        expected += [f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal") for c in "XYZ"]
+        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit") for c in "RGB"]
         assert sorted(channels) == sorted(expected)
         np.testing.assert_array_equal(channels["half_b.specular.G"], full_frame.half_b.specular[..., 1])
         np.testing.assert_array_equal(channels["alpha.V"], full_frame.gbuffer.alpha_v)

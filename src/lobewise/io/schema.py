@@ -96,6 +96,12 @@ _GBUFFER = (
     ("hit_distance", "hit_distance", "Z", "distance to what the specular lobe sees, world units, 0 = unknown",
      "what is reflected is not compared"),
     ("hit_position", "hit_position", "XYZ", "world position of that hit", "what is reflected is not compared"),
+    ("hit_normal", "hit_normal", "XYZ", "mean normal of what the specular lobe sees, world space, length 0..1",
+     "not needed to denoise"),
+    ("hit_albedo", "hit_albedo", "RGB", "mean albedo of what the specular lobe sees, 0..1, 1 = light, 0 = nothing",
+     "not needed to denoise"),
+    ("mean_normal", "mean_normal", "XYZ", "mean shading normal over the samples, world space, length 0..1",
+     "not needed to denoise"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
     ("material", "material", "I", "which of the header's lobe tables, from 1, 0 = none", "lobes are taken from alpha"),
 )  # fmt: skip

@@ -2,10 +2,12 @@
 
 An average over samples blends position, normal and roughness at a silhouette into a surface that is nowhere, and its
 lobe fits neither side; so these come from one ray. Albedos are averages over the samples: radiance is divided by them,
-and the average of a product is closest to the product of averages taken over the same samples. The hit distance is the
+and the average of a product is closest to the product of averages taken over the same samples. The mean normal is the
+plain average over all samples, for networks that want silhouettes as smooth as the picture's. The hit distance is the
 harmonic mean, over the samples whose first bounce was specular and the mirror ray of the pixel's centre, because
 filters use its inverse, in which a miss is 0; the hit position is the mean weighted by 1/t, which along one ray lies at
-just that distance.
+just that distance. The hit normal and the hit albedo are plain averages over the same samples and mirror ray, a miss
+being 0; they follow perfect mirrors and smooth glass to the first surface that shows something of its own.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Camera, FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
-from lobewise.render.paths import Sums
-from lobewise.render.points import Points, find_points
+from lobewise.render.paths import Sums, dispatch_surface, find_seen_albedo, is_mirror
+from lobewise.render.points import OPAQUE_FROM, Points, find_points
 
 Moves = Mapping[str, ArrayLike]
 """By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
@@ -38,15 +40,23 @@ def trace_guides(
     """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
 
     Beside the fields of `GBuffer` these are ``shape`` (a number that `move_back` understands), ``mirror_count`` (1
-    where a mirror ray was sent), ``mirror_inverse`` (its 1/t) and ``mirror_position`` (its hit over t).
+    where a mirror ray was sent), ``mirror_inverse`` (its 1/t), ``mirror_position`` (its hit over t), ``mirror_normal``
+    and ``mirror_albedo`` (what it sees) and ``mirror_ends`` (0 where paths would go on, through a mask or by a mirror).
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     points = find_points(scene, materials, pixel, (width, height))
     eye = mi.Point3f(*(float(value) for value in camera.position))
-    guides = find_guides(scene, points, eye)
+    shiny, mirrored = trace_mirror_rays(scene, points)
+    guides = _collect_guides(points, eye, shiny, mirrored)
     # Those of `render_frame` are averages.
     guides = {name: value for name, value in guides.items() if not name.endswith("albedo")}
+    seen = shiny & mirrored.is_valid()
+    surface = dispatch_surface(materials, mirrored.bsdf(), mirrored, seen)
+    guides["mirror_normal"] = dr.select(seen, surface.normal, 0.0)
+    guides["mirror_albedo"] = dr.select(seen, find_seen_albedo(surface, mirrored), 0.0)
+    passes = seen & (is_mirror(surface) | (surface.opacity < OPAQUE_FROM))
+    guides["mirror_ends"] = dr.select(shiny & ~passes, mi.Float(1), 0.0)
     dr.eval(guides)
     return guides
 
@@ -56,13 +66,21 @@ def find_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
 
     ``eye`` is the camera's position: depths count from there, not from the near plane where Mitsuba's rays begin.
     """
-    si, surface, found = points.si, points.surface, points.active
+    return _collect_guides(points, eye, *trace_mirror_rays(scene, points))
 
+
+def trace_mirror_rays(scene: Any, points: Points) -> tuple[Any, Any]:
+    """Return where a ray that a perfect mirror would reflect was sent, and what it hits."""
+    si, surface, found = points.si, points.surface, points.active
     shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
     view = -points.ray.d
     out = 2.0 * dr.dot(view, surface.normal) * surface.normal - view
     shiny &= dr.dot(out, si.n) * dr.dot(view, si.n) > 0  # a strong normal map can mirror the ray into the surface
-    mirrored = scene.ray_intersect(si.spawn_ray(out), shiny)
+    return shiny, scene.ray_intersect(si.spawn_ray(out), shiny)
+
+
+def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict[str, Any]:
+    si, surface, found = points.si, points.surface, points.active
     inverse = dr.select(shiny & mirrored.is_valid(), dr.rcp(dr.maximum(mirrored.t, 1e-12)), 0.0)
 
     return {
@@ -98,6 +116,19 @@ def finish_hits(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatAr
     np.divide(count, inverse, out=distance, where=inverse > 0)
     safe = np.where(inverse > 0, inverse, 1.0)[:, None]
     return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
+
+
+def finish_seen(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean normals and albedos of what the reflections of a run of pixels see; 0 for misses and unknown.
+
+    A mirror ray that paths would follow further counts only where no sample was reflected.
+    """
+    count = to_image(sums.totals[4])
+    weight = np.where(count > 0, to_image(guides["mirror_ends"]), to_image(guides["mirror_count"]))
+    total = np.maximum(count + weight, 1.0)[:, None]
+    normal = to_image(sums.totals[7]) + weight[:, None] * to_image(guides["mirror_normal"])
+    albedo = to_image(sums.totals[8]) + weight[:, None] * to_image(guides["mirror_albedo"])
+    return (normal / total).astype(np.float32), np.clip(albedo / total, 0.0, 1.0).astype(np.float32)
 
 
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:

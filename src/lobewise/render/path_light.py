@@ -40,7 +40,7 @@ class PathLight:
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `lobewise.render.points.IndirectMethod`."""
-        settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, albedo=False)
+        settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, surfaces=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)
         seed_value = make_opaque(seed)
         end = make_opaque(samples)

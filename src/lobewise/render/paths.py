@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.rays import make_rng
@@ -29,11 +30,11 @@ class PathSettings:
     max_depth : int
         Longest path, in vertices after the camera; 1 is light sources alone, 2 direct light.
     light : bool
-        Whether to compute radiance; without it paths end after the first bounce has told what it hits.
+        Whether to compute radiance; without it paths end when the first bounce has told what it sees.
     guides : bool
-        Whether to split radiance by lobe and to sum albedos, hits and squares.
-    albedo : bool
-        With ``guides``: whether to sum albedos.
+        Whether to split radiance by lobe and to sum surfaces, hits and squares.
+    surfaces : bool
+        With ``guides``: whether to sum albedos and normals, of the first surface and of what its reflections see.
     fewest_bounces : int
         Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers.
     """
@@ -41,13 +42,17 @@ class PathSettings:
     max_depth: int
     light: bool = True
     guides: bool = True
-    albedo: bool = True
+    surfaces: bool = True
     fewest_bounces: int = 0
 
 
 @dataclass
 class Sample:
-    """What one path brings (Dr.Jit arrays; a PyTree). Emission seen directly is in ``emitted`` alone."""
+    """What one path brings (Dr.Jit arrays; a PyTree). Emission seen directly is in ``emitted`` alone.
+
+    ``hit_normal`` and ``hit_albedo`` are those of the surface that a specular reflection sees, ``normal`` that of the
+    first surface; 0 where there is none.
+    """
 
     emitted: Any
     diffuse: Any
@@ -59,11 +64,14 @@ class Sample:
     hit_count: Any
     hit_inverse: Any
     hit_position: Any
+    hit_normal: Any
+    hit_albedo: Any
+    normal: Any
 
 
 def make_sample() -> Sample:
     """Return what no path brings."""
-    colors = [mi.Color3f(0) for _ in range(7)]  # separate objects: sums are updated in place
+    colors = [mi.Color3f(0) for _ in range(8)]  # separate objects: sums are updated in place
     return Sample(
         emitted=colors[0],
         diffuse=colors[1],
@@ -75,6 +83,9 @@ def make_sample() -> Sample:
         hit_count=mi.Float(0),
         hit_inverse=mi.Float(0),
         hit_position=mi.Vector3f(0),
+        hit_normal=mi.Vector3f(0),
+        hit_albedo=colors[7],
+        normal=mi.Vector3f(0),
     )
 
 
@@ -89,7 +100,8 @@ class Sums:
     halves: list[Any]
     squares: list[Any]
     totals: list[Any]
-    """Direct, indirect, diffuse albedo, specular albedo, hit count, sums of 1/t and of position/t."""
+    """Direct, indirect, diffuse albedo, specular albedo, hit count, sums of 1/t and of position/t, the normal and the
+    albedo of what reflections see, the normal of the first surface."""
 
 
 def make_sums(width: int, guides: bool) -> Sums:
@@ -100,7 +112,8 @@ def make_sums(width: int, guides: bool) -> Sums:
 
     if not guides:
         return Sums(zeros(mi.Color3f, 1), [], [])
-    totals = [*zeros(mi.Color3f, 4), *zeros(mi.Float, 2), *zeros(mi.Vector3f, 1)]
+    totals = [*zeros(mi.Color3f, 4), *zeros(mi.Float, 2), *zeros(mi.Vector3f, 2)]
+    totals += [*zeros(mi.Color3f, 1), *zeros(mi.Vector3f, 1)]
     return Sums(zeros(mi.Color3f, 6), zeros(mi.Color3f, 3), totals)
 
 
@@ -120,6 +133,7 @@ class _Path:
     last_pdf: Any
     last_delta: Any
     looks_specular: Any
+    seeks: Any
     sample: Sample
 
 
@@ -140,6 +154,20 @@ def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, 
         return mi.Color3f(0) if material is None else find_diffuse_share(material, si, wo, active)
 
     return dr.dispatch(bsdf, share, si, wo, active)
+
+
+def is_mirror(surface: Surface) -> Any:
+    """Return whether surfaces show nothing of their own: perfect mirrors and smooth glass."""
+    return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
+
+
+def find_seen_albedo(surface: Surface, si: Any) -> Any:
+    """Return the albedo that a reflection sees, in [0, 1]: of both lobes together, and 1 where the side shines.
+
+    Light sources of any strength are white, so that what is dark beside them differs most.
+    """
+    shines = si.shape.is_emitter() & (si.wi.z > 0)
+    return dr.select(shines, 1.0, dr.clip(surface.diffuse_albedo + surface.specular_albedo, 0.0, 1.0))
 
 
 def weigh(pdf: Any, other: Any) -> Any:
@@ -228,10 +256,15 @@ def trace_path(
             scatters = first & ~is_null
             share = dispatch_share(materials, bsdf, si, chosen.wo, scatters & ~is_delta)
             path.share = dr.select(scatters, dr.select(is_delta, 0.0, share), path.share)
-            if settings.albedo:
-                surface = dispatch_surface(materials, bsdf, si, scatters)
+            further = mi.Bool(False)
+            if settings.surfaces:
+                seeks = path.seeks & found
+                meets = found & (path.bounces == 0) & ~is_null  # at the last vertex too
+                surface = dispatch_surface(materials, bsdf, si, meets | seeks)
                 sample.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
                 sample.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
+                sample.normal += dr.select(meets, surface.normal, 0.0)
+                further = seeks & (is_null | (is_mirror(surface) & (dr.max(weight) > 0)))
             mirrors = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.GlossyReflection) | mi.has_flag(
                 chosen.sampled_type, mi.BSDFFlags.DeltaReflection
             )
@@ -245,7 +278,7 @@ def trace_path(
         path.last_delta = is_delta
         path.depth += dr.select(found, mi.UInt32(1), 0)
         if not settings.light:
-            path.active = going & (dr.select(is_null, mi.Bool(True), path.looks_specular) & (path.bounces == 0))
+            path.active = going & (((path.bounces == 0) & (is_null | path.looks_specular)) | further)
         path.bounces += dr.select(is_null, mi.UInt32(0), 1)
 
         if settings.light:
@@ -255,6 +288,14 @@ def trace_path(
             survives = path.rng.next_float32() < keep
             path.throughput = dr.select(gamble, path.throughput * dr.rcp(keep), path.throughput)
             path.active = going & (~gamble | survives) & (strongest != 0)
+
+        if split and settings.surfaces:
+            # A path that ends within a chain of mirrors sees the last of them.
+            further &= path.active
+            seen = seeks & ~further
+            sample.hit_normal += dr.select(seen, surface.normal, 0.0)
+            sample.hit_albedo += dr.select(seen, find_seen_albedo(surface, si), 0.0)
+            path.seeks = path.looks_specular | further
         return (path,)
 
     start = _Path(
@@ -270,6 +311,7 @@ def trace_path(
         last_pdf=mi.Float(1),
         last_delta=mi.Bool(True),
         looks_specular=mi.Bool(False),
+        seeks=mi.Bool(False),
         sample=make_sample(),
     )
     return dr.while_loop((start,), go_on, bounce, label="bounces")[0].sample  # type: ignore[no-any-return]
@@ -301,6 +343,9 @@ def _accumulate(sums: Sums, sample: Sample, index: Any, guides: bool) -> None:
         sample.hit_count,
         sample.hit_inverse,
         sample.hit_position,
+        sample.hit_normal,
+        sample.hit_albedo,
+        sample.normal,
     )
     for i, value in enumerate(more):
         sums.totals[i] += value

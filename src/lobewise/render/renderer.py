@@ -14,7 +14,7 @@ from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
-from lobewise.render.gbuffer import Moves, finish_hits, move_back, to_image, trace_guides
+from lobewise.render.gbuffer import Moves, finish_hits, finish_seen, move_back, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
 from lobewise.render.variant import VARIANTS
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
@@ -22,7 +22,7 @@ from lobewise.sparse_frame import MOST_SCALE, SparseFrame
 Progress = Callable[[int, int], None]
 
 TILE_PIXELS = 1 << 20
-"""Pixels in flight at once: about 300 MB of sums."""
+"""Pixels in flight at once: about 350 MB of sums."""
 
 CHUNK_SAMPLES = 1 << 22
 """Samples per launch: some seconds, so that progress is seen and an interrupt is heard."""
@@ -119,6 +119,8 @@ def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, Fl
     images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
     images["shape"] = to_image(guides["shape"])
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums, guides)
+    images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums, guides)
+    images["gbuffer.mean_normal"] = to_image(sums.totals[9]) / np.float32(spp)
     for i, name in enumerate(("diffuse_albedo", "specular_albedo")):
         images[f"gbuffer.{name}"] = np.clip(to_image(sums.totals[2 + i]) / np.float32(spp), 0.0, 1.0)
     return images
@@ -279,7 +281,7 @@ def render_sparse_frame(
     place : (int, int)
         Row and column of the shaded pixel within each block.
     guide_spp : int
-        Samples of every pixel for the guides that are averages: albedos and hits. They follow no light.
+        Samples of every pixel for the guides that are averages: albedos, hits, mean normal. They follow no light.
     guide_seed : int, optional
         Seed of those samples; by default ``seed``. Guides that share it agree from frame to frame while nothing moves.
     progress : callable, optional
