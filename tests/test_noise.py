@@ -1,0 +1,67 @@
+"""Two independent images of a frame: from the file, or from neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lobewise.denoising.noise import PARTS, find_halves
+from lobewise.frame import Frame, Radiance
+
+
+def put_bad(radiance: Radiance, name: str) -> Radiance:
+    """Return a radiance with three bad pixels in one part."""
+    image = np.array(getattr(radiance, name))
+    image[0, 0, 1], image[2, 5, 0], image[4, 3, 2] = np.nan, np.inf, -1.0
+    return replace(radiance, **{name: image})
+
+
+BAD = ([0, 2, 4], [0, 5, 3])
+
+
+def test_halves_of_the_samples(full_frame: Frame) -> None:
+    assert full_frame.half_a is not None
+    frame = full_frame.with_changes(half_a=put_bad(full_frame.half_a, "specular"))
+    halves = find_halves(frame)
+    assert halves.origin == "file"
+    for name in PARTS:
+        np.testing.assert_array_equal(getattr(halves.b, name), getattr(full_frame.half_b, name))
+        expected = np.array(getattr(full_frame.half_a, name))
+        if name == "specular":
+            expected[BAD] = np.nan
+        np.testing.assert_array_equal(getattr(halves.a, name), expected)
+    assert halves.a.direct is None
+
+
+@pytest.mark.parametrize("missing", ["half_a", "half_b", "parts"])
+def test_colours_of_a_checkerboard(full_frame: Frame, missing: str) -> None:
+    frame = full_frame.with_changes(radiance=put_bad(full_frame.radiance, "diffuse"))
+    if missing == "parts":
+        assert frame.half_b is not None
+        frame = frame.with_changes(half_b=Radiance(frame.half_b.color))
+    else:
+        frame = frame.with_changes(**{missing: None})
+    halves = find_halves(frame)
+    assert halves.origin == "neighbours"
+    for name in PARTS:
+        image = np.array(getattr(full_frame.radiance, name))
+        if name == "diffuse":
+            image[BAD] = np.nan
+        a, b = (np.full(image.shape, np.nan, np.float32) for _ in range(2))
+        for y, x in np.ndindex(*frame.shape):
+            (a if (x + y) % 2 == 0 else b)[y, x] = image[y, x]
+        np.testing.assert_array_equal(getattr(halves.a, name), a)
+        np.testing.assert_array_equal(getattr(halves.b, name), b)
+
+
+def test_missing_parts_stay_missing(make_frame: Callable[..., Frame]) -> None:
+    frame = make_frame(height=1, width=3)
+    color = Frame(radiance=Radiance(frame.radiance.color), half_a=frame.half_a, half_b=frame.half_b)
+    for given, origin in ((color, "file"), (Frame(radiance=Radiance(frame.radiance.color)), "neighbours")):
+        halves = find_halves(given)
+        assert halves.origin == origin
+        assert halves.a.diffuse is None
+        assert halves.b.specular is None
