@@ -75,7 +75,7 @@ def bound_fireflies(
     brightness, and so does one of a single pixel that both halves saw. What is lost is light so rare that a window's
     samples find it once or twice.
 
-    Measured at 512x512 on ``showroom``, ``parlour``, ``brushed`` and ``sparks``, with 1, 4, 16 and 64 samples per pixel:
+    Measured at 512x512 on ``showroom``, ``parlour``, ``brushed``, ``sparks``, with 1, 4, 16 and 64 samples per pixel:
     the relative error after a filter of radius 8 falls to 0.78, 0.87, 0.93 and 0.96 of what it was (geometric means),
     on none of them does it rise. Of the light of the first two 1.9 to 2.8 %, 1.3 %, 0.1 to 0.2 % and under 0.1 % is
     taken; of ``sparks``, whose small lights paths find by luck, 12 %, 6 %, 3 % and 0.7 %.
