@@ -70,7 +70,7 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
 def _find_guides(frame: Frame, guides: str) -> tuple[FloatArray, FloatArray]:
     """Return albedo and normal as the library takes them: in [0, 1] and [-1, 1], writable."""
     gbuffer = frame.gbuffer
-    mean = getattr(gbuffer, "mean_normal", None) if guides != "centre" else None
+    mean = gbuffer.mean_normal if guides != "centre" else None
     normal = gbuffer.normal if mean is None else mean
     if normal is None:
         raise MissingChannelError(

@@ -1,0 +1,116 @@
+"""Open Image Denoise is given the guides that were asked for, as they came or through its own filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn
+
+pytestmark = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+
+# What noise of this much leaves: a convolution over some dozen pixels and more lets a third of it through at the most.
+NOISE, LEFT = 0.1, 0.35
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Return what the last call gave to the library's network beside the colour."""
+    import sys
+
+    import pyoidn
+
+    seen: dict[str, Any] = {}
+
+    def record(color: Any, albedo: Any, normal: Any, **options: Any) -> Any:
+        seen.update(options, albedo=albedo, normal=normal)
+        return color
+
+    # The package has a function of its module's name.
+    assert callable(pyoidn.denoise)
+    monkeypatch.setattr(sys.modules["pyoidn.denoise"], "denoise", record)
+    return seen
+
+
+def make_noisy_guides(rng: np.random.Generator) -> tuple[Frame, FloatArray, FloatArray]:
+    """Return a frame with noisy guides, and albedo and normal without noise: two halves that face apart."""
+    height, width = 64, 64
+    right = np.arange(width)[None, :, None] >= width // 2
+    albedo = np.broadcast_to(np.where(right, 0.3, 0.7), (height, width, 3)).astype(np.float32)
+    normal = np.where(right, np.array([0.6, 0.0, 0.8]), np.array([-0.6, 0.0, 0.8]))
+    normal = np.broadcast_to(normal, (height, width, 3)).astype(np.float32)
+    noisy_albedo = albedo + rng.uniform(-NOISE, NOISE, albedo.shape)
+    noisy_normal = normal + rng.uniform(-NOISE, NOISE, normal.shape)
+    gbuffer = GBuffer(normal=noisy_normal, diffuse_albedo=noisy_albedo)
+    return Frame(radiance=Radiance(color=np.ones((height, width, 3))), gbuffer=gbuffer), albedo, normal
+
+
+def test_guides_come_as_asked_for(full_frame: Frame, given: dict[str, Any]) -> None:
+    guides = full_frame.gbuffer
+    assert guides.diffuse_albedo is not None
+    assert guides.specular_albedo is not None
+    albedo = np.minimum(guides.diffuse_albedo + guides.specular_albedo, 1.0)
+    for kind, normal in (("centre", guides.normal), ("mean", guides.mean_normal)):
+        denoise_oidn(full_frame, guides=kind, quality="fast")
+        assert normal is not None
+        np.testing.assert_array_equal(given["normal"], normal)
+        np.testing.assert_array_equal(given["albedo"], albedo)
+        assert given["clean_aux"]
+        assert given["hdr"]
+        assert given["quality"] == "fast"
+
+
+def test_a_frame_without_mean_normals_gives_its_own(
+    full_frame: Frame, given: dict[str, Any], make_frame: Callable[..., Frame]
+) -> None:
+    without = full_frame.with_changes(gbuffer=GBuffer(normal=full_frame.gbuffer.normal))
+    denoise_oidn(without, guides="mean")
+    np.testing.assert_array_equal(given["normal"], full_frame.gbuffer.normal)
+    np.testing.assert_array_equal(given["albedo"], 1.0)
+
+
+def test_prefiltered_guides_lose_their_noise_and_keep_their_edge(
+    rng: np.random.Generator, given: dict[str, Any]
+) -> None:
+    frame, albedo, normal = make_noisy_guides(rng)
+    denoise_oidn(frame)
+    assert frame.gbuffer.diffuse_albedo is not None
+    assert frame.gbuffer.normal is not None
+    for after, before, clean in (
+        (given["albedo"], frame.gbuffer.diffuse_albedo, albedo),
+        (given["normal"], frame.gbuffer.normal, normal),
+    ):
+        assert np.abs(after - clean).mean() < LEFT * np.abs(before - clean).mean()
+        # Beside the edge too, where a blur would not pass.
+        edge = (slice(4, -4), slice(30, 34))
+        assert np.abs(after - clean)[edge].mean() < np.abs(before - clean)[edge].mean()
+
+
+def test_frame_and_kept_filters_are_left_as_they_were(rng: np.random.Generator) -> None:
+    frame, _, _ = make_noisy_guides(rng)
+    normal, albedo = np.array(frame.gbuffer.normal), np.array(frame.gbuffer.diffuse_albedo)
+    first, _ = denoise_oidn(frame)
+    # A frame of another size in between binds the kept filters anew.
+    small = Frame(
+        radiance=Radiance(color=np.ones((9, 13, 3))),
+        gbuffer=GBuffer(normal=np.ones((9, 13, 3)), diffuse_albedo=np.full((9, 13, 3), 0.5)),
+    )
+    assert denoise_oidn(small)[0].shape == (9, 13, 3)
+    again, seconds = denoise_oidn(frame)
+    assert seconds > 0.0
+    np.testing.assert_array_equal(again, first)
+    np.testing.assert_array_equal(frame.gbuffer.normal, normal)
+    np.testing.assert_array_equal(frame.gbuffer.diffuse_albedo, albedo)
+
+
+def test_mistakes_are_told(full_frame: Frame) -> None:
+    with pytest.raises(InputError, match="guides"):
+        denoise_oidn(full_frame, guides="prefilterd")
+    with pytest.raises(MissingChannelError, match="normal"):
+        denoise_oidn(full_frame.with_changes(gbuffer=GBuffer()))
+    assert OIDN_GUIDES[0] == "prefiltered"
