@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from interactive_page import make_interactive_page
+from quality_page import make_quality_page
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -480,6 +481,9 @@ def main() -> None:
     (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
     measured = (json.loads((RESULTS / f"{name}.json").read_text()) for name in INTERACTIVE)
     (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))
+    quality = RESULTS / "quality.json"
+    if quality.exists():
+        (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(json.loads(quality.read_text())))
 
 
 if __name__ == "__main__":

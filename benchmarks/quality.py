@@ -19,6 +19,7 @@ import argparse
 import json
 import re
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,10 @@ from lobewise.display import choose_exposure, map_tones
 from lobewise.errors import MissingDependencyError
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import flip, mse, rel_mse, smape
-from quality_frames import FEWEST, HELD_OUT, SAMPLES, SCENES, SEEDS, TRAIN, Bench, Mask, classify_pixels
+from quality_frames import FEWEST, SAMPLES, SCENES, SEEDS, Bench, Mask, classify_pixels
 from quality_methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS, TUNING_SEED, Tuning, tune
 from quality_pictures import make_pictures
-from quality_summary import make_lines, summarise
+from quality_summary import HELD_OUT, TRAIN, make_lines, summarise
 
 RESULT = Path(__file__).parent / "results" / "quality.json"
 CACHE = Path("~/.cache/lobewise/quality")
@@ -76,33 +77,34 @@ def _find_luma(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.asarray(picture @ np.array([0.2126, 0.7152, 0.0722]) / 255.0)
 
 
-def measure(image: FloatArray, reference: FloatArray, masks: dict[str, Mask]) -> dict[str, Any]:
+def measure(
+    image: FloatArray, reference: FloatArray, masks: dict[str, Mask], *, with_flip: bool = True
+) -> dict[str, Any]:
     """Return the errors of one image: by metric and class of pixels, and two that are of the whole image."""
     row: dict[str, Any] = {
         name: {kind: function(image, reference, mask) for kind, mask in masks.items()}
         for name, function in METRICS.items()
     }
-    try:
-        row["flip"] = flip(image, reference)
-    except MissingDependencyError:
-        row["flip"] = None
     row["ssim"] = compute_ssim(image, reference)
+    if with_flip:
+        with suppress(MissingDependencyError):
+            row["flip"] = flip(image, reference)
     return row
 
 
-def round_figure(value: float | None) -> float | None:
+def round_figure(value: float) -> float:
     """Return ``value`` with as many significant digits as the JSON has."""
-    return None if value is None else float(f"{value:.{DIGITS}g}")
+    return float(f"{value:.{DIGITS}g}")
 
 
 def join_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return one row with, for every figure, the list of its values from seed to seed."""
+    """Return one row with, for every figure, the list of its values from seed to seed where it was taken."""
     joined: dict[str, Any] = {}
     for name, value in rows[0].items():
         if isinstance(value, dict):
             joined[name] = {kind: [round_figure(row[name][kind]) for row in rows] for kind in value}
         else:
-            joined[name] = [round_figure(row[name]) for row in rows]
+            joined[name] = [round_figure(row[name]) for row in rows if name in row]
     return joined
 
 
@@ -121,7 +123,9 @@ def run_methods(
     for seed in SEEDS:
         frame = bench.fetch(scene, spp, seed)
         for name in names:
-            measured[name].append(measure(METHODS[name].run(frame, tuning), reference, masks))
+            image = METHODS[name].run(frame, tuning)
+            # FLIP looks at many exposures and takes longer than the filters.
+            measured[name].append(measure(image, reference, masks, with_flip=seed == SEEDS[0]))
     commit = describe_machine()["commit"]
     return {name: {"commit": commit, **join_seeds(rows)} for name, rows in measured.items()}
 
@@ -156,7 +160,7 @@ def load(path: Path, bench: Bench) -> dict[str, Any]:
     """Return what was measured so far."""
     data: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"tuning": {}, "scenes": {}, "speed": {}}
     return {
-        "what": "rel_mse (epsilon 0.01), mse, smape by class of pixels; flip, ssim of the image; a value per seed",
+        "what": "rel_mse (epsilon 0.01), mse, smape by class of pixels, ssim; a value per seed; flip of the first",
         "size": bench.size,
         "reference_spp": bench.reference_spp,
         "samples": list(SAMPLES),
@@ -165,6 +169,7 @@ def load(path: Path, bench: Bench) -> dict[str, Any]:
         "held_out": list(HELD_OUT),
         "tuning_grid": {"normal_exponent": NORMAL_EXPONENTS, "screen_sigma": SCREEN_SIGMAS, "seed": TUNING_SEED},
         **{name: data[name] for name in ("tuning", "scenes", "speed")},
+        "timed_runs": TIMED_RUNS,
         "pictures": data.get("pictures", {}),
         "skipped": data.get("skipped", {}),
     }

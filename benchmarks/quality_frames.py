@@ -18,13 +18,10 @@ from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind
 from lobewise.io.exr import read_image, write_image
 from lobewise.metrics import EPSILON
 from lobewise.render import load_scene, render_frame, render_reference
+from quality_summary import HELD_OUT, TRAIN
 
 Mask = NDArray[np.bool_]
 
-TRAIN = ("showroom", "parlour", "stilllife", "corridor")
-"""Scenes on which parameters may be tuned, ours and those of the baselines."""
-HELD_OUT = ("brushed", "sparks", "kitchen", "street")
-"""Scenes that are looked at for measuring only."""
 SCENES = (*TRAIN, *HELD_OUT)
 SAMPLES = (1, 4, 16, 64)
 SEEDS = (1, 2, 3)

@@ -13,7 +13,8 @@ from lobewise.denoising import DenoiseSettings, denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.peers import denoise_oidn, has_oidn
-from quality_frames import SAMPLES, TRAIN, Bench
+from quality_frames import SAMPLES, Bench
+from quality_summary import TRAIN
 
 NORMAL_EXPONENTS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 SCREEN_SIGMAS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.5, 8.0)
@@ -73,9 +74,6 @@ METHODS: dict[str, Method] = {
     "oidn fast": Method(_run_oidn(quality="fast", guides="mean"), oidn=True),
 }
 """Every method. "oidn" has the best guides there are, which takes two networks more; the others of it one network."""
-
-BASES = ("single SG", "oidn")
-"""What the others are compared with."""
 
 
 def tune(bench: Bench, scenes: tuple[str, ...] = TRAIN, samples: tuple[int, ...] = SAMPLES) -> Tuning:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from quality_frames import HELD_OUT, TRAIN
-from quality_methods import BASES, METHODS
-
+TRAIN = ("showroom", "parlour", "stilllife", "corridor")
+"""Scenes on which parameters may be tuned, ours and those of the baselines."""
+HELD_OUT = ("brushed", "sparks", "kitchen", "street")
+"""Scenes that are looked at for measuring only."""
 PARTS = {"train": TRAIN, "held out": HELD_OUT}
+BASES = ("single SG", "oidn")
+"""What the others are compared with."""
 CLASSES = ("all", "silhouette", "diffuse", "rough", "glossy", "near-mirror", "anisotropic")
 WIDE = "1920x1080"
 
@@ -33,9 +36,12 @@ TIME_GOALS: tuple[tuple[str, str, float], ...] = (
 def summarise(data: dict[str, Any]) -> dict[str, Any]:
     """Return the ratios of every method by part, base, class and sample count, and the goals."""
     ratios: dict[str, Any] = {}
+    methods = dict.fromkeys(
+        name for scene in data["scenes"].values() for rows in scene["samples"].values() for name in rows
+    )
     for part, scenes in PARTS.items():
         for base in BASES:
-            for method in METHODS:
+            for method in methods:
                 for kind in CLASSES:
                     by_spp = find_ratios(data, scenes, method, base, kind)
                     if method != base and by_spp:

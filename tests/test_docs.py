@@ -67,6 +67,15 @@ def test_interactive_page_says_what_was_measured() -> None:
     assert (ROOT / "docs" / "interactive.md").read_text() == publisher.make_interactive_page(*measured)
 
 
+def test_quality_page_says_what_was_measured() -> None:
+    publisher = load_publisher()
+    measured, page = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "docs" / "quality_results.md"
+    # Both come with the first whole measurement.
+    assert measured.exists() == page.exists()
+    if measured.exists():
+        assert page.read_text() == publisher.make_quality_page(json.loads(measured.read_text()))
+
+
 @pytest.mark.mitsuba
 @pytest.mark.slow
 def test_interactive_page_runs(mi: Any) -> None:
