@@ -15,8 +15,11 @@ from lobewise.render import list_moving_scenes, list_scenes, load_scene
 
 Frames = Callable[[str], Frame]
 
-SKY = {"stilllife": 0.2}
+SKY = {"stilllife": 0.2, "street": 0.2}
 """Scenes with something to be seen behind all surfaces, and the most of the picture that it may take."""
+
+SLOW = dict.fromkeys(("kitchen", "street"), pytest.mark.slow)
+"""Scenes of so many materials that their kernels take seconds to compile."""
 
 XML = """<scene version="3.0.0">
   <sensor type="perspective">
@@ -128,7 +131,7 @@ def test_scene_file_is_rendered_at_the_size_asked_for(
 
 
 @pytest.mark.mitsuba
-@pytest.mark.parametrize("name", list_scenes())
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in list_scenes()])
 def test_scene_is_lit_and_glossy(built_in_frames: Frames, name: str) -> None:
     frame = built_in_frames(name)
     assert frame.shape == (24, 24)
@@ -281,3 +284,46 @@ def test_curve_goes_through_its_points(mi: Any) -> None:
     # Points on a line, evenly spaced, stay evenly spaced.
     line = make_curve(((0.0, 0.0), (1.0, 2.0), (2.0, 4.0)), steps=4)
     assert np.allclose(line, np.linspace((0.0, 0.0), (2.0, 4.0), 9))
+
+
+@pytest.mark.slow
+@pytest.mark.mitsuba
+def test_kitchen_has_steel_brushed_both_ways_tiles_askew_and_lacquer(built_in_frames: Frames) -> None:
+    gbuffer = built_in_frames("kitchen").gbuffer
+    ratio = gbuffer.alpha_u / np.maximum(gbuffer.alpha_v, 1e-6)
+    assert (ratio > 3).sum() > 4
+    assert ((ratio < 1 / 3) & (ratio > 0)).sum() > 10
+    tiles = np.isclose(gbuffer.position[..., 2], -2.0, atol=1e-4)
+    assert tiles.mean() > 0.1
+    assert gbuffer.normal[tiles].std(axis=0)[:2].min() > 0.01
+    # Joints are dull, tiles are not.
+    assert {LobeKind.GGX} <= set(gbuffer.lobe_kind[tiles])
+    lacquer = (gbuffer.alpha_u == gbuffer.alpha_v) & (gbuffer.alpha_u >= 0.03) & (gbuffer.alpha_u <= 0.1)
+    assert lacquer.mean() > 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.mitsuba
+def test_street_has_puddles_in_bumpy_asphalt(built_in_frames: Frames) -> None:
+    gbuffer = built_in_frames("street").gbuffer
+    street = (np.abs(gbuffer.position[..., 1]) < 1e-4) & (gbuffer.depth > 0)
+    assert street.mean() > 0.25
+    alpha, normal = gbuffer.alpha_u[street], gbuffer.normal[street]
+    puddle, asphalt = alpha < 0.03, alpha > 0.12
+    assert puddle.mean() > 0.05
+    assert asphalt.mean() > 0.3
+    assert normal[asphalt][:, [0, 2]].std(axis=0).min() > 2.0 * normal[puddle][:, [0, 2]].std(axis=0).max() > 0
+
+
+@pytest.mark.mitsuba
+def test_waves_have_the_slopes_of_their_height(mi: Any) -> None:
+    from lobewise.render.scenes.street import make_waves
+
+    step = 1e-3
+    x, y = np.meshgrid(np.arange(160) * 0.12, np.arange(160) * 0.12)
+    _, slope_x, slope_y = make_waves(x, y, 40, (0.3, 1.6), 3)
+    for slope, dx, dy in ((slope_x, step, 0.0), (slope_y, 0.0, step)):
+        ahead, behind = (make_waves(x + k * dx, y + k * dy, 40, (0.3, 1.6), 3)[0] for k in (1, -1))
+        assert np.allclose(slope, (ahead - behind) / (2.0 * step), atol=2e-3)  # third derivative times step squared
+    # Forty waves of random direction: the two variances share what is one each on average.
+    assert slope_x.var() + slope_y.var() == pytest.approx(2.0, rel=0.1)

@@ -128,7 +128,7 @@ except Exception as error:
 def test_importing_the_room_imports_no_mitsuba() -> None:
     code = "import sys, lobewise.render; print('mitsuba' in sys.modules, 'drjit' in sys.modules)"
     assert _run(code) == "False False"
-    names = "showroom brushed parlour sparks stilllife corridor"
+    names = "showroom brushed parlour sparks stilllife corridor kitchen street"
     assert _run("from lobewise.render import list_scenes; print(*list_scenes())") == names
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lobewise.errors import FileError, InputError, describe_problem, require_choice
 from lobewise.render.variant import load_mitsuba
 
-BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor")
+BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor", "kitchen", "street")
 
 MOVING = ("showroom", "parlour")
 """Those of them in which objects move."""

@@ -221,3 +221,28 @@ def make_curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArr
     curve: NDArray[np.float64] = np.concatenate([*pieces, knots[-1:]])
     curve[:, 0] = np.maximum(curve[:, 0], 0.0)  # a spline may swing across the axis
     return curve
+
+
+def make_blend(first: Item, second: Item, weight: float | Item) -> Item:
+    """Return two two-sided materials in one, ``weight`` (a number or a texture) of which is the second."""
+    blend = {"type": "blendbsdf", "weight": weight, "first": first["inner"], "second": second["inner"]}
+    return {"type": "twosided", "inner": blend}
+
+
+def make_normal_map(normals: NDArray[np.floating[Any]], bsdf: Item) -> Item:
+    """Return a two-sided material under a normal map, (rows, columns, 3) in [0, 1]."""
+    inner = {"type": "normalmap", "normalmap": make_texture(normals), "inner": bsdf["inner"]}
+    return {"type": "twosided", "inner": inner}
+
+
+def make_bump_map(heights: NDArray[np.floating[Any]], scale: float, bsdf: Item) -> Item:
+    """Return a two-sided material under a bump map of heights (rows, columns), ``scale`` units of length each."""
+    inner = {"type": "bumpmap", "heights": make_texture(heights), "scale": scale, "inner": bsdf["inner"]}
+    return {"type": "twosided", "inner": inner}
+
+
+def encode_normals(slope_x: NDArray[np.floating[Any]], slope_y: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return the normal map, (rows, columns, 3) in [0, 1], of normals (slope_x, slope_y, 1)."""
+    normal = np.stack([slope_x, slope_y, np.ones_like(slope_x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(0.5 * normal + 0.5, dtype=np.float64)
