@@ -152,7 +152,7 @@ def time_methods(frame: Frame, names: list[str], tuning: Tuning) -> dict[str, An
     row: dict[str, Any] = {"spp": frame.spp, "machine": describe_machine(), "milliseconds": milliseconds}
     for base in ("single SG", "oidn", "oidn, guides as they come"):
         if base in milliseconds:
-            row[f"over {base}"] = {name: round(value / milliseconds[base], 3) for name, value in milliseconds.items()}
+            row[f"over {base}"] = {name: round(best[name] / best[base], 3) for name in milliseconds}
     return row
 
 
