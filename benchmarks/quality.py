@@ -7,7 +7,7 @@ commit it was measured at.
 
     python benchmarks/quality.py --render      once: frames and references, about an hour on two cores
     python benchmarks/quality.py --tune        the baseline's parameters, again where its filter changes
-    python benchmarks/quality.py               every method; one again: --method high
+    python benchmarks/quality.py               every method; one again: --method high; after an interruption: --missing
     python benchmarks/quality.py --speed       times, of all methods in turn
     python benchmarks/quality.py --pictures    crops for the page
     python benchmarks/quality.py --summary     ratios and goals, from the JSON alone
@@ -185,14 +185,26 @@ def save(path: Path, data: dict[str, Any]) -> None:
     temporary.replace(path)
 
 
-def run_scene(bench: Bench, data: dict[str, Any], scene: str, samples: list[int], names: list[str], path: Path) -> None:
-    """Measure some methods on a scene, saving after every sample count."""
+def run_scene(
+    bench: Bench,
+    data: dict[str, Any],
+    scene: str,
+    samples: list[int],
+    wanted: list[str],
+    path: Path,
+    *,
+    missing: bool = False,
+) -> None:
+    """Measure some methods on a scene, or those of them that have no figures yet, saving after every sample count."""
     masks = find_masks(bench.fetch(scene, max(SAMPLES), SEEDS[0]))
     row = data["scenes"].setdefault(scene, {"samples": {}})
     row["reference_rel_mse"] = round_figure(bench.fetch_reference(scene)[1])
     row["classes"] = {kind: round(float(mask.mean()), 4) for kind, mask in masks.items()}
     for spp in samples:
         found = row["samples"].setdefault(str(spp), {})
+        names = [name for name in wanted if not (missing and name in found)]
+        if not names:
+            continue
         found.update(run_methods(bench, scene, spp, names, masks, data["tuning"]))
         row["samples"][str(spp)] = {name: found[name] for name in METHODS if name in found}
         save(path, data)
@@ -209,6 +221,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, choices=SAMPLES, action="append", help="only this sample count")
     parser.add_argument("--method", choices=tuple(METHODS), action="append", help="only this method")
     for name, text in (
+        ("missing", "only what has no figures yet"),
         ("render", "render what the cache lacks, and measure nothing"),
         ("tune", "search the baseline's parameters"),
         ("speed", "time all methods"),
@@ -222,12 +235,14 @@ def main() -> None:
     arguments = parser.parse_args()
     bench = Bench(arguments.cache.expanduser(), arguments.size, arguments.reference_spp)
     bench.cache.mkdir(parents=True, exist_ok=True)
-    if bench.size != Bench.size and arguments.output == RESULT:
-        parser.error("--size needs an --output of its own")
+    if bench != Bench(bench.cache) and arguments.output == RESULT:
+        parser.error("other sizes need an --output of their own")
     scenes, samples = arguments.scene or list(SCENES), arguments.spp or list(SAMPLES)
     data = load(arguments.output, bench)
     if arguments.render:
         bench.render(tuple(scenes), tuple(samples))
+        if bench.size == Bench.size:
+            bench.fetch_wide(*WIDE)
         return
     names, data["skipped"] = choose_methods(arguments.method, data["tuning"])
     if arguments.tune:
@@ -246,7 +261,7 @@ def main() -> None:
         data["pictures"].update(make_pictures(bench, chosen, names, data["tuning"]))
     elif not arguments.summary:
         for scene in scenes:
-            run_scene(bench, data, scene, samples, names, arguments.output)
+            run_scene(bench, data, scene, samples, names, arguments.output, missing=arguments.missing)
     if arguments.summary:
         print("\n".join(make_lines(summarise(data))))
     else:

@@ -64,10 +64,13 @@ class Bench:
 
     def fetch(self, scene: str, spp: int, seed: int) -> Frame:
         """Return a noisy frame, rendered on first use."""
-        return fetch_frame(
-            self.cache / f"{scene}-{spp}-{seed}.exr",
-            lambda: render_frame(load_scene(scene, width=self.size, height=self.size), spp=spp, seed=seed),
+        path = self.cache / f"{scene}-{spp}-{seed}.exr"
+        frame = fetch_frame(
+            path, lambda: render_frame(load_scene(scene, width=self.size, height=self.size), spp=spp, seed=seed)
         )
+        if frame.shape != (self.size, self.size):
+            raise SystemExit(f"{path} has {frame.width}x{frame.height} pixels, not {self.size}: use another --cache")
+        return frame
 
     def fetch_wide(self, width: int, height: int) -> Frame:
         """Return the frame of another size that times are taken on, of 1 sample per pixel."""

@@ -15,7 +15,7 @@ TITLES = {
     "fast": '`quality="fast"`',
     "balanced": '`quality="balanced"`',
     "high": '`quality="high"`',
-    "high + oidn": "`high`, half Open Image Denoise",
+    "high + oidn": "`high` with Open Image Denoise",
     "oidn": "Open Image Denoise",
     "oidn, guides as they come": "Open Image Denoise, guides as they come",
     "oidn balanced": "Open Image Denoise, `balanced`, guides as they come",
@@ -209,8 +209,8 @@ pixel with other seeds. Parameters, ours and those of the baseline, were chosen 
 (a - r)^2 / (r^2 + 0.01). Ratios are geometric means over scenes and seeds, below 1 is better. {machine["processor"]}, {machine["threads"]} threads.
 
 The normal-aware baseline has the exponent and screen sigma with the least error on the scenes tuned on, by sample count. Open Image Denoise has the
-best guides we know to give it: albedo and normal averaged over the samples, each through its own filter for guides first; with the guides as they
-come it is faster, and mostly a little worse. `high`, half Open Image Denoise is the plain mean of both.
+best guides we know to give it: albedo and normal averaged over the samples, each through its own filter for guides first, which takes two networks more;
+the rows with guides as they come take one. Goals of time compare with those. `high` with Open Image Denoise is `denoise(..., quality="high", with_oidn=True)`.
 
 ## Goals
 

@@ -342,6 +342,12 @@ def test_one_method_again_keeps_the_rows_of_others(rng: np.random.Generator, tmp
     assert len(rows["noisy"]["flip"]) <= 1
     assert scene["classes"] == {"all": 1.0, "glossy": 1.0}
     assert scene["reference_rel_mse"] == 1.235e-4
+    # After an interruption only what is missing is measured: here the next sample count.
+    data["scenes"]["brushed"]["samples"]["4"]["noisy"]["commit"] = "kept"
+    quality.run_scene(bench, data, "brushed", [4, 16], ["noisy"], path, missing=True)
+    samples = json.loads(path.read_text())["scenes"]["brushed"]["samples"]
+    assert samples["4"]["noisy"]["commit"] == "kept"
+    assert list(samples["16"]) == ["noisy"]
 
 
 def test_what_cannot_run_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
