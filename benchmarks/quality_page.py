@@ -148,8 +148,8 @@ def list_commits(data: dict[str, Any]) -> str:
 
 
 def make_pictures_section(pictures: dict[str, Any]) -> str:
-    """Return the pictures with what they show."""
-    parts = []
+    """Return the section of the pictures with what they show, nothing where there are none."""
+    parts = ["## Pictures"] if pictures else []
     for scene, row in pictures.items():
         kinds = " and ".join(row["crops"])
         panels = ", ".join(row["panels"])
@@ -157,7 +157,7 @@ def make_pictures_section(pictures: dict[str, Any]) -> str:
             f"### {scene}\n\n![{scene}: {panels}](images/quality-{scene}.png)\n\n"
             f"{row['spp']} samples per pixel; from left to right: {panels}. The crops are those that show most of: {kinds}."
         )
-    return "\n\n".join(parts)
+    return "\n\n".join([*parts, ""]) if parts else ""
 
 
 def _list_rows(data: dict[str, Any], scenes: tuple[str, ...], samples: list[str]) -> list[tuple[str, str, Any]]:
@@ -230,11 +230,7 @@ Best of {data["timed_runs"]} after a warm-up, all methods in turn in one process
 
 {make_time_table(data["speed"])}
 
-## Pictures
-
-{pictures}
-
-## How
+{pictures}## How
 
 Pixels are told apart by the G-buffer of the {samples[-1]}-sample frame. Silhouettes differ from a neighbour in surface, orientation or material, or were
 seen in part. The others go by the lobe that carries their radiance: diffuse, rough (alpha above 0.25), glossy (above 0.06), near-mirror. Coated pixels go

@@ -297,14 +297,18 @@ def test_page_shows_every_part(rng: np.random.Generator, tmp_path: Path) -> None
     assert f"held out {ratio:.2f}" in goal
     cell = np.mean(data["scenes"]["street"]["samples"]["64"]["noisy"]["rel_mse"]["all"])
     assert f"| street | 64 | {cell:.4f} |" in page
+    assert "\n\n## Pictures\n\n### brushed\n\n![" in page
     assert "(images/quality-brushed.png)" in page
+    assert "most of: glossy.\n\n## How" in page
     assert "None" not in page
     assert "nan" not in page
     assert "Not measured" not in page
     # Before anything is measured it is a page of empty tables, not an error.
     empty = {**quality.load(tmp_path / "none.json", quality_frames.Bench(tmp_path)), "machine": data["machine"]}
     empty["skipped"] = {"high": "for a reason"}
-    assert "for a reason" in quality_page.make_quality_page({**empty, "summary": quality_summary.summarise(empty)})
+    page = quality_page.make_quality_page({**empty, "summary": quality_summary.summarise(empty)})
+    assert "for a reason" in page
+    assert "## Pictures" not in page
 
 
 class StubBench:
