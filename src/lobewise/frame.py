@@ -256,7 +256,12 @@ class GBuffer(_Images):
     hit_albedo : array_like, shape (height, width, 3), optional
         Mean likewise of the albedo, diffuse + specular, of that surface, in [0, 1]: 1 for a light source, 0 for none.
     mean_normal : array_like, shape (height, width, 3), optional
-        Mean of the shading normal over all samples of the pixel (0 for no surface), where ``normal`` is one of them.
+        Mean of the shading normal over the pixel's area (0 for no surface), where ``normal`` is that of its centre.
+    mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
+        Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
+    coverage : array_like, shape (height, width, 9), optional
+        Which shares of the pixel's area the surfaces at the centres of its 3x3 neighbours stand for best, row by row:
+        in [0, 1], sum 1, that of the pixel itself at index 4, 0 for neighbours outside the image.
     motion : array_like, shape (height, width, 2), optional
         Pixels from here to where the surface point was in the previous frame, x right and y down.
     material : array_like, shape (height, width), optional
@@ -282,6 +287,9 @@ class GBuffer(_Images):
     hit_normal: FloatArray | None = None
     hit_albedo: FloatArray | None = None
     mean_normal: FloatArray | None = None
+    mean_diffuse_albedo: FloatArray | None = None
+    mean_specular_albedo: FloatArray | None = None
+    coverage: FloatArray | None = None
     motion: FloatArray | None = None
     material: FloatArray | None = None
 
@@ -291,6 +299,7 @@ class GBuffer(_Images):
             if name.endswith(("position", "normal", "tangent", "albedo")):
                 channels[name] = 3
         channels["motion"] = 2
+        channels["coverage"] = 9
         self._check(channels)
 
     @property

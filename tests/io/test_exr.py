@@ -94,6 +94,8 @@ class TestRoundTrip:
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
         expected += [f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal") for c in "XYZ"]
         expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit") for c in "RGB"]
+        expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
+        expected += [f"coverage.{k}" for k in range(9)]
         assert sorted(channels) == sorted(expected)
         np.testing.assert_array_equal(channels["half_b.specular.G"], full_frame.half_b.specular[..., 1])
         np.testing.assert_array_equal(channels["alpha.V"], full_frame.gbuffer.alpha_v)
@@ -146,10 +148,14 @@ class TestHalf:
 
     def test_color_is_half_and_geometry_is_not(self, full_frame, tmp_path):
         types = self.read_types(full_frame, tmp_path / "a.exr")
-        for name in ("R", "specular.B", "half_a.diffuse.R", "specular_albedo.G"):
+        for name in ("R", "specular.B", "half_a.diffuse.R", "specular_albedo.G", "mean_diffuse_albedo.B", "coverage.8"):
             assert types[name] == np.float16
         for name in ("depth.Z", "position.X", "normal.Y", "alpha.U", "motion.X", "hit_distance.Z"):
             assert types[name] == np.float32
+
+    def test_coverage_is_exact_in_half(self, full_frame, tmp_path):
+        write_frame(tmp_path / "a.exr", full_frame)
+        np.testing.assert_array_equal(read_frame(tmp_path / "a.exr").gbuffer.coverage, full_frame.gbuffer.coverage)
 
     def test_values_beyond_half_stay_exact(self, tmp_path):
         color = np.full((2, 2, 3), 70000.0, np.float32)

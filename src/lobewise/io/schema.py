@@ -42,7 +42,7 @@ class Slot:
     channels : tuple of str
         Full channel names, in the order of the image's last axis.
     kind : str
-        ``radiance``, ``variance``, ``albedo`` or ``geometry``; decides the pixel type.
+        ``radiance``, ``variance``, ``share`` or ``geometry``; decides the pixel type.
     meaning : str
         What the values are: unit, space, range.
     missing : str
@@ -100,7 +100,13 @@ _GBUFFER = (
      "not needed to denoise"),
     ("hit_albedo", "hit_albedo", "RGB", "mean albedo of what the specular lobe sees, 0..1, 1 = light, 0 = nothing",
      "not needed to denoise"),
-    ("mean_normal", "mean_normal", "XYZ", "mean shading normal over the samples, world space, length 0..1",
+    ("mean_normal", "mean_normal", "XYZ", "mean shading normal over the pixel's area, world space, length 0..1",
+     "not needed to denoise"),
+    ("mean_diffuse_albedo", "mean_diffuse_albedo", "RGB", "mean of diffuse_albedo over the pixel's area, 0..1",
+     "not needed to denoise"),
+    ("mean_specular_albedo", "mean_specular_albedo", "RGB", "mean of specular_albedo over the pixel's area, 0..1",
+     "not needed to denoise"),
+    ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
      "not needed to denoise"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
     ("material", "material", "I", "which of the header's lobe tables, from 1, 0 = none", "lobes are taken from alpha"),
@@ -113,7 +119,7 @@ def _make_slots() -> Iterable[Slot]:
             prefix = ".".join(part for part in (copy, layer) if part)
             yield Slot(owner, field, _name(prefix, "RGB"), kind, meaning.format(what), missing.format(without))
     for field, prefix, suffixes, meaning, missing in _GBUFFER:
-        kind = "albedo" if field.endswith("albedo") else "geometry"
+        kind = "share" if field.endswith(("albedo", "coverage")) else "geometry"
         yield Slot("gbuffer", field, _name(prefix, suffixes), kind, meaning, missing)
 
 

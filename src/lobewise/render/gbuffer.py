@@ -2,12 +2,13 @@
 
 An average over samples blends position, normal and roughness at a silhouette into a surface that is nowhere, and its
 lobe fits neither side; so these come from one ray. Albedos are averages over the samples: radiance is divided by them,
-and the average of a product is closest to the product of averages taken over the same samples. The mean normal is the
-plain average over all samples, for networks that want silhouettes as smooth as the picture's. The hit distance is the
-harmonic mean, over the samples whose first bounce was specular and the mirror ray of the pixel's centre, because
-filters use its inverse, in which a miss is 0; the hit position is the mean weighted by 1/t, which along one ray lies at
-just that distance. The hit normal and the hit albedo are plain averages over the same samples and mirror ray, a miss
-being 0; they follow perfect mirrors and smooth glass to the first surface that shows something of its own.
+and the average of a product is closest to the product of averages taken over the same samples. Averages over the
+areas of pixels, for what wants silhouettes as smooth as the picture's, are in `lobewise.render.coverage`. The hit
+distance is the harmonic mean, over the samples whose first bounce was specular and the mirror ray of the pixel's
+centre, because filters use its inverse, in which a miss is 0; the hit position is the mean weighted by 1/t, which along
+one ray lies at just that distance. The hit normal and the hit albedo are plain averages over the same samples and
+mirror ray, a miss being 0; they follow perfect mirrors and smooth glass to the first surface that shows something of
+its own.
 """
 
 from __future__ import annotations

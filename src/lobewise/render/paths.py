@@ -34,7 +34,8 @@ class PathSettings:
     guides : bool
         Whether to split radiance by lobe and to sum surfaces, hits and squares.
     surfaces : bool
-        With ``guides``: whether to sum albedos and normals, of the first surface and of what its reflections see.
+        With ``guides``: whether to sum albedos, of the first surface and of what its reflections see, and normals of
+        the latter.
     fewest_bounces : int
         Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers.
     """
@@ -50,8 +51,7 @@ class PathSettings:
 class Sample:
     """What one path brings (Dr.Jit arrays; a PyTree). Emission seen directly is in ``emitted`` alone.
 
-    ``hit_normal`` and ``hit_albedo`` are those of the surface that a specular reflection sees, ``normal`` that of the
-    first surface; 0 where there is none.
+    ``hit_normal`` and ``hit_albedo`` are those of the surface that a specular reflection sees, 0 where it sees none.
     """
 
     emitted: Any
@@ -66,7 +66,6 @@ class Sample:
     hit_position: Any
     hit_normal: Any
     hit_albedo: Any
-    normal: Any
 
 
 def make_sample() -> Sample:
@@ -85,7 +84,6 @@ def make_sample() -> Sample:
         hit_position=mi.Vector3f(0),
         hit_normal=mi.Vector3f(0),
         hit_albedo=colors[7],
-        normal=mi.Vector3f(0),
     )
 
 
@@ -101,7 +99,7 @@ class Sums:
     squares: list[Any]
     totals: list[Any]
     """Direct, indirect, diffuse albedo, specular albedo, hit count, sums of 1/t and of position/t, the normal and the
-    albedo of what reflections see, the normal of the first surface."""
+    albedo of what reflections see."""
 
 
 def make_sums(width: int, guides: bool) -> Sums:
@@ -112,8 +110,7 @@ def make_sums(width: int, guides: bool) -> Sums:
 
     if not guides:
         return Sums(zeros(mi.Color3f, 1), [], [])
-    totals = [*zeros(mi.Color3f, 4), *zeros(mi.Float, 2), *zeros(mi.Vector3f, 2)]
-    totals += [*zeros(mi.Color3f, 1), *zeros(mi.Vector3f, 1)]
+    totals = [*zeros(mi.Color3f, 4), *zeros(mi.Float, 2), *zeros(mi.Vector3f, 2), *zeros(mi.Color3f, 1)]
     return Sums(zeros(mi.Color3f, 6), zeros(mi.Color3f, 3), totals)
 
 
@@ -259,11 +256,9 @@ def trace_path(
             further = mi.Bool(False)
             if settings.surfaces:
                 seeks = path.seeks & found
-                meets = found & (path.bounces == 0) & ~is_null  # at the last vertex too
-                surface = dispatch_surface(materials, bsdf, si, meets | seeks)
+                surface = dispatch_surface(materials, bsdf, si, scatters | seeks)
                 sample.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
                 sample.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
-                sample.normal += dr.select(meets, surface.normal, 0.0)
                 further = seeks & (is_null | (is_mirror(surface) & (dr.max(weight) > 0)))
             mirrors = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.GlossyReflection) | mi.has_flag(
                 chosen.sampled_type, mi.BSDFFlags.DeltaReflection
@@ -345,7 +340,6 @@ def _accumulate(sums: Sums, sample: Sample, index: Any, guides: bool) -> None:
         sample.hit_position,
         sample.hit_normal,
         sample.hit_albedo,
-        sample.normal,
     )
     for i, value in enumerate(more):
         sums.totals[i] += value

@@ -9,9 +9,14 @@ from lobewise.render.bridge import dr, mi
 
 def make_centre_ray(scene: Any, pixel: Any, size: tuple[Any, Any]) -> Any:
     """Return the rays through the centres of pixels."""
+    return make_ray(scene, pixel, size, mi.Point2f(0.5))
+
+
+def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
+    """Return the rays through places in pixels, right and down from a pixel's corner, in [0, 1)."""
     width, height = size
-    x = (mi.Float(pixel % width) + 0.5) / mi.Float(width)
-    y = (mi.Float(pixel // width) + 0.5) / mi.Float(height)
+    x = (mi.Float(pixel % width) + place.x) / mi.Float(width)
+    y = (mi.Float(pixel // width) + place.y) / mi.Float(height)
     ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     return ray
 

@@ -14,6 +14,7 @@ from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
+from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, finish_hits, finish_seen, move_back, to_image, trace_guides
 from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
 from lobewise.render.variant import VARIANTS
@@ -120,7 +121,6 @@ def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, Fl
     images["shape"] = to_image(guides["shape"])
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums, guides)
     images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums, guides)
-    images["gbuffer.mean_normal"] = to_image(sums.totals[9]) / np.float32(spp)
     for i, name in enumerate(("diffuse_albedo", "specular_albedo")):
         images[f"gbuffer.{name}"] = np.clip(to_image(sums.totals[2 + i]) / np.float32(spp), 0.0, 1.0)
     return images
@@ -171,6 +171,7 @@ def render_frame(
     max_depth: int = 8,
     light: str = "all",
     aov_only: bool = False,
+    coverage: bool = True,
     previous_camera: Camera | None = None,
     moves: Moves | None = None,
     progress: Progress | None = None,
@@ -199,6 +200,9 @@ def render_frame(
         of "all".
     aov_only : bool
         Leave the radiance out (it is all zero) and compute the guides alone.
+    coverage : bool
+        Whether the G-buffer holds what each pixel's area shows: ``coverage`` and the ``mean_`` images. They take 16
+        more rays of the camera per pixel and no samples.
     previous_camera : Camera, optional
         Camera of the frame before; with it the G-buffer holds ``motion``.
     moves : mapping of str to array_like, shape (4, 4), optional
@@ -228,6 +232,8 @@ def render_frame(
     with dr.suspend_grad():
         for pixels in _plan_tiles(*size):
             guides = trace_guides(scene, materials, camera, pixels=pixels, size=size)
+            if coverage:
+                guides |= trace_coverage(scene, materials, camera, pixels=pixels, size=size)
             sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
             tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp, settings)})
     images = _join(tiles, *size)
@@ -281,7 +287,7 @@ def render_sparse_frame(
     place : (int, int)
         Row and column of the shaded pixel within each block.
     guide_spp : int
-        Samples of every pixel for the guides that are averages: albedos, hits, mean normal. They follow no light.
+        Samples of every pixel for the guides that are averages over samples: albedos and hits. They follow no light.
     guide_seed : int, optional
         Seed of those samples; by default ``seed``. Guides that share it agree from frame to frame while nothing moves.
     progress : callable, optional

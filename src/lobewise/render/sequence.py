@@ -115,7 +115,7 @@ def render_sequence(
                 guides = render_frame(
                     loaded, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, **since
                 ).gbuffer
-                frame = render_frame(loaded, seed=number, **common).with_changes(gbuffer=guides)
+                frame = render_frame(loaded, seed=number, coverage=False, **common).with_changes(gbuffer=guides)
             previous = frame.camera
             yield frame
 

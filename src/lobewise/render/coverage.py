@@ -1,0 +1,245 @@
+"""What the area of every pixel shows, told by the surfaces that the centres of the pixels around it show.
+
+Filters work with one surface per pixel, that of its centre, so what they return has stairs at silhouettes and at the
+edges of textures. With shares of the surfaces around, a pixel can be put together afterwards from what was filtered:
+the sum over its 3x3 neighbours of the share times the neighbour's value. Rays of the camera are cheap beside paths, so
+a fixed pattern of them finds the shares, and with them averages of normals and albedos that have no noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.frame import Camera
+from lobewise.render.bridge import dr, mi
+from lobewise.render.bsdfs import Material
+from lobewise.render.paths import dispatch_surface
+from lobewise.render.points import MOST_LAYERS, OPAQUE_FROM, find_points
+from lobewise.render.rays import make_ray
+from lobewise.render.surface import Surface, make_no_surface
+
+RAYS = 16
+"""Rays of the pattern: each of 16 rows and of 16 columns of the pixel holds one."""
+
+NORMAL_SCALE = 0.2
+"""Angle between normals, radians, that counts as much as each of the following scales."""
+
+PLANE_SCALE = 2.0
+"""Distance of a point from another's tangent plane, in widths of a pixel where it lies."""
+
+ALPHA_SCALE = 0.3
+"""Difference of the natural logarithms of alphas."""
+
+LEAST_ALPHA = 1e-3
+"""Alphas below are as good as this one: mirrors."""
+
+ALBEDO_SCALE = 0.1
+"""Difference of albedos, diffuse and specular together, root mean square over the colours."""
+
+OTHER_KIND = 4.0
+"""What another kind of lobe, or another lobe table, adds to the squared distance."""
+
+ONLY_ONE = 1e6
+"""What it adds that only one of two rays meets a surface: more than anything else, so that it is the last choice."""
+
+SCREEN_WEIGHT = 0.1
+"""Weight of the squared distance on the screen, in pixels: of surfaces that are alike the nearest stands for a ray."""
+
+LEAST_LIGHT = 1e-3
+"""Share of a ray that masks let through below which what is behind them no longer counts."""
+
+_NEIGHBOURS = tuple((row, column) for row in (-1, 0, 1) for column in (-1, 0, 1))
+
+
+@dataclass
+class _Look:
+    """What a ray sees of surfaces, as far as they are compared (Dr.Jit arrays; a PyTree); all 0 where it sees none."""
+
+    found: Any
+    position: Any
+    normal: Any
+    log_alpha: Any
+    albedo: Any
+    lobe_kind: Any
+    material: Any
+
+
+@dataclass
+class _Sums:
+    """Running sums over the rays of a pixel: how many each neighbour stands for, normals, albedos of both lobes."""
+
+    counts: list[Any]
+    normal: Any
+    diffuse_albedo: Any
+    specular_albedo: Any
+
+
+@dataclass
+class _Layers:
+    ray: Any
+    si: Any
+    surface: Surface
+    settled: Any
+    light: Any
+    normal: Any
+    diffuse_albedo: Any
+    specular_albedo: Any
+    count: Any
+    active: Any
+
+
+def trace_coverage(
+    scene: Any,
+    materials: dict[int, Material],
+    camera: Camera,
+    *,
+    pixels: tuple[int, int],
+    size: tuple[int, int],
+) -> dict[str, Any]:
+    """Return the guides of a run of pixels that belong to their areas, as Dr.Jit arrays by their names in `GBuffer`.
+
+    ``coverage`` is a list of nine Float, ``mean_normal`` a Vector3f, and ``mean_diffuse_albedo`` and
+    ``mean_specular_albedo`` are Color3f. Rays are the same in every pixel; a pixel's values do not depend on the run.
+
+    Parameters
+    ----------
+    pixels : (int, int)
+        First pixel (row-major) and how many.
+    size : (int, int)
+        Width and height of the image.
+    """
+    # The centres of the run, and of a row and a pixel more on each side.
+    begin = max(pixels[0] - size[0] - 1, 0)
+    end = min(sum(pixels) + size[0] + 1, size[0] * size[1])
+    width, height, first = (dr.opaque(mi.UInt32, number) for number in (*size, begin))
+    centre = dr.arange(mi.UInt32, end - begin) + first
+    points = find_points(scene, materials, centre, (width, height))
+    centres = _make_look(points.si, points.surface)
+    dr.eval(centres)
+
+    pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
+    column, row = mi.Int32(pixel % width), mi.Int32(pixel // width)
+    angle = dr.opaque(mi.Float, camera.get_pixel_angle(size[1]))
+    neighbours, inside = [], []
+    for down, right in _NEIGHBOURS:
+        x, y = column + right, row + down
+        there = (x >= 0) & (y >= 0) & (x < mi.Int32(width)) & (y < mi.Int32(height))
+        index = mi.UInt32(y * mi.Int32(width) + x - mi.Int32(first))
+        neighbours.append(dr.gather(_Look, centres, index, there))
+        inside.append(there)
+
+    def go_on(index: Any, sums: _Sums) -> Any:
+        return index < RAYS
+
+    def take(index: Any, sums: _Sums) -> tuple[Any, _Sums]:
+        x, y = find_place(index)
+        ray = make_ray(scene, pixel, (width, height), mi.Point2f(x, y))
+        layers = _look_through(scene, materials, ray)
+        look = _make_look(layers.si, layers.surface)
+        footprint = angle * dr.norm(layers.si.p - ray.o)
+        # The pixel itself comes first and keeps what another is not better for.
+        best, least = mi.UInt32(4), _find_distance(look, neighbours[4], footprint) + _find_shift(x, y, 4)
+        for k in (0, 1, 2, 3, 5, 6, 7, 8):
+            distance = _find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k)
+            nearer = inside[k] & (distance < least)
+            best, least = dr.select(nearer, k, best), dr.select(nearer, distance, least)
+        for k in range(9):
+            sums.counts[k] += dr.select(best == k, 1.0, 0.0)
+        sums.normal += layers.normal
+        sums.diffuse_albedo += layers.diffuse_albedo
+        sums.specular_albedo += layers.specular_albedo
+        return index + 1, sums
+
+    start = _Sums([mi.Float(0) for _ in range(9)], mi.Vector3f(0), mi.Color3f(0), mi.Color3f(0))
+    sums = dr.while_loop((mi.UInt32(0), start), go_on, take, label="coverage")[1]
+    found = {
+        "coverage": [count / RAYS for count in sums.counts],
+        "mean_normal": sums.normal / RAYS,
+        "mean_diffuse_albedo": dr.clip(sums.diffuse_albedo / RAYS, 0.0, 1.0),
+        "mean_specular_albedo": dr.clip(sums.specular_albedo / RAYS, 0.0, 1.0),
+    }
+    dr.eval(found)
+    return found
+
+
+def find_place(index: Any) -> tuple[Any, Any]:
+    """Return where in a pixel the pattern's ray ``index`` goes, right and down from its corner, in (0, 1).
+
+    Source: Hammersley's points, a (0, 4, 2)-net in base 2 (Niederreiter 1992, section 4.1): also the 4x4, 2x8 and 8x2
+    blocks of the pixel hold one ray each.
+    """
+    return (mi.Float(index) + 0.5) / RAYS, (mi.Float(dr.brev(index) >> 28) + 0.5) / RAYS
+
+
+def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Layers:
+    """Return the first surface of a ray that is more opaque than not, and the sums over all, weighted by opacity."""
+
+    def add(state: _Layers) -> tuple[_Layers]:
+        si = scene.ray_intersect(state.ray, mi.RayFlags.All, True, state.active)
+        found = state.active & si.is_valid()
+        surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
+        share = dr.select(found, state.light * surface.opacity, 0.0)
+        state.normal += share * surface.normal
+        state.diffuse_albedo += share * surface.diffuse_albedo
+        state.specular_albedo += share * surface.specular_albedo
+        state.light *= 1.0 - surface.opacity
+        state.count += 1
+        state.si = dr.select(state.settled, state.si, si)
+        state.surface = dr.select(state.settled, state.surface, surface)
+        state.settled |= ~found | (surface.opacity >= OPAQUE_FROM)
+        state.ray = si.spawn_ray(state.ray.d)
+        state.active = found & (state.light > LEAST_LIGHT) & (state.count < MOST_LAYERS)
+        return (state,)
+
+    start = _Layers(
+        ray=ray,
+        si=dr.zeros(mi.SurfaceInteraction3f),
+        surface=make_no_surface(),
+        settled=mi.Bool(False),
+        light=mi.Float(1),
+        normal=mi.Vector3f(0),
+        diffuse_albedo=mi.Color3f(0),
+        specular_albedo=mi.Color3f(0),
+        count=mi.UInt32(0),
+        active=mi.Bool(True),
+    )
+    if not any(material.can_be_transparent for material in materials.values()):
+        return add(start)[0]
+    return dr.while_loop((start,), lambda state: state.active, add, label="layers")[0]  # type: ignore[no-any-return]
+
+
+def _make_look(si: Any, surface: Surface) -> _Look:
+    found = si.is_valid()
+    alphas = mi.Vector2f(surface.alpha_u, surface.alpha_v)
+    return _Look(
+        found=found,
+        position=dr.select(found, mi.Vector3f(si.p), 0.0),
+        normal=dr.select(found, surface.normal, 0.0),
+        log_alpha=dr.select(found, dr.log(dr.maximum(alphas, LEAST_ALPHA)), 0.0),
+        albedo=dr.select(found, surface.diffuse_albedo + surface.specular_albedo, 0.0),
+        lobe_kind=dr.select(found, surface.lobe_kind, 0.0),
+        material=dr.select(found, surface.material, 0.0),
+    )
+
+
+def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
+    """Return the squared distance between what a ray sees and what a centre shows; 0 where neither sees a surface.
+
+    Departs: the chord between the normals stands for their angle, short of it by a quarter at a right angle.
+    """
+    offset = look.position - centre.position
+    planes = dr.square(dr.dot(look.normal, offset)) + dr.square(dr.dot(centre.normal, offset))
+    distance = dr.squared_norm(look.normal - centre.normal) * NORMAL_SCALE**-2
+    distance += dr.select(planes > 0, 0.5 * planes * dr.rcp(dr.square(PLANE_SCALE * footprint)), 0.0)
+    distance += dr.squared_norm(look.log_alpha - centre.log_alpha) * ALPHA_SCALE**-2
+    distance += dr.squared_norm(look.albedo - centre.albedo) * (ALBEDO_SCALE**-2 / 3.0)
+    other = (look.lobe_kind != centre.lobe_kind) | (look.material != centre.material)
+    distance += dr.select(other, OTHER_KIND, 0.0)
+    return distance + dr.select(look.found != centre.found, ONLY_ONE, 0.0)
+
+
+def _find_shift(x: Any, y: Any, k: int) -> Any:
+    """Return what the way on the screen from a ray to the centre of neighbour ``k`` adds to their squared distance."""
+    down, right = _NEIGHBOURS[k]
+    return SCREEN_WEIGHT * (dr.square(x - 0.5 - right) + dr.square(y - 0.5 - down))
