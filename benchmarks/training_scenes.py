@@ -105,7 +105,7 @@ def render_files(folder: Path, seed: int, size: int, reference_spp: int) -> bool
         if spp:
             write_frame(path, render_frame(scene, spp=spp, seed=noise))
         else:
-            write_frame(path, render_reference(scene, spp=-(-reference_spp // 2), seed=noise))
+            write_frame(path, render_reference(scene, spp=-(-reference_spp // 2), seed=noise), half=False)
     return True
 
 

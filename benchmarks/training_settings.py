@@ -33,6 +33,9 @@ from training_materials import (
 CLEARANCE, NEAREST = 0.5, 3.0
 """Least distance from the camera to an object's surface, and from it to the middle in radii: none fills the picture."""
 
+LAMP_CLEARANCE = 2.0
+"""Least distance from the camera to a lamp that hangs in a dark room."""
+
 UNSEEN = 0.15
 """How often an object may stand outside of the picture, to be seen in others or to cast its shadow."""
 
@@ -264,10 +267,10 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
         for _ in range(int(generator.integers(2, 6 if kind == "several" else 4))):
             own = _scale_color(_draw_light_color(generator, 0.6) * color, light * draw_log(generator, 0.4, 2.0))
             at_x, at_z = (float(generator.uniform(-0.85, 0.85) * each) for each in half)
-            size = (draw_log(generator, 0.12, 0.5), draw_log(generator, 0.12, 0.5))
+            size = (draw_log(generator, 0.15, 0.6), draw_log(generator, 0.15, 0.6))
             if kind == "uplights":
-                # Above the camera, facing up: what it sees is lit by the ceiling and the walls.
-                at_y = max(0.72 * height, stage.origin[1] + 0.2)
+                # It faces up, far enough from the ceiling for a wide spot there: most of what is seen is lit by that.
+                at_y = float(generator.uniform(0.5, 0.7) * height)
                 at_x = float(np.sign(at_x) * generator.uniform(0.6, 0.85) * x)
                 stage.add("uplight", make_light((at_x, at_y, at_z), (at_x, height, at_z), size, own))
             elif generator.random() < 0.4:
@@ -298,12 +301,14 @@ def make_room(generator: Generator, light: float, *, dark: bool = False) -> Stag
         float(generator.uniform(-0.6, 0.0) * half[1]),
     )
     _aim(stage, origin, target, float(generator.uniform(35.0, 80.0)))
-    _add_shell(stage, half, height, *((0.06, 0.4) if dark else (0.2, 0.85)))
+    _add_shell(stage, half, height, *((0.08, 0.5) if dark else (0.2, 0.85)))
     if dark:
-        for _ in range(int(generator.integers(2, 6))):
+        for _ in range(int(generator.integers(3, 8))):
             color = _scale_color(_draw_light_color(generator, 1.0), light * draw_log(generator, 0.5, 2.0))
             at = [float(generator.uniform(-0.8, 0.8) * each) for each in half]
-            center = (at[0], float(generator.uniform(0.15, 0.8) * height), min(at[1], origin[2] - 2.5))
+            center = (at[0], float(generator.uniform(0.15, 0.9) * height), at[1])
+            if np.linalg.norm(np.subtract(center, origin)) < LAMP_CLEARANCE:
+                center = (center[0], center[1], -0.8 * half[1])
             _add_ball_lamp(stage, center, draw_log(generator, 0.08, 0.22), color)
     else:
         _add_room_lights(stage, half, height, light)
