@@ -97,19 +97,23 @@ def test_curved_surface_stands_for_itself(mi: Any) -> None:
 
 
 @pytest.mark.parametrize("place", [0.1, 0.3, 0.5, 0.8])
-@pytest.mark.parametrize("kind", ["texture", "silhouette", "step", "fold", "alpha"])
+@pytest.mark.parametrize("kind", ["texture", "silhouette", "step", "fold", "alpha", "kind"])
 def test_upright_edge(mi: Any, kind: str, place: float) -> None:
     """Left of x = 8 + place is one surface and right of it another: the share is the place, whatever differs."""
     x = 8.0 + place
-    rough, smooth = ({"type": "roughconductor", "alpha": alpha} for alpha in (0.4, 0.15))
+    # So dark that albedos, which differ with the lobes, tell nothing.
+    dark = {"type": "roughconductor", "specular_reflectance": 0.02}
+    rough, smooth = ({**dark, "alpha": alpha} for alpha in (0.4, 0.15))
+    kindred = {**rough, "distribution": "ggx"}
     others = {
         "texture": {"back": make_wall(mi, paint(GREEN), z=-0.5)},
         "silhouette": {},
         "step": {"back": make_wall(mi, paint(RED), z=-20.0)},
         "fold": {"back": make_wall(mi, paint(RED), z=-0.5)},
         "alpha": {"back": make_wall(mi, smooth, z=-0.5)},
+        "kind": {"back": make_wall(mi, kindred, z=-0.5)},
     }
-    front = make_wall(mi, rough if kind == "alpha" else paint(RED), right=x)
+    front = make_wall(mi, rough if kind in ("alpha", "kind") else paint(RED), right=x)
     if kind == "fold":
         place_of = mi.ScalarTransform4f().translate([x, 0, 0]).rotate([0, 1, 0], 30)
         front["to_world"] = place_of.translate([-100, 0, 0]).scale(100)
@@ -159,14 +163,16 @@ def test_round_silhouette(mi: Any) -> None:
 
 
 def test_surface_of_no_centre_goes_to_a_surface(mi: Any) -> None:
-    """A wire that no centre meets, before a wall that ends there: rays that meet it count to the wall."""
-    wire = make_wall(mi, paint(GREEN), right=9.0, z=1.0)
+    """A wire that no centre meets, where a wall ends: rays that meet it count to the wall, however unlike it is."""
+    wire = make_wall(mi, {"type": "roughconductor", "alpha": 0.05}, right=9.0)
     wire["to_world"] = mi.ScalarTransform4f().translate([8.85, 0, 1.0]).scale([0.15, 100, 1])
     gbuffer = render(mi, wall=make_wall(mi, paint(RED), right=8.7), wire=wire)
     check_shares(gbuffer.coverage)
     assert gbuffer.position[..., 2].max() < 0.5
     assert np.array_equal(gbuffer.coverage[:, 8, 4], np.ones(SIZE))
-    assert np.allclose(gbuffer.mean_diffuse_albedo[:, 8, 1], 0.7 * 0.2 + 0.3 * 0.6, atol=EDGE * 0.6)
+    assert np.allclose(gbuffer.mean_diffuse_albedo[:, 8], 0.7 * np.array(RED), atol=EDGE)
+    # A metal without a colour reflects nearly all.
+    assert np.allclose(gbuffer.mean_specular_albedo[:, 8], 0.3, atol=EDGE + 0.03)
 
 
 @pytest.mark.parametrize("opacity", [0.3, 0.7])
