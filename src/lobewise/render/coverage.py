@@ -43,8 +43,12 @@ OTHER_KIND = 4.0
 ONLY_ONE = 1e6
 """What it adds that only one of two rays meets a surface: more than anything else, so that it is the last choice."""
 
-SCREEN_WEIGHT = 0.1
-"""Weight of the squared distance on the screen, in pixels: of surfaces that are alike the nearest stands for a ray."""
+SCREEN_WEIGHT = 0.3
+"""Weight of the squared distance on the screen, in pixels: of surfaces that are alike the nearest stands for a ray.
+
+Nothing here is critical: with any one of the scales halved or doubled, or this between 0.03 and 1, albedos rebuilt from
+those of the centres are at most a twentieth further from the true means. A larger one leaves more pixels to themselves.
+"""
 
 LEAST_LIGHT = 1e-3
 """Share of a ray that masks let through below which what is behind them no longer counts."""
