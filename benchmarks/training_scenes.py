@@ -84,11 +84,12 @@ def make_training_scene(seed: int, width: int, height: int) -> dict[str, Any]:
 
 def load_training_scene(seed: int, size: int) -> Any:
     """Return the ``mitsuba.Scene`` of a seed, from 1, ``size`` pixels a side."""
-    return mi.load_dict(make_training_scene(seed, size, size), optimize=False)
+    items = make_training_scene(seed, size, size)
+    return mi.load_dict(items, optimize=False)
 
 
 def list_files(folder: Path, seed: int) -> Iterator[tuple[Path, int, int]]:
-    """Yield path, share of the reference's samples or samples per pixel, and noise seed of all that a scene needs."""
+    """Yield path, samples per pixel (0 for a half of the reference) and noise seed of each file of a scene."""
     for spp in SAMPLES:
         yield folder / f"train-{seed}-{spp}.exr", spp, 1000 * seed + spp
     for k, half in enumerate("ab"):
