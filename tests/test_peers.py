@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lobewise import peers
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn
@@ -54,8 +56,11 @@ def test_guides_come_as_asked_for(full_frame: Frame, given: dict[str, Any]) -> N
     guides = full_frame.gbuffer
     assert guides.diffuse_albedo is not None
     assert guides.specular_albedo is not None
-    albedo = np.minimum(guides.diffuse_albedo + guides.specular_albedo, 1.0)
-    for kind, normal in (("centre", guides.normal), ("mean", guides.mean_normal)):
+    assert guides.mean_diffuse_albedo is not None
+    assert guides.mean_specular_albedo is not None
+    samples = np.minimum(guides.diffuse_albedo + guides.specular_albedo, 1.0)
+    area = np.minimum(guides.mean_diffuse_albedo + guides.mean_specular_albedo, 1.0)
+    for kind, normal, albedo in (("centre", guides.normal, samples), ("mean", guides.mean_normal, area)):
         denoise_oidn(full_frame, guides=kind, quality="fast")
         assert normal is not None
         np.testing.assert_array_equal(given["normal"], normal)
@@ -72,6 +77,32 @@ def test_a_frame_without_mean_normals_gives_its_own(
     denoise_oidn(without, guides="mean")
     np.testing.assert_array_equal(given["normal"], full_frame.gbuffer.normal)
     np.testing.assert_array_equal(given["albedo"], 1.0)
+
+
+@pytest.mark.parametrize("kind", ["mean", "prefiltered"])
+def test_an_albedo_without_a_mean_of_the_area_is_that_of_the_samples(
+    kind: str, full_frame: Frame, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(peers, "_prefilter", lambda name, image: image)
+    guides = full_frame.gbuffer
+    for missing in ("diffuse_albedo", "specular_albedo"):
+        without = replace(guides, **{f"mean_{missing}": None})
+        denoise_oidn(full_frame.with_changes(gbuffer=without), guides=kind)
+        parts = [
+            getattr(guides, name if name == missing else f"mean_{name}")
+            for name in ("diffuse_albedo", "specular_albedo")
+        ]
+        np.testing.assert_array_equal(given["albedo"], np.minimum(parts[0] + parts[1], 1.0))
+
+
+def test_prefiltered_guides_are_made_of_the_means_of_the_area(full_frame: Frame, given: dict[str, Any]) -> None:
+    guides = full_frame.gbuffer
+    alone = GBuffer(normal=guides.mean_normal, diffuse_albedo=guides.mean_diffuse_albedo)
+    denoise_oidn(full_frame.with_changes(gbuffer=alone))
+    expected = given["albedo"]
+    both = replace(alone, diffuse_albedo=guides.diffuse_albedo, mean_diffuse_albedo=guides.mean_diffuse_albedo)
+    denoise_oidn(full_frame.with_changes(gbuffer=both))
+    np.testing.assert_array_equal(given["albedo"], expected)
 
 
 def test_prefiltered_guides_lose_their_noise_and_keep_their_edge(

@@ -31,12 +31,14 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
     ----------
     frame : Frame
         With normals; albedos are used where the frame has them (sum of diffuse and specular, clipped to [0, 1]).
+        ``mean_diffuse_albedo`` and ``mean_specular_albedo``, which have no noise of samples, come before the means over
+        the samples that the plain albedos are; not so with "centre".
     quality : {"fast", "balanced", "high"}
         "high" is the library's default. It holds for the radiance; guides are always prefiltered at "high".
     guides : {"prefiltered", "mean", "centre"}
-        "prefiltered": the mean over a pixel's samples of albedo and of normal, each through the library's own filter
-        for such images. "mean": the same as they come. "centre": the normal of the ray through the pixel's centre,
-        which a frame without ``mean_normal`` is given with the two others as well.
+        "prefiltered": the means over a pixel of albedo and of normal, each through the library's own filter for such
+        images. "mean": the same as they come. "centre": the normal of the ray through the pixel's centre, which a frame
+        without ``mean_normal`` is given with the two others as well.
 
     Returns
     -------
@@ -70,14 +72,20 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
 def _find_guides(frame: Frame, guides: str) -> tuple[FloatArray, FloatArray]:
     """Return albedo and normal as the library takes them: in [0, 1] and [-1, 1], writable."""
     gbuffer = frame.gbuffer
-    mean = gbuffer.mean_normal if guides != "centre" else None
-    normal = gbuffer.normal if mean is None else mean
+
+    def find(name: str) -> FloatArray | None:
+        """Return the mean over the pixel's area where it is there and asked for."""
+        mean: FloatArray | None = getattr(gbuffer, f"mean_{name}") if guides != "centre" else None
+        own: FloatArray | None = getattr(gbuffer, name)
+        return own if mean is None else mean
+
+    normal = find("normal")
     if normal is None:
         raise MissingChannelError(
             describe_problem("channel normal", expected="one", got="none", action="render it with the frame")
         )
     albedo = np.ones((*frame.shape, 3), dtype=np.float32)
-    parts = [part for part in (gbuffer.diffuse_albedo, gbuffer.specular_albedo) if part is not None]
+    parts = [part for part in (find("diffuse_albedo"), find("specular_albedo")) if part is not None]
     if parts:
         albedo = np.clip(np.sum(parts, axis=0, dtype=np.float32), 0.0, 1.0)
     return albedo, np.array(normal)
