@@ -171,7 +171,7 @@ def _filter_among(
         return new, np.ones(where[0].size, np.float32)
     spp = max(1, round(samples * (frame.spp or 1)))
     whole = Frame(radiance, frame.gbuffer, frame.camera, spp=spp, lobe_tables=frame.lobe_tables)
-    clean = denoise(whole)
+    clean = denoise(whole, quality="fast")
     parts = [None if part is None else part[where][:, None] for part in (clean.image, clean.diffuse, clean.specular)]
     assert parts[0] is not None
     return Radiance(parts[0], diffuse=parts[1], specular=parts[2]), clean.weight_sum[where]

@@ -412,6 +412,8 @@ class Result:
         Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
     variance : (height, width) or None
         Estimated variance of the image's luminance, where a history tells it.
+    energy_lost : float
+        Share of the light that was taken from fireflies before filtering, in [0, 1].
     settings : dict
         Every parameter that was used, defaults resolved.
     seconds : float
@@ -427,6 +429,7 @@ class Result:
     diffuse: FloatArray | None = None
     specular: FloatArray | None = None
     variance: FloatArray | None = None
+    energy_lost: float = 0.0
 
     @property
     def bad_pixel_count(self) -> int:

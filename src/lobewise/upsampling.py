@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.bad_pixels import find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import find_bad_pixels, find_good, refill, require_some_good
-from lobewise.denoising.settings import DenoiseSettings, resolve_settings
+from lobewise.denoising.recipe import refill
+from lobewise.denoising.settings import DenoiseSettings, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Frame, Result
 from lobewise.kernels.engine import FilterOutput
@@ -73,6 +74,7 @@ def upsample(
         raise InputError(
             describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
         )
+    require_plain(asked, "upsampling")
     chosen = resolve_settings(frame, asked, frame.scale)
     bad = find_bad_pixels(Frame(frame.radiance))
     require_some_good(bad, "sample")

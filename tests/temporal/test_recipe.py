@@ -109,7 +109,7 @@ class TestStill:
     def test_the_first_frame_is_that_of_the_recipe_without_time(self):
         for frame, alone in ((make_still(1)[0], denoise), (make_still(1, 4)[0], upsample)):
             own = TemporalFilter().add(frame)
-            expected = alone(frame).image
+            expected = alone(frame, quality="fast").image
             # A pixel's own sample counts a little more over time.
             assert np.abs(own.image - expected).max() < 0.02 * expected.max()
 

@@ -1,6 +1,7 @@
 """The public recipe: a noisy frame in, a clean one out."""
 
-from lobewise.denoising.recipe import denoise, find_bad_pixels
+from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.recipe import denoise
 from lobewise.denoising.settings import (
     DEFAULT_SIMILARITY,
     LARGEST_RADIUS,

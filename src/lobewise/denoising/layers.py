@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import MissingChannelError, describe_problem
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.guides import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
@@ -25,6 +25,18 @@ from lobewise.sparse_frame import AnyFrame
 
 NEAREST_HIT = 2.0
 """Hits count as no nearer than this many pixel footprints."""
+
+
+class Support(Protocol):
+    """How much a layer's filter gathered at every pixel, two images (height, width)."""
+
+    @property
+    def weight_sum(self) -> FloatArray:
+        """Sum of the weights."""
+
+    @property
+    def effective_samples(self) -> FloatArray:
+        """How many equal samples that is worth."""
 
 
 @dataclass(frozen=True)
@@ -145,18 +157,23 @@ def find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
 
 def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
     """Return the layers of a frame; ``extra`` features count in all of them."""
+    shared = (*make_position_features(frame, settings), *extra)
+    return [replace(layer, features=(*shared, *layer.features)) for layer in make_lobe_layers(frame, settings)]
+
+
+def make_lobe_layers(frame: AnyFrame, settings: DenoiseSettings) -> list[Layer]:
+    """Return the layers of a frame, compared by what they reflect alone."""
     guides, radiance = frame.gbuffer, frame.radiance
     normal = _require_channel(guides.normal, "normal", settings)
     apart = radiance.diffuse is not None and radiance.specular is not None
     assert not isinstance(settings.diffuse_beta, str)
     surface = find_surface(frame)
-    shared = [*make_position_features(frame, settings), *extra]
     specular, specular_mask = make_specular_features(frame, settings, surface, apart)
     if not apart:
         albedo = None
         if guides.diffuse_albedo is not None and guides.specular_albedo is not None:
             albedo = guides.diffuse_albedo + guides.specular_albedo
-        return [Layer(radiance.color, albedo, specular_mask, (*shared, *specular))]
+        return [Layer(radiance.color, albedo, specular_mask, tuple(specular))]
     assert radiance.diffuse is not None and radiance.specular is not None
     diffuse: list[Feature]
     if settings.similarity == "normal":
@@ -164,8 +181,8 @@ def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feat
     else:
         diffuse = [DiffuseFeature(normal, settings.diffuse_beta)]
     return [
-        Layer(radiance.diffuse, guides.diffuse_albedo, surface, (*shared, *diffuse)),
-        Layer(radiance.specular, guides.specular_albedo, specular_mask, (*shared, *specular)),
+        Layer(radiance.diffuse, guides.diffuse_albedo, surface, tuple(diffuse)),
+        Layer(radiance.specular, guides.specular_albedo, specular_mask, tuple(specular)),
     ]
 
 
@@ -184,7 +201,7 @@ def make_rest_layer(frame: AnyFrame, settings: DenoiseSettings, features: Sequen
     return [Layer(rest, None, everywhere, (*make_position_features(frame, settings), *features))]
 
 
-def find_support(layers: Sequence[Layer], outputs: Sequence[FilterOutput]) -> tuple[FloatArray, FloatArray]:
+def find_support(layers: Sequence[Layer], outputs: Sequence[Support]) -> tuple[FloatArray, FloatArray]:
     """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
 
     Where a surface reflects by no layer's lobe (a light, the background) those of the first layer count.

@@ -4,57 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer, find_support, make_layers
-from lobewise.denoising.settings import DenoiseSettings, resolve_settings
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.crossed import filter_balanced, make_noisy_layers, resolve_crossed
+from lobewise.denoising.layers import Layer, Support, find_support, make_layers
+from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
+from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
-
-
-def find_good(image: FloatArray) -> NDArray[np.bool_]:
-    """Return where all three channels are finite and not negative.
-
-    Channel by channel: NumPy's reductions over an axis of three are several times slower.
-    """
-    # Not-finite compares false with everything, so the good side is what is tested.
-    each = (image >= 0.0) & (image <= np.finfo(np.float32).max)
-    good: NDArray[np.bool_] = each[..., 0] & each[..., 1] & each[..., 2]
-    return good
-
-
-def blacken_bad(image: FloatArray) -> FloatArray:
-    """Return ``image`` with 0 where a pixel is not finite or negative."""
-    good = find_good(image)
-    return image if good.all() else np.where(good[..., None], image, np.float32(0.0))
-
-
-def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
-    """Return where any radiance of the frame is NaN, infinite or negative, shape (height, width)."""
-    bad = np.zeros(frame.shape, dtype=bool)
-    for image in (frame.radiance.color, frame.radiance.diffuse, frame.radiance.specular):
-        if image is not None:
-            bad |= ~find_good(image)
-    return bad
-
-
-def require_some_good(bad: NDArray[np.bool_], what: str) -> None:
-    """Raise InputError if all of ``bad`` are; ``what`` they are is a pixel or a sample."""
-    if bad.all():
-        raise InputError(
-            describe_problem(
-                "radiance",
-                expected=f"at least one {what} that is finite and not negative",
-                got=f"{bad.size} bad {what}s of {bad.size}",
-                action="check the render or the channel mapping",
-            )
-        )
 
 
 def refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
@@ -120,40 +83,75 @@ def denoise(
     start = time.perf_counter()
     for name in changes:
         require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
-    chosen = resolve_settings(frame, replace(settings or DenoiseSettings(), **changes))
+    asked = replace(settings or DenoiseSettings(), **changes)
+    chosen = resolve_settings(frame, asked)
+    quality = choose_quality(asked)
+    if quality != "fast":
+        chosen = resolve_crossed(frame, replace(asked, quality=quality), chosen)
     bad = find_bad_pixels(frame)
     require_some_good(bad, "pixel")
-    layers = make_layers(frame, chosen, features)
-    outputs = [
-        run_filter(
-            layer.radiance,
-            layer.mask,
-            layer.features,
-            form=chosen.form,
-            radius=chosen.radius,
-            albedo=layer.albedo,
-            device=chosen.device,
-        )
-        for layer in layers
-    ]
-    parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
-    image = compose(frame, parts)
-    untouched = np.logical_and.reduce([output.weight_sum <= 0.0 for output in outputs])
-    holes = ~find_good(image) | (bad & untouched)
+    found = filter_plain(frame, chosen, features) if quality == "fast" else filter_crossed(frame, chosen, features)
+    image = compose(frame, found.parts)
+    holes = ~find_good(image) | (bad & found.untouched)
     if holes.any():
         image = refill(image, holes, chosen)
-    apart = len(parts) == 2
-    weight_sum, effective_samples = find_support(layers, outputs)
+    apart = len(found.parts) == 2
+    weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
         image=image,
-        diffuse=blacken_bad(parts[0]) if apart else None,
-        specular=blacken_bad(parts[1]) if apart else None,
+        diffuse=blacken_bad(found.parts[0]) if apart else None,
+        specular=blacken_bad(found.parts[1]) if apart else None,
         weight_sum=weight_sum,
         effective_samples=effective_samples,
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
+        energy_lost=found.energy_lost,
     )
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """The layers of a frame, what became of their radiance, and by how much support."""
+
+    layers: Sequence[Layer]
+    parts: Sequence[FloatArray]
+    supports: Sequence[Support]
+    energy_lost: float = 0.0
+
+    @property
+    def untouched(self) -> NDArray[np.bool_]:
+        """Where no layer gathered anything, (height, width)."""
+        nothing: NDArray[np.bool_] = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
+        return nothing
+
+
+def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
+    """Filter every layer in one pass, by its guides alone."""
+    layers = make_layers(frame, settings, features)
+    outputs = [
+        run_filter(
+            layer.radiance,
+            layer.mask,
+            layer.features,
+            form=settings.form,
+            radius=settings.radius,
+            albedo=layer.albedo,
+            device=settings.device,
+        )
+        for layer in layers
+    ]
+    parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
+    return Filtered(layers, parts, outputs)
+
+
+def filter_crossed(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
+    """Filter the halves of every layer, each by what the other half tells as well."""
+    noisy = make_noisy_layers(frame, settings, features)
+    clean = [filter_balanced(frame, each, settings) for each in noisy]
+    given = sum(each.given for each in noisy)
+    lost = sum(each.lost for each in noisy) / given if given > 0.0 else 0.0
+    return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

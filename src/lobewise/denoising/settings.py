@@ -20,6 +20,9 @@ DEFAULT_SIMILARITY = "ggx"
 USE_HITS = False
 """Whether "auto" compares what lobes hit."""
 LARGEST_RADIUS = 64
+QUALITIES = ("auto", "fast", "balanced", "high")
+DEFAULT_QUALITY = "balanced"
+"""What "auto" takes for the full form."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,11 @@ class DenoiseSettings:
 
     Parameters
     ----------
+    quality : {"auto", "fast", "balanced", "high"}
+        How the noise enters. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and "high"
+        filter two halves of the samples, each by weights that the other half tells as well; "high" does so several
+        times and mixes what comes out pixel by pixel. "auto" takes "balanced" for the full form and "fast" for the
+        others, which have nothing else; so have upsampling and histories.
     similarity : {"auto", "normal", "sg", "sg_mixture", "asg", "ggx"}
         What is compared on specular pixels: shading normals, one spherical Gaussian per lobe, a sum of them, one
         anisotropic spherical Gaussian, or the GGX covariance of the lobe. "auto" takes "ggx" where the frame has
@@ -60,6 +68,7 @@ class DenoiseSettings:
         With "sg", "asg" and "ggx": compare footprints on what the lobes hit (see `lobewise.lobes.hits`).
     """
 
+    quality: str = "auto"
     similarity: str = "auto"
     form: str = "full"
     radius: int = 8
@@ -75,8 +84,18 @@ class DenoiseSettings:
     hit_distance: bool | str = "auto"
 
     def __post_init__(self) -> None:
+        require_choice("quality", self.quality, QUALITIES)
         require_choice("similarity", self.similarity, SIMILARITIES)
         require_choice("form", self.form, FORMS)
+        if self.quality in ("balanced", "high") and self.form != "full":
+            raise InputError(
+                describe_problem(
+                    "form",
+                    expected=f"'full' with quality {self.quality!r}",
+                    got=repr(self.form),
+                    action="use quality 'fast' for the other forms",
+                )
+            )
         if isinstance(self.radius, bool) or not isinstance(self.radius, int) or not 0 <= self.radius <= LARGEST_RADIUS:
             raise InputError(
                 describe_problem(
@@ -111,6 +130,26 @@ class DenoiseSettings:
 def _require_positive(name: str, value: Any, expected: str) -> None:
     if isinstance(value, str) or not (math.isfinite(value) and value > 0.0):
         raise InputError(describe_problem(name, expected=expected, got=repr(value), action="leave it out if unsure"))
+
+
+def choose_quality(settings: DenoiseSettings) -> str:
+    """Return the quality that "auto" stands for in `denoise`; others are returned as they are."""
+    if settings.quality != "auto":
+        return settings.quality
+    return DEFAULT_QUALITY if settings.form == "full" else "fast"
+
+
+def require_plain(settings: DenoiseSettings, what: str) -> None:
+    """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
+    if settings.quality not in ("auto", "fast"):
+        raise InputError(
+            describe_problem(
+                "quality",
+                expected=f"'fast' for {what}",
+                got=repr(settings.quality),
+                action="leave it out, or denoise frame by frame",
+            )
+        )
 
 
 def choose_similarity(frame: AnyFrame, similarity: str) -> str:
@@ -180,7 +219,7 @@ def can_use_hits(frame: AnyFrame) -> bool:
 
 
 def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1) -> DenoiseSettings:
-    """Return ``settings`` with every "auto" replaced by what it stands for on this frame.
+    """Return ``settings`` with every "auto" replaced by what it stands for on this frame, for the quality "fast".
 
     With one of ``scale`` times ``scale`` pixels shaded there are fewer samples for the same area, so the screen sigma
     and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
@@ -196,6 +235,7 @@ def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1)
         tau = max(scale * choose_tau(math.sqrt(spp * (frame.spp or spp)), 0.0), pixel_tau)
     return replace(
         settings,
+        quality="fast",
         tau=float(tau),
         screen_sigma=choose_screen_sigma(density * spp, settings.radius * scale) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),

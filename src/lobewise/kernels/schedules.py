@@ -5,6 +5,7 @@ from __future__ import annotations
 import halide as hl
 
 from lobewise.kernels.cross_filter import PassFuncs
+from lobewise.kernels.crossed import COLORS, GUIDE_CHANNELS, HALVES, OUTPUTS, CrossedFuncs
 from lobewise.kernels.history import ReprojectionFuncs
 from lobewise.kernels.joining import JoiningFuncs
 
@@ -56,6 +57,37 @@ def _keep_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl
     x, y, c = variables
     func.bound(c, 0, channels).reorder_storage(x, c, y).align_storage(x, lanes).reorder(c, x, y)
     func.vectorize(x, lanes).unroll(c).never_partition_all()
+
+
+def schedule_crossed_cpu(funcs: CrossedFuncs, target: hl.Target) -> None:
+    """Strips of rows in parallel, columns in vectors, one row of taps at a time.
+
+    What it rests on: the sums of a row of taps stay in registers, and those of a tile are updated once for each row;
+    logarithms of all weights of a row of taps, which all variants share, lie in the first-level cache.
+    """
+    x, y, c = funcs.x, funcs.y, funcs.c
+    lanes = target.natural_vector_size(hl.Float(32))
+    out, tail = funcs.out, hl.TailStrategy.GuardWithIf
+    xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
+    rows, strip, columns = 8, 32, 4 * lanes
+    out.bound(c, 0, OUTPUTS * funcs.variants)
+    out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
+    out.reorder(c, xi, yi, xo, yo, ys).unroll(c).vectorize(xi, lanes).parallel(ys).never_partition_all()
+    sums, row = funcs.sums, funcs.row
+    sums.compute_at(out, xo).vectorize(x, lanes)
+    sums.update().split(x, xv, xw, lanes).reorder(xw, xv, y, funcs.down.x).vectorize(xw)
+    row.compute_at(sums, xv).vectorize(x, lanes)
+    row.update().reorder(x, funcs.across.x).vectorize(x, lanes)
+    for stage in funcs.stages:
+        stage.compute_at(sums, xv).vectorize(x, lanes)
+    _keep_rows(funcs.images.compute_at(out, ys), HALVES * (COLORS + 1), (x, y, c), lanes)
+    if funcs.guide is not None:
+        _keep_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), lanes)
+    for planes, plane_count, guides, guide_count in funcs.sides:
+        if planes is not None:
+            _keep_rows(planes.compute_at(out, ys), plane_count, (x, y, c), lanes)
+            if guides is not None:
+                _keep_rows(guides.compute_at(planes, x), guide_count, (x, y, c), lanes)
 
 
 def schedule_joining_cpu(funcs: JoiningFuncs, target: hl.Target) -> None:

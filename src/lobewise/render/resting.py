@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.recipe import find_good
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import FloatArray
 from lobewise.sparse_frame import SparseFrame
 

@@ -12,17 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.chunks import map_chunks
+from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import (
-    blacken_bad,
-    compose,
-    find_bad_pixels,
-    find_good,
-    keep_unfiltered,
-    refill,
-    require_some_good,
-)
-from lobewise.denoising.settings import DenoiseSettings, estimate_spp, resolve_settings
+from lobewise.denoising.recipe import compose, keep_unfiltered, refill
+from lobewise.denoising.settings import DenoiseSettings, estimate_spp, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
@@ -170,6 +163,7 @@ class TemporalFilter:
         asked = self._settings
         if asked is None:
             asked = replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
+        require_plain(asked, "a filter with history")
         if sparse and asked.form != "full":
             raise InputError(
                 describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")

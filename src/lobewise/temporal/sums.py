@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.recipe import find_good
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
 from lobewise.kernels.history import HISTORY_CHANNELS

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.denoising import DenoiseSettings, denoise
-from lobewise.denoising.recipe import find_good
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.settings import resolve_settings
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result

@@ -1,0 +1,203 @@
+"""Variance-aware filtering: every half of the samples is filtered by weights that the other half tells.
+
+A lobe says which pixels reflect alike, not how fast what they reflect changes. That is seen in the image itself, once
+it has been filtered a little: a narrow pass over both halves gives two pilots, whose difference is their noise, and the
+wide pass that follows averages what is alike in lobes *and* no further apart in the other half's pilot than its noise.
+Sources: Rousselle, Knaus and Zwicker 2012 (dual buffers, crossed weights); Schied et al. 2017, "Spatiotemporal
+Variance-Guided Filtering" (colour weights that follow the filtered variance); Tokuyoshi 2015 (the lobe weights).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features
+from lobewise.denoising.noise import find_halves
+from lobewise.denoising.settings import DenoiseSettings
+from lobewise.frame import FloatArray, Frame
+from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
+from lobewise.kernels.features import Feature
+from lobewise.kernels.fireflies import bound_fireflies
+from lobewise.kernels.noise_guides import make_noise_guide
+from lobewise.kernels.resolving import resolve_coverage
+from lobewise.lobes.field import default_tau
+from lobewise.lobes.vectors import LUMINANCE
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass over both halves.
+
+    Parameters
+    ----------
+    radius : int
+        Taps from the centre to the edge of the kernel, at radius 8 of the settings.
+    sigma : float
+        Standard deviation of the distance on the screen, pixels, and in the scene, pixel footprints, at radius 8.
+    lobes : float
+        Exponent of the lobe similarity, over that of the settings.
+    noise : float or None
+        Variances that a squared difference of the guide is divided by; None for no guide.
+    step : int
+        Pixels from tap to tap, at radius 8. Above 1 the pass averages what the one before gave, else the samples.
+    """
+
+    radius: int
+    sigma: float
+    lobes: float = 1.0
+    noise: float | None = None
+    step: int = 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The passes of a layer, each guided by the one before, and what "auto" is as exponent of its lobe similarity."""
+
+    passes: tuple[Pass, ...]
+    beta: float
+
+
+DIFFUSE = Plan(
+    (Pass(5, 6.0, lobes=4.0), Pass(6, 30.0, noise=4.0), Pass(3, 30.0, noise=2.0, step=4)),
+    beta=2.0,
+)
+SPECULAR = Plan((Pass(5, 4.0, lobes=2.0), Pass(6, 22.0, noise=2.0)), beta=1.0)
+"""Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
+the first gave reaches as far as a dense kernel of three times the cost. Reflections are too sharp for that."""
+
+WIDEST = 30.0
+"""Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
+TAU = 0.01
+"""Band-limit of the lobes, radians, where settings say "auto": the guides see the noise, so lobes need not be widened
+for it."""
+
+
+def resolve_crossed(frame: Frame, settings: DenoiseSettings, plain: DenoiseSettings) -> DenoiseSettings:
+    """Return ``settings`` with what "auto" stands for where the noise is known; ``plain`` is what it does elsewhere."""
+    pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    return replace(
+        plain,
+        quality=settings.quality,
+        beta=SPECULAR.beta if settings.beta == "auto" else settings.beta,
+        diffuse_beta=DIFFUSE.beta if settings.diffuse_beta == "auto" else settings.diffuse_beta,
+        tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
+        screen_sigma=WIDEST * settings.radius / 8.0 if settings.screen_sigma == "auto" else settings.screen_sigma,
+    )
+
+
+@dataclass(frozen=True)
+class NoisyLayer:
+    """One radiance in two halves, fireflies bounded, with what it is compared by and how far it is averaged."""
+
+    layer: Layer
+    name: str
+    halves: tuple[FloatArray, FloatArray]
+    plan: Plan
+    lost: float
+    """Luminance that was taken from fireflies, summed over both halves."""
+    given: float
+    """Luminance that there was."""
+
+
+@dataclass(frozen=True)
+class CleanLayer:
+    """What became of a layer.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+        Filtered radiance, albedo included; the noisy one where nothing was gathered.
+    weight_sum, effective_samples : (height, width)
+        See `lobewise.kernels.crossed_runs.Crossed`.
+    """
+
+    image: FloatArray
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+
+
+def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature]) -> list[NoisyLayer]:
+    """Return the layers of a frame with both their halves; ``extra`` features count like the lobes."""
+    halves = find_halves(frame)
+    layers = make_lobe_layers(frame, settings)
+    named = [("diffuse", DIFFUSE), ("specular", SPECULAR)] if len(layers) == 2 else [("color", SPECULAR)]
+    found = []
+    for layer, (name, plan) in zip(layers, named, strict=True):
+        before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
+        a, b, _ = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
+        given, left = (sum(_sum_luminance(half) for half in both) for both in (before, (a, b)))
+        compared = replace(layer, features=(*layer.features, *extra))
+        found.append(NoisyLayer(compared, name, (a, b), plan, given - left, given))
+    return found
+
+
+def _sum_luminance(image: FloatArray) -> float:
+    """Return the sum of the luminance of all good pixels."""
+    channels = [np.nansum(np.where(np.isfinite(image[..., k]), image[..., k], 0.0), dtype=np.float64) for k in range(3)]
+    return float(np.dot(channels, LUMINANCE))
+
+
+def run_pass(
+    frame: Frame, noisy: NoisyLayer, number: int, before: Crossed | None, settings: DenoiseSettings
+) -> Crossed:
+    """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
+    layer, chosen = noisy.layer, noisy.plan.passes[number]
+    assert not isinstance(settings.screen_sigma, str)
+    scale = settings.radius / 8.0
+    sigma = max(chosen.sigma * settings.screen_sigma / WIDEST, 0.5)
+    position = sigma * settings.position_sigma / DenoiseSettings().position_sigma
+    place = make_position_features(frame, replace(settings, screen_sigma=sigma, position_sigma=position))
+    guide = None
+    if before is not None and chosen.noise is not None:
+        guide = make_noise_guide(before.a, before.b, layer.mask, settings.device)
+    sparse = before is not None and chosen.step > 1
+    (found,) = run_crossed(
+        (before.a, before.b) if before is not None and sparse else noisy.halves,
+        layer.mask,
+        place,
+        layer.features,
+        [Exponents(1.0, chosen.lobes, 1.0)],
+        radius=chosen.radius if sparse else round(chosen.radius * scale),
+        step=max(round(chosen.step * scale), 1),
+        albedo=None if sparse else layer.albedo,
+        guide=guide,
+        noise=chosen.noise or 1.0,
+        device=settings.device,
+    )
+    return found
+
+
+def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> CleanLayer:
+    """Filter a layer by its plan."""
+    found: Crossed | None = None
+    weight_sum: FloatArray | None = None
+    for number, chosen in enumerate(noisy.plan.passes):
+        found = run_pass(frame, noisy, number, found, settings)
+        # Sparse passes average averages: what they gather is no count of samples.
+        if chosen.step == 1:
+            weight_sum, effective_samples = found.weight_sum, found.effective_samples
+    assert found is not None and weight_sum is not None
+    return finish_layer(frame, noisy, found.mean, weight_sum, effective_samples)
+
+
+def finish_layer(
+    frame: Frame, noisy: NoisyLayer, light: FloatArray, weight_sum: FloatArray, effective_samples: FloatArray
+) -> CleanLayer:
+    """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known."""
+    guides, albedo = frame.gbuffer, noisy.layer.albedo
+    means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo}
+    mean = means.get(noisy.name)
+    lit = noisy.layer.mask & (weight_sum > 0.0)
+    if guides.coverage is not None and mean is not None and albedo is not None:
+        light, lit = resolve_coverage(light, lit, mean, guides.coverage)
+        albedo = mean
+    if albedo is not None:
+        good = (albedo >= 0.0) & np.isfinite(albedo)
+        light = light * (albedo if good.all() else np.where(good, albedo, np.float32(0.0)))
+    raw = noisy.layer.radiance
+    kept = raw if lit.all() else np.where(find_good(raw)[..., None], raw, np.float32(np.nan))
+    return CleanLayer(np.where(lit[..., None], light, kept), weight_sum, effective_samples)
