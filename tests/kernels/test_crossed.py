@@ -1,0 +1,536 @@
+"""Both halves filtered by each other's weights, against the definition in float64 and what follows from it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import halide as hl
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray
+from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
+from lobewise.kernels.engine import count_compiled_kernels
+from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
+from lobewise.kernels.lobe_features import DiffuseFeature
+from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
+
+FloatImage = NDArray[np.float64]
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+FLOOR = 1e-3
+NOISE_FLOOR = 1e-4
+# A weight is out by 3e-4 of itself, from the kernels' logarithms to a power of 4 and their exponential (2 % where the
+# similarity itself is approximate, ggx and diffuse), times the exponent; a mean and a sum of squares by twice that.
+WEIGHT = 1e-3
+APPROXIMATE = 2e-2
+# Of a mean of equal values.
+ROUNDING = 2e-6
+# Two kernels, or one with its arguments in another order: logarithms of weights, some tens and more, rounded otherwise.
+REORDERED = 2e-5
+SHAPES = [(1, 1), (1, 9), (40, 2), (33, 17), (70, 65)]
+
+
+class ToneFeature(Feature):
+    """Own feature, ``exp(-strength (|t_i - t_j| + |m_i - m_j|^2))``: tone t of one channel, mark m of two."""
+
+    def __init__(self, tone: FloatArray, mark: FloatArray, strength: float) -> None:
+        self.tone, self.mark, self.strength = tone, mark, strength
+
+    def get_arrays(self) -> tuple[FloatArray, ...]:
+        return self.tone, self.mark
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (self.strength,)
+
+    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
+        return [inputs[0] * parameters[0], inputs[1], inputs[2]]
+
+    def log2_similarity(
+        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+    ) -> hl.Expr:
+        squared = stage((i[1] - j[1]) * (i[1] - j[1]) + (i[2] - j[2]) * (i[2] - j[2]))
+        return -hl.f32(LOG2_E) * (hl.abs(i[0] - j[0]) + parameters[0] * squared)
+
+    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
+        tone, mark = (array[i].astype(np.float64) - array[j] for array in (self.tone, self.mark))
+        return np.asarray(np.exp(-self.strength * (np.abs(tone) + np.sum(mark * mark, axis=-1))))
+
+
+def make_own_feature(kind: str, shape: tuple[int, int]) -> Feature:
+    """Return a feature of a random frame: one of those that there are, or the one above."""
+    rng = np.random.default_rng(shape)
+    if kind == "diffuse":
+        # Normals that do not face apart: what is approximate is small beside the similarity.
+        return DiffuseFeature(make_directions(rng, shape, 0.15), 4.0)
+    if kind != "tone":
+        return make_feature(kind, shape)
+    tone, mark = rng.random(shape).astype(np.float32), rng.random((*shape, 2)).astype(np.float32)
+    return ToneFeature(tone, mark, 1.5)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What decides the code of a crossed pass, and the exponents that it is tried with."""
+
+    radius: int
+    place: tuple[str, ...]
+    lobes: tuple[str, ...]
+    demodulate: bool
+    guided: bool
+    variants: tuple[Exponents, ...]
+    tolerance: float = WEIGHT
+
+
+# Every one compiles a kernel.
+STANDARD = Case(3, ("screen",), ("sg",), True, True, (Exponents(1.0, 0.5, 1.0), Exponents(0.5, 2.0, 0.3)))
+CASES = {
+    "own sample": Case(0, ("screen",), (), True, False, (Exponents(1.0, 1.0),)),
+    "unguided": Case(
+        1, ("position",), ("diffuse",), True, False, (Exponents(1.0, 0.5), Exponents(0.0, 1.0)), APPROXIMATE
+    ),
+    "three variants": Case(
+        2,
+        ("screen", "position"),
+        ("ggx",),
+        False,
+        True,
+        (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.0, 0.5), Exponents(0.0, 0.0, 0.0)),
+        APPROXIMATE,
+    ),
+    "standard": STANDARD,
+    "no features": Case(4, (), (), False, False, (Exponents(1.0, 1.0),)),
+    "own feature": Case(5, ("screen",), ("tone",), False, True, (Exponents(1.0, 2.0, 0.25),)),
+}
+
+
+@dataclass(frozen=True)
+class Given:
+    """The arguments of a crossed pass."""
+
+    halves: tuple[FloatArray, FloatArray]
+    mask: NDArray[np.bool_]
+    place: list[Feature]
+    lobes: list[Feature]
+    variants: Sequence[Exponents]
+    radius: int
+    step: int = 1
+    albedo: FloatArray | None = None
+    guide: FloatArray | None = None
+    noise: float = 2.0
+
+    def run(self) -> list[Crossed]:
+        """Return what the kernel gives."""
+        return run_crossed(*_split(self), **_name(self))
+
+    def run_oracle(self) -> list[Found]:
+        """Return what the definition gives."""
+        return cross_reference(*_split(self), **_name(self))
+
+
+def _split(given: Given) -> tuple[Any, ...]:
+    return given.halves, given.mask, given.place, given.lobes, given.variants
+
+
+def _name(given: Given) -> dict[str, Any]:
+    return {name: getattr(given, name) for name in ("radius", "step", "albedo", "guide", "noise")}
+
+
+class Found(NamedTuple):
+    """What a variant gives, float64; see `Crossed`."""
+
+    a: FloatImage
+    b: FloatImage
+    weight_sum: FloatImage
+    effective_samples: FloatImage
+
+
+def find_good(half: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | None) -> NDArray[np.bool_]:
+    """Return which pixels of a half count."""
+    good = mask & np.isfinite(half).all(axis=-1) & (half >= 0.0).all(axis=-1)
+    if albedo is not None:
+        good &= np.isfinite(albedo).all(axis=-1) & (albedo >= 0.0).all(axis=-1) & (albedo.max(axis=-1) > FLOOR)
+    return good
+
+
+def find_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
+    """Return radiance over albedo."""
+    divisor = np.ones(3) if albedo is None else np.where(albedo > FLOOR, albedo, FLOOR).astype(np.float64)
+    return np.asarray(half / divisor)
+
+
+def cross_reference(
+    halves: tuple[FloatArray, FloatArray],
+    mask: NDArray[np.bool_],
+    place: Sequence[Feature],
+    lobes: Sequence[Feature],
+    variants: Sequence[Exponents],
+    *,
+    radius: int,
+    step: int = 1,
+    albedo: FloatArray | None = None,
+    guide: FloatArray | None = None,
+    noise: float = 1.0,
+) -> list[Found]:
+    """Return ``sum_j w_X I_X / sum_j w_X`` of both halves X, offset by offset, from the definition."""
+    height, width = mask.shape
+    share = np.ones(mask.shape)
+    if albedo is not None:
+        share = np.where(np.isfinite(albedo) & (albedo >= 0.0), albedo, 0.0).astype(np.float64) @ LUMINANCE
+    good = [find_good(half, mask, albedo) for half in halves]
+    light = [find_light(np.where(g[..., None], half, 0.0), albedo) for half, g in zip(halves, good, strict=True)]
+    # Of every variant and half: light, weight, squared weight.
+    sums = np.zeros((len(variants), 2, height, width, 5))
+    reach = range(-radius * step, radius * step + 1, step)
+    for down, right in ((down, right) for down in reach for right in reach):
+        rows = np.arange(max(0, -down), min(height, height - down))
+        columns = np.arange(max(0, -right), min(width, width - right))
+        i_all = np.meshgrid(rows, columns, indexing="ij")
+        both = mask[i_all[0], i_all[1]] & mask[i_all[0] + down, i_all[1] + right]
+        i = i_all[0][both], i_all[1][both]
+        j = i[0] + down, i[1] + right
+        if i[0].size == 0:
+            continue
+        alike = [
+            np.prod([feature.get_similarity(i, j) for feature in group] or [np.ones(i[0].shape)], axis=0)
+            for group in (place, lobes)
+        ]
+        apart = np.zeros((2, *i[0].shape))
+        if guide is not None:
+            g_i, g_j = guide[i].astype(np.float64), guide[j].astype(np.float64)
+            v_i, v_j = g_i[:, 6], g_j[:, 6]
+            for half in range(2):
+                squared = np.mean((g_i - g_j)[:, 3 * half : 3 * half + 3] ** 2, axis=-1)
+                unexplained = squared - (v_i + np.minimum(v_i, v_j))
+                apart[half] = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + noise * (v_i + v_j))
+        for number, (of_place, of_lobes, of_range) in enumerate(variants):
+            for half in range(2):
+                weight = alike[0] ** of_place * alike[1] ** of_lobes * np.exp(-of_range * apart[1 - half])
+                weight = weight * share[j] * good[half][j]
+                terms = [weight[:, None] * light[half][j], weight[:, None], weight[:, None] ** 2]
+                sums[number, half][i] += np.concatenate(terms, axis=-1)
+    return [_find_means(each, mask, share) for each in sums]
+
+
+def _find_means(sums: FloatImage, mask: NDArray[np.bool_], share: FloatImage) -> Found:
+    total = sums[..., 3]
+    some = total > 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.where(some[..., None], sums[..., :3] / total[..., None], 0.0)
+        spread = np.where(some, sums[..., 4] / total**2, 1.0)
+    a, b = (np.where(some[half][..., None], means[half], means[1 - half]) for half in range(2))
+    weight_sum = 0.5 * (total[0] + total[1]) / np.maximum(share, FLOOR)
+    # A half that has nothing takes the other's mean, and the mean of both is worth what that is.
+    both, one = 4.0 / (spread[0] + spread[1]), 1.0 / np.where(some[0], spread[0], spread[1])
+    effective = np.where(some.all(axis=0), both, np.where(some.any(axis=0), one, 0.0))
+    return Found(a, b, np.where(mask, weight_sum, 0.0), np.where(mask, effective, 0.0))
+
+
+def make_given(case: Case, shape: tuple[int, int], *, clean: bool = False, step: int = 1) -> Given:
+    """Return random halves and guides: a tenth each is bad in one half, in the other, in the albedo, masked."""
+    rng = np.random.default_rng([case.radius, *shape])
+    albedo = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
+    guide = rng.normal(0.0, 0.5, (*shape, 7)).astype(np.float32)
+    guide[..., 6] = np.exp(rng.uniform(np.log(1e-3), np.log(0.3), shape))
+    mask = make_mask(shape)
+    bad = not clean and shape != (1, 1)
+    if bad:
+        mask &= rng.random(shape) > 0.1
+        albedo[rng.random((*shape, 3)) < 0.1] = 0.0
+        dark = rng.random(shape) < 0.05
+        albedo[dark] = rng.choice([0.0, 0.9e-3, 1.1e-3], (int(dark.sum()), 1))
+    # A little is reflected where there is no albedo, as by rounding: of the order of the floor.
+    halves = tuple(make_radiance(shape, seed) * np.maximum(albedo, np.float32(0.5e-3)) for seed in (3, 4))
+    if bad:
+        # Half of what is masked is garbage, half would do.
+        hidden = ~mask & (rng.random(shape) > 0.5)
+        for half in halves:
+            lost = rng.random(shape) < 0.1
+            half[lost, rng.integers(0, 3)] = rng.choice([np.nan, np.inf, -np.inf, -1.0], int(lost.sum()))
+            half[hidden] = np.nan
+        albedo[rng.random((*shape, 3)) < 0.03] = np.nan
+        albedo[rng.random((*shape, 3)) < 0.03] = -1.0
+        albedo[hidden] = np.inf
+    place, lobes = ([make_own_feature(kind, shape) for kind in kinds] for kinds in (case.place, case.lobes))
+    return Given(
+        halves=(halves[0], halves[1]),
+        mask=mask,
+        place=place,
+        lobes=lobes,
+        variants=case.variants,
+        radius=case.radius,
+        step=step,
+        albedo=albedo if case.demodulate else None,
+        guide=guide if case.guided else None,
+    )
+
+
+def assert_agrees(given: Given, tolerance: float) -> None:
+    """Raise AssertionError where the kernel is not what the definition says."""
+    for number, (out, expected) in enumerate(zip(given.run(), given.run_oracle(), strict=True)):
+        for name, value in expected._asdict().items():
+            found = getattr(out, name)
+            message = f"variant {number}: {name}"
+            np.testing.assert_allclose(found, value, rtol=2.0 * tolerance, atol=1e-30, err_msg=message)
+            assert found.dtype == np.float32
+
+
+def get_bits(found: Sequence[Crossed]) -> bytes:
+    """Return the bits of every image."""
+    return b"".join(image.tobytes() for each in found for image in each)
+
+
+def assert_close(found: Sequence[Crossed], expected: Sequence[Crossed], rtol: float = REORDERED) -> None:
+    """Raise AssertionError unless all images of all variants are the same but for rounding."""
+    for one, other in zip(found, expected, strict=True):
+        for name, image in one._asdict().items():
+            np.testing.assert_allclose(image, getattr(other, name), rtol=rtol, err_msg=name)
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_agrees_with_the_definition(name: str, shape: tuple[int, int]) -> None:
+    case = CASES[name]
+    # All steps on one size, another one on each of the others.
+    steps = (1, 2, 3, 4) if shape == (33, 17) else (1 + (case.radius + SHAPES.index(shape)) % 4,)
+    for step in steps:
+        assert_agrees(make_given(case, shape, step=step), case.tolerance)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_pixels_are_there_to_be_seen(name: str) -> None:
+    given = make_given(CASES[name], (33, 17))
+    one, other = (find_good(half, given.mask, given.albedo) for half in given.halves)
+    assert (one & ~other).any()
+    assert (other & ~one).any()
+    assert (given.mask & ~one & ~other).any()
+    assert not given.mask.all()
+
+
+def test_a_half_of_bad_pixels_takes_the_mean_of_the_other() -> None:
+    given = make_given(STANDARD, (33, 17))
+    for empty in (0, 1):
+        halves = list(given.halves)
+        halves[empty] = np.full_like(halves[empty], np.nan)
+        changed = replace(given, halves=(halves[0], halves[1]))
+        assert_agrees(changed, STANDARD.tolerance)
+        for out in changed.run():
+            assert out.a.max() > 0.0
+            np.testing.assert_array_equal(out.a, out.b)
+    nothing = np.full_like(given.halves[0], -1.0)
+    for out in replace(given, halves=(nothing, nothing)).run():
+        for image in out:
+            assert not image.any()
+
+
+def test_halves_may_be_the_colours_of_a_checkerboard() -> None:
+    given = make_given(STANDARD, (33, 17))
+    even = (np.add.outer(np.arange(33), np.arange(17)) % 2 == 0)[..., None]
+    a, b = np.where(even, given.halves[0], np.nan), np.where(even, np.nan, given.halves[1])
+    assert_agrees(replace(given, halves=(a, b)), STANDARD.tolerance)
+    # With an even step every tap is of one colour: each pixel has one half alone.
+    assert_agrees(replace(given, halves=(a, b), step=2), STANDARD.tolerance)
+
+
+def test_a_far_tap_whose_square_underflows_is_one_sample() -> None:
+    given = make_given(STANDARD, (1, 4), clean=True)
+    alone = np.full((1, 4, 3), np.nan, np.float32)
+    alone[0, 3] = 2.0
+    # exp(-9 / (2 * 0.25^2)) is 5e-32, its square no float32.
+    far = replace(given, halves=(alone, alone), place=[ScreenFeature(0.25)], variants=[Exponents(1.0, 0.0)] * 2)
+    out = far.run()[0]
+    assert given.albedo is not None
+    np.testing.assert_allclose(out.a[0, 0], 2.0 / given.albedo[0, 3], rtol=1e-5)
+    assert out.weight_sum[0, 0] > 0.0
+    assert (out.weight_sum[0, 0] * (given.albedo[0, 0] @ LUMINANCE)) < 1e-30
+    # One of each half.
+    np.testing.assert_allclose(out.effective_samples, 2.0, rtol=1e-6)
+
+
+def test_weights_of_each_half_are_of_the_other_halfs_guide() -> None:
+    shape, edge = (21, 24), 12
+    given = make_given(STANDARD, shape, clean=True)
+    left = np.arange(24)[None, :, None] < edge
+    both = np.broadcast_to(np.where(left, 1.0, 3.0), (*shape, 3)).astype(np.float32)
+    # The guide of b alone shows the edge.
+    guide = np.zeros((*shape, 7), np.float32)
+    guide[:, edge:, 3:6] = 5.0
+    guide[..., 6] = 1e-3
+    out = replace(given, halves=(both, both), guide=guide, albedo=np.ones_like(both)).run()[0]
+    np.testing.assert_allclose(out.a, both, rtol=ROUNDING)
+    assert (out.b[:, edge - 1] > 1.1).all()
+    assert (out.b[:, edge] < 2.9).all()
+
+
+@pytest.mark.parametrize("name", ["unguided", "standard"])
+def test_the_impulse_response_is_the_weight(name: str) -> None:
+    case, shape = CASES[name], (11, 13)
+    given = make_given(case, shape, clean=True)
+    if given.guide is not None:
+        # One guide for both halves, so that they have one weight, whose sum is then known.
+        given.guide[..., 3:6] = given.guide[..., :3]
+    assert given.albedo is not None
+    share = given.albedo @ LUMINANCE
+    at = 5, 4
+    impulse = np.zeros((*shape, 3), np.float32)
+    impulse[at] = given.albedo[at]
+    reach = tuple(slice(k - case.radius, k + case.radius + 1) for k in at)
+    found = replace(given, halves=(impulse, 2.0 * impulse)).run()
+    rows, columns = (k[reach].ravel() for k in np.indices(shape))
+    i, j = (rows, columns), (np.full_like(rows, at[0]), np.full_like(rows, at[1]))
+    for out, (of_place, of_lobes, of_range) in zip(found, case.variants, strict=True):
+        alike = given.place[0].get_similarity(i, j) ** of_place * given.lobes[0].get_similarity(i, j) ** of_lobes
+        apart = np.zeros(rows.shape)
+        if given.guide is not None:
+            g_i, g_j = given.guide[i].astype(np.float64), given.guide[at].astype(np.float64)
+            unexplained = np.mean((g_i - g_j)[:, :3] ** 2, axis=-1) - g_i[:, 6] - np.minimum(g_i[:, 6], g_j[6])
+            apart = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + given.noise * (g_i[:, 6] + g_j[6]))
+        expected = np.zeros(shape)
+        expected[i] = alike * np.exp(-of_range * apart) * share[at]
+        for image, height in ((out.a, 1.0), (out.b, 2.0)):
+            answer = image[..., 1] * out.weight_sum * share
+            np.testing.assert_allclose(answer, height * expected, rtol=2.0 * case.tolerance, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["unguided", "three variants", "standard"])
+def test_constant_light_stays_constant(name: str) -> None:
+    given = make_given(CASES[name], (33, 20), clean=True)
+    light = np.array([0.37, 0.21, 1.4], np.float32)
+    image = np.broadcast_to(light, (33, 20, 3)) * (1.0 if given.albedo is None else given.albedo)
+    for out in replace(given, halves=(image, image)).run():
+        for half in (out.a, out.b, out.mean):
+            np.testing.assert_allclose(half, np.broadcast_to(light, half.shape), rtol=3e-6)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_means_lie_between_the_least_and_the_most_of_a_half(name: str) -> None:
+    given = make_given(CASES[name], (33, 17))
+    good = [find_good(half, given.mask, given.albedo) for half in given.halves]
+    lights = [find_light(half, given.albedo)[g] for half, g in zip(given.halves, good, strict=True)]
+    for out in given.run():
+        # Where a half has a sample of its own, it never needs the other's mean.
+        for image, light, g in zip((out.a, out.b), lights, good, strict=True):
+            assert (image[g] <= light.max(axis=0) * (1.0 + ROUNDING)).all()
+            assert (image[g] >= light.min(axis=0) * (1.0 - ROUNDING)).all()
+
+
+@pytest.mark.parametrize("name", ["unguided", "standard"])
+def test_a_brighter_frame_is_filtered_alike(name: str) -> None:
+    given = make_given(CASES[name], (33, 17))
+    a, b = given.halves
+    for out, brighter in zip(given.run(), replace(given, halves=(16.0 * a, 16.0 * b)).run(), strict=True):
+        # Powers of two round nothing.
+        np.testing.assert_array_equal(brighter.a, 16.0 * out.a)
+        np.testing.assert_array_equal(brighter.b, 16.0 * out.b)
+        np.testing.assert_array_equal(brighter.weight_sum, out.weight_sum)
+        np.testing.assert_array_equal(brighter.effective_samples, out.effective_samples)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_halves_that_change_places_change_results(name: str) -> None:
+    given = make_given(CASES[name], (33, 17))
+    guide = given.guide[..., [3, 4, 5, 0, 1, 2, 6]] if given.guide is not None else None
+    swapped = replace(given, halves=(given.halves[1], given.halves[0]), guide=guide)
+    back = [out._replace(a=out.b, b=out.a) for out in swapped.run()]
+    assert_close(back, given.run())
+
+
+@pytest.mark.parametrize("name", ["unguided", "three variants", "standard"])
+def test_a_variant_does_not_see_the_others(name: str) -> None:
+    given = make_given(CASES[name], (33, 17))
+    found = given.run()
+    count = len(found)
+    # The same kernel, the variants in turn.
+    turned = replace(given, variants=[*given.variants[1:], given.variants[0]]).run()
+    assert_close([turned[(k - 1) % count] for k in range(count)], found)
+    # Another kernel, one variant by itself.
+    if name == "unguided":
+        assert_close(replace(given, variants=given.variants[1:]).run(), found[1:])
+
+
+def test_exponents_of_zero_count_every_pixel_alike() -> None:
+    given = make_given(STANDARD, (9, 40), clean=True)
+    assert given.albedo is not None
+    out = replace(given, albedo=np.ones_like(given.albedo), variants=[Exponents(0.0, 0.0)] * 2).run()[1]
+    np.testing.assert_allclose(out.weight_sum[3:-3, 3:-3], 49.0, rtol=1e-5)
+    # What both halves' mean is worth: twice the pixels.
+    np.testing.assert_allclose(out.effective_samples[3:-3, 3:-3], 98.0, rtol=1e-5)
+    np.testing.assert_allclose(out.a[4, 5], given.halves[0][1:8, 2:9].mean(axis=(0, 1)), rtol=1e-5)
+
+
+def test_any_layout_of_the_arrays_will_do() -> None:
+    given = make_given(STANDARD, (33, 17))
+    expected = get_bits(given.run())
+    assert given.albedo is not None
+    assert given.guide is not None
+
+    def spread(array: NDArray[Any]) -> NDArray[Any]:
+        wide = np.zeros((array.shape[0], 2 * array.shape[1], *array.shape[2:]), array.dtype)
+        wide[:, ::2] = array
+        return wide[:, ::2]
+
+    def freeze(array: NDArray[Any]) -> NDArray[Any]:
+        frozen = array.copy()
+        frozen.flags.writeable = False
+        return frozen
+
+    def surround(array: NDArray[Any]) -> NDArray[Any]:
+        # What lies before and behind an image is none of a kernel's business.
+        flat = np.ones(array.size + 512, bool) if array.dtype == bool else np.full(array.size + 512, np.nan, np.float32)
+        flat[256:-256] = array.ravel()
+        return flat[256:-256].reshape(array.shape)
+
+    for change in (spread, freeze, np.asfortranarray, surround, lambda array: array[::-1][::-1]):
+        a, b, mask, albedo, guide = map(change, (*given.halves, given.mask, given.albedo, given.guide))
+        assert get_bits(replace(given, halves=(a, b), mask=mask, albedo=albedo, guide=guide).run()) == expected
+
+
+def test_inputs_are_left_as_they_were() -> None:
+    given, same = make_given(STANDARD, (33, 17)), make_given(STANDARD, (33, 17))
+    given.run()
+    for name in ("mask", "albedo", "guide"):
+        np.testing.assert_array_equal(getattr(given, name), getattr(same, name))
+    np.testing.assert_array_equal(given.halves, same.halves)
+
+
+def test_another_size_step_or_number_does_not_compile_again() -> None:
+    make_given(STANDARD, (8, 9)).run()
+    before = count_compiled_kernels()
+    replace(make_given(STANDARD, (31, 50)), variants=[Exponents(0.3, 4.0, 2.0)] * 2, step=3, noise=0.7).run()
+    assert count_compiled_kernels() == before
+
+
+def test_images_of_another_size_are_refused() -> None:
+    given = make_given(STANDARD, (8, 9), clean=True)
+    assert given.albedo is not None
+    assert given.guide is not None
+    for wrong in (
+        {"halves": (given.halves[0], given.halves[1][:, :8])},
+        {"albedo": given.albedo[:7]},
+        {"guide": given.guide[..., :6]},
+        {"lobes": [make_feature("sg", (8, 8))]},
+    ):
+        with pytest.raises(InputError, match="shape"):
+            replace(given, **wrong).run()
+
+
+PROGRAM = """
+import sys
+from tests.kernels.test_crossed import *
+sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
+"""
+
+
+def test_threads_and_another_run_change_nothing() -> None:
+    expected = get_bits(make_given(STANDARD, (131, 67)).run())
+    assert get_bits(make_given(STANDARD, (131, 67)).run()) == expected
+    alone = {**os.environ, "HL_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
+    assert done.stdout == expected
