@@ -140,19 +140,20 @@ class TestProgram:
 
 
 class TestDenoise:
-    def test_it_does_what_the_function_does(self, frame_file, tmp_path, capsys):
+    @pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
+    def test_it_does_what_the_function_does(self, quality, frame_file, tmp_path, capsys):
         from lobewise import denoise
 
         out = tmp_path / "out.exr"
-        line = ["--similarity", "normal", "--radius", "3", "--beta", "2.5"]
+        line = ["--similarity", "normal", "--radius", "3", "--beta", "2.5", "--quality", quality]
         assert run(["denoise", str(frame_file), "-o", str(out), *line]) == 0
-        expected = denoise(read_frame(frame_file), similarity="normal", radius=3, beta=2.5)
+        expected = denoise(read_frame(frame_file), similarity="normal", radius=3, beta=2.5, quality=quality)
         np.testing.assert_array_equal(read_image(out), expected.image)
         np.testing.assert_array_equal(read_frame(out).radiance.specular, expected.specular)
         np.testing.assert_array_equal(read_frame(out).gbuffer.normal, read_frame(frame_file).gbuffer.normal)
         text = capsys.readouterr().out
         assert text.startswith(f"Wrote {out}: 16x12 pixels, similarity normal, form full")
-        assert "radius 3, beta 2.5" in text
+        assert f"quality {quality}, radius 3, beta 2.5" in text
         assert "bad pixel" not in text
 
     @pytest.mark.parametrize(
@@ -170,6 +171,17 @@ class TestDenoise:
         attributes = {name: value for name, _, value in describe_file(out).parts[0].attributes}
         assert f'"form": "{form}"' in attributes["lobewise/denoised"]
         assert np.isfinite(read_image(out)).all()
+
+    def test_light_lost_to_fireflies_is_told(self):
+        from lobewise.cli.output import describe_result
+        from lobewise.frame import Result
+
+        ones = np.ones((2, 3), np.float32)
+        result = Result(np.ones((2, 3, 3), np.float32), ones, ones, ones > 2.0, {"quality": "balanced"}, 0.5)
+        assert describe_result(result) == "3x2 pixels, quality balanced, 0.50 s"
+        assert describe_result(replace(result, energy_lost=9e-5)) == describe_result(result)
+        told = describe_result(replace(result, energy_lost=0.01234, bad_pixels=ones > 0.0))
+        assert told.endswith("0.50 s; 6 bad pixels refilled; fireflies bounded, 1.2 % of the light lost")
 
     def test_materials_replace_those_of_the_file(self, frame_file, full_frame, tmp_path):
         from lobewise import denoise
@@ -322,6 +334,7 @@ class TestMistakes:
             ("--beta", "strong", "beta: expected auto or a number above 0, got 'strong'"),
             ("--beta", "-2", "beta"),
             ("--beta", "nan", "beta"),
+            ("--quality", "balancd", "did you mean 'balanced'?"),
             ("--device", "cpux", "did you mean 'cpu'?"),
         ],
     )

@@ -362,9 +362,11 @@ class TestDemo:
         page = demo.make_demo(tmp_path / "a" / "b", progress=lambda *step: told.append(step))
         assert page == tmp_path / "a" / "b" / "report.html"
         text = page.read_text(encoding="utf-8")
-        titles = ("noisy", "normal-aware", "band-limited", "single SG", "ggx", "reference")
+        titles = ("noisy", "normal-aware", "band-limited", "single SG", "ggx", "ggx lobe and noise", "reference")
         for words in (*titles, "Specular pixels", "lobewise demo", "normal_exponent", "band_limit", "threads"):
             assert words in text
+        assert text.count("quality fast") == 4
+        assert text.count("quality balanced") == 1
         assert ("Open Image Denoise is a neural network" in text) == demo.has_oidn()
         assert list(dict.fromkeys(what for what, _, _ in told)) == ["Filtering", "Measuring"]
         for stage in ("Filtering", "Measuring"):

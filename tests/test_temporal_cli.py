@@ -52,8 +52,9 @@ def test_upsampling_a_sequence_is_the_filter_frame_by_frame(folder: Path, tmp_pa
 
 
 def test_without_the_option_every_frame_is_filtered_by_itself(folder: Path, tmp_path: Path) -> None:
-    assert run(["denoise", str(folder / "d.####.exr"), "-o", str(tmp_path / "o.####.exr")]) == 0
-    expected = denoise(read_frame(folder / "d.0003.exr")).image
+    line = ["denoise", str(folder / "d.####.exr"), "-o", str(tmp_path / "o.####.exr"), "--quality", "balanced"]
+    assert run(line) == 0
+    expected = denoise(read_frame(folder / "d.0003.exr"), quality="balanced").image
     np.testing.assert_allclose(read_image(tmp_path / "o.0003.exr"), expected, rtol=1e-3, atol=1e-4)
 
 
@@ -107,11 +108,15 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(folder: Path, tmp_pat
         (["denoise", "d.####.exr", "-o", "o.exr", "--temporal"], ["o.exr"]),
         (["denoise", "x.####.exr", "-o", "o.####.exr", "--temporal"], ["x.####.exr"]),
         (["denoise", "d.####.exr", "-o", "o.####.exr", "--temporal", "--memory", "2"], ["memory", "0 to 1"]),
+        (
+            ["denoise", "d.####.exr", "-o", "o.####.exr", "--temporal", "--quality", "balanced"],
+            ["d.0001.exr", "quality", "'fast' for a filter with history", "'balanced'"],
+        ),
         (["upsample", "s.####.exr", "-o", "o.####.exr", "--temporal", "--bilinear"], ["--bilinear", "--temporal"]),
         (["denoise", "d.0001.exr", "-o", "o.exr", "--adaptive", "5%"], ["--adaptive", "--scene"]),
         (["upsample", "d.####.exr", "-o", "o.####.exr", "--temporal"], ["lobewise/sparse", "d.0001.exr"]),
     ],
-    ids=["no pattern", "one output", "no files", "memory", "bilinear", "no scene", "not sparse"],
+    ids=["no pattern", "one output", "no files", "memory", "quality", "bilinear", "no scene", "not sparse"],
 )
 def test_mistakes_are_told_in_one_sentence(line, words, folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -14,10 +14,10 @@ from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, 
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import upsample
 from lobewise.viewer.frames import FrameTarget
-from lobewise.viewer.looks import FrameLook
+from lobewise.viewer.looks import FrameLook, name_sides
 from lobewise.viewer.messages import Request, Window
 
-NORMAL = FrameLook(similarity="normal", radius=2, form="separable")
+NORMAL = FrameLook(similarity="normal", quality="fast", radius=2, form="separable")
 
 
 def ask(look: FrameLook, other: FrameLook | None = None, client: int = 0) -> Request:
@@ -29,6 +29,7 @@ class TestWholeFrames:
         found = FrameTarget(str(floor_file)).describe()
         assert (found.width, found.height, found.camera, found.sparse) == (48, 32, None, False)
         assert found.similarities[0] == "auto"
+        assert (found.qualities, found.look.quality) == (("fast", "balanced", "high"), "balanced")
         assert found.hit_distance
         assert set(found.views) > {"image", "noisy", "specular", "sharpness", "weight_sum", "hit_distance", "normal"}
 
@@ -48,6 +49,15 @@ class TestWholeFrames:
         np.testing.assert_array_equal(other.image, read_frame(floor_file).radiance.color)
         weight = shot.get_view("weight_sum")
         np.testing.assert_allclose(weight, expected.weight_sum / (1.0 + expected.weight_sum), rtol=1e-6)
+
+    def test_a_quality_is_filtered_as_asked(self, floor_file):
+        looks = [FrameLook(similarity="normal", quality=quality, radius=2) for quality in ("fast", "balanced")]
+        shots = FrameTarget(str(floor_file)).render(ask(*looks))
+        for look, shot in zip(looks, shots, strict=True):
+            expected = denoise(read_frame(floor_file), similarity="normal", quality=look.quality, radius=2)
+            np.testing.assert_array_equal(shot.image, expected.image)
+        assert not np.allclose(shots[0].image, shots[1].image, rtol=0.01)
+        assert name_sides(*looks) == ("A: fast", "B: balanced")
 
     def test_what_was_filtered_once_is_there(self, floor_file):
         target = FrameTarget(str(floor_file))
@@ -112,7 +122,8 @@ class TestSparseFrames:
         target = FrameTarget(str(sparse_file))
         found = target.describe()
         assert (found.sparse, found.forms, found.width) == (True, ("full",), 48)
-        shot = target.render(ask(FrameLook(similarity="normal", radius=2)))[0]
+        assert (found.qualities, found.look.quality) == (("fast",), "fast")
+        shot = target.render(ask(FrameLook(similarity="normal", quality="fast", radius=2)))[0]
         expected = upsample(read_sparse_frame(sparse_file), similarity="normal", radius=2)
         np.testing.assert_array_equal(shot.image, expected.image)
 

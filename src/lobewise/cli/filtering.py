@@ -47,8 +47,20 @@ def denoise(
             help="What makes two pixels similar; auto takes the best that the file allows.",
         ),
     ] = "auto",
+    quality: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|fast|balanced|high",
+            help="fast weighs by the guides alone, in one pass; balanced weighs each half of the samples by what the "
+            "other shows as well; high does so several times and mixes them pixel by pixel. auto is balanced, or fast "
+            "with another form than full and with --temporal.",
+        ),
+    ] = "auto",
     form: Annotated[
-        str, typer.Option(metavar="full|separable|atrous", help="full is best, separable and atrous are faster.")
+        str,
+        typer.Option(
+            metavar="full|separable|atrous", help="full is best; separable and atrous, of quality fast, take less time."
+        ),
     ] = "full",
     radius: Annotated[int, typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.")] = 8,
     beta: Beta = "auto",
@@ -86,6 +98,7 @@ def denoise(
     tables = [read_lobe_table(path) for path in material] if material else None
     settings: dict[str, Any] = {
         "similarity": similarity,
+        "quality": quality,
         "form": form,
         "radius": radius,
         "beta": parse_beta(beta),

@@ -16,6 +16,9 @@ from lobewise.frame import Result
 from lobewise.io import FileDescription
 from lobewise.lobe_table import LobeTable
 
+LEAST_LOSS = 1e-4
+"""Share of the light, taken from fireflies, below which nothing is said of it."""
+
 
 class _Console(Console):
     """A console that leaves closed pipes to the entry point."""
@@ -40,12 +43,16 @@ def describe_result(result: Result) -> str:
     height, width = result.image.shape[:2]
     named = [
         f"{name} {_format(result.settings[name])}"
-        for name in ("similarity", "form", "radius", "beta", "device")
+        for name in ("similarity", "form", "quality", "radius", "beta", "device")
         if name in result.settings
     ]
-    text = f"{width}x{height} pixels, {', '.join(named)}, {result.seconds:.2f} s"
+    told = [f"{width}x{height} pixels, {', '.join(named)}, {result.seconds:.2f} s"]
     count = result.bad_pixel_count
-    return f"{text}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else text
+    if count:
+        told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")
+    if result.energy_lost > LEAST_LOSS:
+        told.append(f"fireflies bounded, {100.0 * result.energy_lost:.2g} % of the light lost")
+    return "; ".join(told)
 
 
 def to_json(value: Any) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lobewise.denoising import DenoiseSettings, denoise
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.denoising.settings import resolve_settings
+from lobewise.denoising.settings import QUALITIES, resolve_settings
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.io.container import read_container
@@ -76,10 +76,11 @@ class FrameTarget:
             "albedo": guides.diffuse_albedo is not None and guides.specular_albedo is not None,
         }
         return Description(
-            look=FrameLook(similarity=similarities[0], radius=DEFAULT_RADIUS if sparse else FrameLook().radius),
+            look=FrameLook(similarities[0], "fast", radius=DEFAULT_RADIUS) if sparse else FrameLook(similarities[0]),
             width=frame.width,
             height=frame.height,
             similarities=similarities,
+            qualities=("fast",) if sparse else tuple(name for name in QUALITIES if name != "auto"),
             forms=("full",) if sparse else ("full", "separable", "atrous"),
             views=tuple(name for name, there in has.items() if there),
             sparse=sparse,

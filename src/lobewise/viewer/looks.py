@@ -55,8 +55,10 @@ class FrameLook:
     ----------
     similarity : {"auto", "ggx", "sg", "asg", "sg_mixture", "normal", "none"}
         "none" shows the frame as it is.
+    quality : {"fast", "balanced", "high"}
+        Of a sparsely shaded frame always "fast".
     form : {"full", "separable", "atrous"}
-        Of a sparsely shaded frame always "full".
+        Other than "full" only with quality "fast"; of a sparsely shaded frame always "full".
     radius : int
         Pixels, or samples of a sparsely shaded frame.
     beta, tau : float or "auto"
@@ -68,6 +70,7 @@ class FrameLook:
     """
 
     similarity: str = "auto"
+    quality: str = "balanced"
     form: str = "full"
     radius: int = 8
     beta: float | str = "auto"
@@ -101,6 +104,6 @@ def _name_value(name: str, value: Any) -> str:
     plain = name.replace("_", " ")
     if isinstance(value, bool):
         return plain if value else f"no {plain}"
-    if name in ("method", "similarity", "form"):
+    if name in ("method", "similarity", "quality", "form"):
         return "no filter" if value == "none" else str(value).replace("_", " ")
     return f"{plain} {value:.3g}" if isinstance(value, float) else f"{plain} {value}"

@@ -44,7 +44,7 @@ class Description:
         Where a scene is seen from first; None for a finished frame.
     look_at : tuple of 3 floats
         The point about which an orbit turns.
-    methods, similarities, forms, views : tuple of str
+    methods, similarities, qualities, forms, views : tuple of str
         What can be chosen. Views are named by `lobewise.viewer.pictures.VIEWS`.
     sparse, hit_distance : bool
         Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
@@ -57,6 +57,7 @@ class Description:
     look_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     methods: tuple[str, ...] = ()
     similarities: tuple[str, ...] = ()
+    qualities: tuple[str, ...] = ()
     forms: tuple[str, ...] = ()
     views: tuple[str, ...] = ("image",)
     sparse: bool = False

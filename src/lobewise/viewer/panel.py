@@ -21,6 +21,7 @@ SIMILARITY_NAMES = {
     "normal": "normal-aware",
     "none": "none",
 }
+QUALITY_NAMES = {"fast": "fast", "balanced": "balanced", "high": "high"}
 FORM_NAMES = {"full": "full", "separable": "separable", "atrous": "à-trous"}
 FLY_HINT = "Left drag orbits, right drag moves, the wheel zooms. W A S D E Q fly, the arrow keys turn."
 ZOOM_HINT = "The wheel zooms, right drag moves; W A S D fly."
@@ -36,6 +37,7 @@ _HINTS = {
     "temporal": "A frame knows the ones before.",
     "adaptive": "Share of the pixels that is shaded again because nothing supports them.",
     "filter_direct": "Direct light has one light sample a pixel; filter it too.",
+    "quality": "Fast weighs by the guides alone; balanced and high also by what the noise allows to tell apart.",
     "form": "Full is best; separable and à-trous are faster.",
     "auto_tau": "The band-limit follows the noise.",
     "tau": "Band-limit of the lobes, base-10 logarithm of radians: what makes a mirror's lobe finite.",
@@ -69,6 +71,8 @@ class LookPanel:
             self._slide("scale", "Every nth pixel", 1, 16, 1, look.scale)
             self._slide("spp", "Samples", 1, 16, 1, look.spp)
         self._choose("similarity", "Similarity", found.similarities, SIMILARITY_NAMES, look.similarity)
+        if isinstance(look, FrameLook) and len(found.qualities) > 1:
+            self._choose("quality", "Quality", found.qualities, QUALITY_NAMES, look.quality)
         if isinstance(look, FrameLook) and len(found.forms) > 1:
             self._choose("form", "Kernel", found.forms, FORM_NAMES, look.form)
         self._slide("radius", "Radius", 0, 16 if self._scene or found.sparse else 32, 1, look.radius)
@@ -107,9 +111,11 @@ class LookPanel:
         if similarity == "none":
             # One look for all settings that change nothing, so that it is computed once.
             return FrameLook(similarity="none")
+        quality = _find_key(QUALITY_NAMES, value["quality"]) if "quality" in value else "fast"
         return FrameLook(
             similarity=similarity,
-            form=_find_key(FORM_NAMES, value["form"]) if "form" in value else "full",
+            quality=quality,
+            form=_find_key(FORM_NAMES, value["form"]) if "form" in value and quality == "fast" else "full",
             radius=radius,
             beta=beta,
             tau="auto" if value["auto_tau"] else 10.0 ** value["tau"],
@@ -122,9 +128,12 @@ class LookPanel:
         handles = self._handles
         similarity = _find_key(SIMILARITY_NAMES, handles["similarity"].value)
         filtered = similarity != "none"
+        # Another kernel than the full one has no other quality.
+        plain = "quality" not in handles or handles["quality"].value == QUALITY_NAMES["fast"]
         shown = {
             "radius": filtered,
-            "form": filtered,
+            "quality": filtered,
+            "form": filtered and plain,
             "auto_beta": filtered,
             "beta": filtered and not handles["auto_beta"].value,
             "temporal": filtered,
@@ -134,7 +143,7 @@ class LookPanel:
             "hit_distance": similarity in ("sg", "asg", "ggx"),
         }
         if "form" in handles:
-            shown["radius"] = filtered and handles["form"].value != FORM_NAMES["atrous"]
+            shown["radius"] = filtered and not (plain and handles["form"].value == FORM_NAMES["atrous"])
         if "auto_tau" in handles:
             shown["tau"] = shown["auto_tau"] and not handles["auto_tau"].value
         if "adaptive" in handles:

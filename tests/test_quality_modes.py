@@ -1,0 +1,293 @@
+"""Qualities of `denoise`: what knowing the noise buys, what it must not change, and where it is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising.settings import QUALITIES, choose_quality
+from lobewise.errors import InputError
+from lobewise.frame import Frame, Radiance
+from lobewise.kernels.features import ScreenFeature
+from lobewise.kernels.resolving import resolve_coverage
+from lobewise.lobes.field import default_tau
+from lobewise.sparse_frame import make_sparse
+from lobewise.temporal import TemporalFilter
+from lobewise.upsampling import upsample
+from tests.test_denoising import CAMERA, SHAPE, make_frame
+
+SHADOW = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.1, 1.0)[:, None, None], (*SHAPE, 3))
+"""Light with an edge that no guide knows."""
+FAR = np.r_[0:10, 30:40]
+"""Rows that the edge is far from."""
+SCALED = 5e-3
+"""How far a frame may come out unlike k times another, relative: the rounding of a logarithm of 10, times differences
+of 1, over the least variance that guides assume."""
+MIXED = 0.1
+"""Relative error of a pixel of two surfaces: its samples, which show both, count as such of the one at its centre."""
+
+
+def make_shadowed(*, halves: bool = True, apart: bool = True, seed: int = 3) -> tuple[Frame, Any]:
+    """Return a plane of one gloss under that light, with noise of a quarter of it, and what it looks like."""
+    rng = np.random.default_rng(seed)
+    alpha = np.full(SHAPE, 0.4)
+    albedo = np.full((*SHAPE, 3), 0.5)
+    base = make_frame(alpha_u=alpha, alpha_v=alpha, diffuse_albedo=albedo, specular_albedo=albedo)
+
+    def draw() -> Radiance:
+        parts = [SHADOW * 0.5 * rng.gamma(8.0, 1.0 / 8.0, (*SHAPE, 1)) for _ in range(2)]
+        return Radiance(parts[0] + parts[1], *(parts if apart else (None, None)))
+
+    a, b = draw(), draw()
+    names = ("color", "diffuse", "specular") if apart else ("color",)
+    mean = Radiance(**{name: 0.5 * (getattr(a, name) + getattr(b, name)) for name in names})
+    known = {"half_a": a, "half_b": b} if halves else {}
+    return base.with_changes(radiance=mean, **known), SHADOW
+
+
+def measure(image: Any, truth: Any) -> float:
+    """Return the mean squared error over the squared truth."""
+    return float(np.mean(((image - truth) / truth) ** 2))
+
+
+def make_flat(value: float = 1.0) -> Frame:
+    """Return a plane whose every sample is the same, all of it specular."""
+    flat, dark = np.full((*SHAPE, 3), value), np.zeros((*SHAPE, 3))
+    alpha = np.full(SHAPE, 0.4)
+    radiance = Radiance(flat, dark, flat)
+    return make_frame(alpha_u=alpha, alpha_v=alpha).with_changes(radiance=radiance, half_a=radiance, half_b=radiance)
+
+
+class TestNoise:
+    @pytest.mark.parametrize("halves", [True, False], ids=["file", "neighbours"])
+    def test_an_edge_of_light_that_no_guide_knows_stays(self, halves):
+        frame, truth = make_shadowed(halves=halves)
+        fast = measure(denoise(frame, quality="fast").image, truth)
+        balanced = measure(denoise(frame, quality="balanced").image, truth)
+        assert balanced < 0.1 * fast
+
+    def test_neighbours_serve_as_halves_as_well(self):
+        # Either way all samples count once: what is left of the noise is alike.
+        errors = {"file": 0.0, "neighbours": 0.0}
+        noise = 0.0
+        for seed in range(3):
+            for name in errors:
+                frame, truth = make_shadowed(halves=name == "file", seed=seed)
+                errors[name] += measure(denoise(frame, quality="balanced").image[FAR], truth[FAR])
+            noise += measure(frame.radiance.color[FAR], truth[FAR])
+        assert 0.7 < errors["file"] / errors["neighbours"] < 1.4
+        assert max(errors.values()) < 0.02 * noise
+
+    def test_neither_origin_of_the_halves_shifts_the_mean(self):
+        for halves in (True, False):
+            frame, truth = make_shadowed(halves=halves)
+            image = denoise(frame, quality="balanced").image
+            # Noise of a quarter, shared by some 500 pixels of either side: 1 % at one standard deviation.
+            for side in (np.s_[:14], np.s_[26:]):
+                assert image[side].mean() == pytest.approx(truth[side].mean(), rel=0.04)
+
+    def test_a_frame_with_colour_alone(self):
+        frame, truth = make_shadowed(apart=False)
+        fast, balanced = (denoise(frame, quality=quality) for quality in ("fast", "balanced"))
+        assert measure(balanced.image, truth) < 0.5 * measure(fast.image, truth)
+        assert balanced.diffuse is None
+        assert balanced.specular is None
+
+    @pytest.mark.parametrize("factor", [1e-6, 3.0, 1e6])
+    def test_a_brighter_frame_is_the_same_frame(self, factor):
+        frame, _ = make_shadowed()
+
+        def scale(radiance: Radiance) -> Radiance:
+            return Radiance(*(factor * getattr(radiance, name) for name in ("color", "diffuse", "specular")))
+
+        scaled = {name: scale(getattr(frame, name)) for name in ("radiance", "half_a", "half_b")}
+        plain, bright = (denoise(each, quality="balanced") for each in (frame, frame.with_changes(**scaled)))
+        np.testing.assert_allclose(bright.image, factor * plain.image, rtol=SCALED)
+
+    def test_twice_the_same_bits(self):
+        frame, _ = make_shadowed()
+        first, second = (denoise(frame, quality="balanced") for _ in range(2))
+        for name in ("image", "diffuse", "specular", "weight_sum", "effective_samples"):
+            assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
+
+    @pytest.mark.parametrize("channel", ["coverage", "mean_diffuse_albedo", "mean_specular_albedo", "depth"])
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
+    def test_garbage_in_other_guides_stays_near(self, channel, bad):
+        frame, albedo = make_frame(), np.full((*SHAPE, 3), 0.5)
+        coverage = np.zeros((*SHAPE, 9))
+        coverage[..., 4] = 1.0
+        guides = {"coverage": coverage, "mean_diffuse_albedo": albedo, "mean_specular_albedo": albedo}
+        whole = replace(frame.gbuffer, position=None if channel == "depth" else frame.gbuffer.position, **guides)
+        spoilt = np.array(getattr(whole, channel))
+        spoilt[3, 7] = bad
+        clean, result = (
+            denoise(frame.with_changes(gbuffer=gbuffer), quality="balanced").image
+            for gbuffer in (whole, replace(whole, **{channel: spoilt}))
+        )
+        assert np.isfinite(result).all()
+        np.testing.assert_allclose(result[36:], clean[36:], rtol=1e-4)
+
+
+class TestFireflies:
+    def test_no_light_is_lost_without_them(self):
+        assert denoise(make_flat(), quality="balanced").energy_lost == 0.0
+        assert denoise(make_flat(), quality="fast").energy_lost == 0.0
+
+    def test_one_spike_loses_what_is_above_its_bound(self):
+        frame = make_flat()
+        spiked = np.array(frame.radiance.color)
+        spiked[20, 25] = 1000.0
+        dark = np.zeros_like(spiked)
+        lit = Radiance(spiked, dark, spiked)
+        mean = Radiance(0.5 * (spiked + 1.0), dark, 0.5 * (spiked + 1.0))
+        result = denoise(frame.with_changes(radiance=mean, half_a=lit), quality="balanced")
+        pixels = SHAPE[0] * SHAPE[1]
+        # Four times what the other half of the pixel shows is more than twice what its neighbours do.
+        assert result.energy_lost == pytest.approx((1000.0 - 4.0) / (2 * pixels + 999.0), rel=1e-5)
+        assert result.image.max() < 1.1
+        # Without halves twice the neighbours is all that is known.
+        alone = denoise(frame.with_changes(radiance=lit, half_a=None, half_b=None), quality="balanced")
+        assert alone.energy_lost == pytest.approx((1000.0 - 2.0) / (pixels + 999.0), rel=1e-5)
+
+
+class TestCoverage:
+    EDGE = SHAPE[1] // 2 - 1
+    """The last column of the left side, of which half shows the right side."""
+
+    def make_edge(self, albedos: tuple[float, float], lights: tuple[float, float]) -> tuple[Frame, Any]:
+        """Return two sides of unlike normals, a column of both between them, and what that column is without noise."""
+        left = np.arange(SHAPE[1]) <= self.EDGE
+        albedo, light = (
+            np.broadcast_to(np.where(left, *values)[None, :, None], (*SHAPE, 3)).copy() for values in (albedos, lights)
+        )
+        color, mean, coverage = albedo * light, albedo.copy(), np.zeros((*SHAPE, 9))
+        coverage[..., 4] = 1.0
+        coverage[:, self.EDGE, 4:6] = 0.5
+        mean[:, self.EDGE] = np.mean(albedos)
+        truth = 0.5 * (albedos[0] * lights[0] + albedos[1] * lights[1])
+        color[:, self.EDGE] = truth
+        dark = np.zeros_like(color)
+        normal = np.where(left[None, :, None], [0.0, 0.6, 0.8], [0.6, 0.0, 0.8]) * np.ones((*SHAPE, 1))
+        frame = make_frame(
+            normal=normal,
+            specular_albedo=albedo,
+            coverage=coverage,
+            mean_specular_albedo=mean,
+            mean_diffuse_albedo=dark,
+        )
+        noise = np.random.default_rng(5).gamma(10.0, 0.1, (2, *SHAPE, 1))
+        a, b, both = (Radiance(color * each, dark, color * each) for each in (*noise, noise.mean(axis=0)))
+        return frame.with_changes(radiance=both, half_a=a, half_b=b), truth
+
+    @pytest.mark.parametrize(
+        ("albedos", "lights"), [((0.5, 0.5), (2.0, 0.4)), ((0.8, 0.2), (1.5, 1.5))], ids=["light", "albedo"]
+    )
+    def test_a_pixel_of_two_surfaces_is_their_mean(self, albedos, lights):
+        frame, truth = self.make_edge(albedos, lights)
+        columns = denoise(frame, quality="balanced", similarity="normal").image.mean(axis=(0, 2))
+        assert columns[self.EDGE] == pytest.approx(truth, rel=MIXED)
+        assert columns[self.EDGE - 8] == pytest.approx(albedos[0] * lights[0], rel=0.02)
+        assert columns[self.EDGE + 8] == pytest.approx(albedos[1] * lights[1], rel=0.02)
+
+    def test_without_coverage_it_is_the_surface_at_its_centre(self):
+        frame, truth = self.make_edge((0.5, 0.5), (2.0, 0.4))
+        bare = frame.with_changes(gbuffer=replace(frame.gbuffer, coverage=None))
+        image, resolved = (denoise(each, quality="balanced", similarity="normal").image for each in (bare, frame))
+        assert image[:, self.EDGE].mean() > 1.4 * truth
+        away = np.abs(np.arange(SHAPE[1]) - self.EDGE) > 1
+        np.testing.assert_allclose(image[:, away], resolved[:, away], rtol=1e-5)
+
+    def test_the_kernel_is_its_definition(self, rng):
+        height, width = 7, 9
+        light, albedo = rng.random((2, height, width, 3)).astype(np.float32)
+        coverage = rng.random((height, width, 9)).astype(np.float32) * (rng.random((height, width, 9)) < 0.6)
+        lit = rng.random((height, width)) < 0.7
+        coverage[2, 3] = 0.0
+        albedo[4, 4, 1] = 0.0
+        expected, known = light.astype(np.float64), np.zeros((height, width), bool)
+        for y in range(height):
+            for x in range(width):
+                total, weight = np.zeros(3), np.zeros(3)
+                for k in range(9):
+                    there = min(max(y + k // 3 - 1, 0), height - 1), min(max(x + k % 3 - 1, 0), width - 1)
+                    if lit[there]:
+                        known[y, x] |= coverage[y, x, k] > 0.0
+                        total += coverage[y, x, k] * albedo[there].astype(np.float64) * light[there]
+                        weight += coverage[y, x, k] * albedo[there].astype(np.float64)
+                found = weight > 1e-6
+                expected[y, x, found] = total[found] / weight[found]
+        resolved, where = resolve_coverage(light, lit, albedo, coverage.astype(np.float32))
+        np.testing.assert_allclose(resolved, expected, rtol=1e-5)
+        np.testing.assert_array_equal(where, known)
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        ("settings", "expected"),
+        [
+            ({}, "balanced"),
+            ({"form": "separable"}, "fast"),
+            ({"form": "atrous"}, "fast"),
+            ({"quality": "fast"}, "fast"),
+            ({"quality": "high"}, "high"),
+        ],
+        ids=str,
+    )
+    def test_what_auto_takes(self, settings, expected):
+        assert choose_quality(DenoiseSettings(**settings)) == expected
+
+    @pytest.mark.parametrize("form", ["separable", "atrous"])
+    @pytest.mark.parametrize("quality", ["balanced", "high"])
+    def test_other_forms_have_no_other_quality(self, quality, form):
+        with pytest.raises(InputError, match=f"form: expected 'full' with quality '{quality}', got '{form}'"):
+            denoise(make_frame((4, 4)), quality=quality, form=form)
+
+    def test_an_unknown_quality_is_named(self):
+        with pytest.raises(InputError, match="did you mean 'balanced'"):
+            DenoiseSettings(quality="balancd")
+
+    @pytest.mark.parametrize("quality", ["balanced", "high"])
+    def test_what_has_no_other_quality_than_fast_says_so(self, quality):
+        sparse = make_sparse(make_frame((8, 8)), 2)
+        with pytest.raises(InputError, match=f"quality: expected 'fast' for upsampling, got '{quality}'"):
+            upsample(sparse, quality=quality)
+        for frame in (make_frame((8, 8)), sparse):
+            with pytest.raises(
+                InputError, match=f"quality: expected 'fast' for a filter with history, got '{quality}'"
+            ):
+                TemporalFilter(quality=quality).add(frame)
+
+    def test_results_tell_what_was_used(self):
+        settings = denoise(make_frame(), quality="balanced").settings
+        assert (settings["quality"], settings["beta"], settings["diffuse_beta"]) == ("balanced", 1.0, 2.0)
+        assert settings["tau"] == max(0.01, default_tau(CAMERA, SHAPE[0]))
+        assert settings["screen_sigma"] == 30.0
+        assert settings["quality"] in QUALITIES
+
+    def test_own_parameters_are_respected(self):
+        own: dict[str, Any] = {"screen_sigma": 4.0, "beta": 8.0, "diffuse_beta": 3.0, "tau": 0.3}
+        frame = make_frame()
+        plain = denoise(frame, quality="balanced")
+        assert {name: denoise(frame, quality="balanced", **own).settings[name] for name in own} == own
+        # Where the specular lobe supports less than the diffuse one: the glossy side.
+        glossy = np.s_[5:-5, 5:20]
+        support = {
+            name: denoise(frame, quality="balanced", **{name: value}).weight_sum[glossy].mean()
+            for name, value in own.items()
+        }
+        before = plain.weight_sum[glossy].mean()
+        assert support["screen_sigma"] < 0.8 * before
+        assert support["beta"] < 0.9 * before
+        assert support["tau"] > 1.05 * before
+
+    def test_own_features_count(self):
+        frame, _ = make_shadowed(apart=False)
+        free = denoise(frame, quality="balanced")
+        bound = denoise(frame, quality="balanced", features=[ScreenFeature(1.0)])
+        # A Gaussian of one pixel sums to less than 2 pi.
+        assert bound.weight_sum.max() < 2.0 * np.pi * 1.01
+        assert free.weight_sum.max() > 20.0
