@@ -57,7 +57,7 @@ def make_brushed(arguments: argparse.Namespace) -> dict[str, Any]:
     """Brushed metal: noisy, `sg`, `asg`, `ggx`, reference."""
     frame, reference = fetch(arguments.cache, "brushed", SPP), fetch_reference(arguments.cache, "brushed")
     brushed = find_anisotropic(frame)
-    images = {name: denoise(frame, similarity=name).image for name in ("sg", "asg", "ggx")}
+    images = {name: denoise(frame, quality="fast", similarity=name).image for name in ("sg", "asg", "ggx")}
     write_row("brushed", [frame.radiance.color, *images.values(), reference], (slice(210, 450), slice(40, 280)))
     return {name: {"rel_mse": rel_mse(image, reference, brushed)} for name, image in images.items()}
 
@@ -66,7 +66,7 @@ def make_plastic(arguments: argparse.Namespace) -> dict[str, Any]:
     """Plastic in one radiance: noisy, one lobe, mixture of specular and diffuse lobes, reference."""
     apart, reference = fetch(arguments.cache, "parlour", SPP), fetch_reference(arguments.cache, "parlour")
     frame = apart.with_changes(radiance=Radiance(color=apart.radiance.color), variance=None)
-    images = {name: denoise(frame, similarity=name).image for name in ("normal", "sg", "sg_mixture")}
+    images = {name: denoise(frame, quality="fast", similarity=name).image for name in ("normal", "sg", "sg_mixture")}
     write_row(
         "plastic",
         [frame.radiance.color, images["sg"], images["sg_mixture"], reference],
@@ -98,7 +98,10 @@ def make_measured(arguments: argparse.Namespace) -> dict[str, Any]:
     frame, reference = fetch_measured(arguments)
     assert frame.gbuffer.material is not None
     measured = frame.gbuffer.material > 0
-    images = {name: denoise(frame, similarity=name).image for name in ("normal", "sg", "sg_mixture", "asg", "ggx")}
+    images = {
+        name: denoise(frame, quality="fast", similarity=name).image
+        for name in ("normal", "sg", "sg_mixture", "asg", "ggx")
+    }
     write_row(
         "measured",
         [frame.radiance.color, images["normal"], images["sg_mixture"], images["ggx"], reference],

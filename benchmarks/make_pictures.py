@@ -32,8 +32,8 @@ def main() -> None:
     tuned = similarities["scenes"]["showroom"]["4"]["normal"]["settings"]
     images = [
         frame.radiance.color,
-        denoise(frame, similarity="normal", **tuned).image,
-        denoise(frame).image,
+        denoise(frame, quality="fast", similarity="normal", **tuned).image,
+        denoise(frame, quality="fast").image,
         reference,
     ]
     exposure = choose_exposure(reference)

@@ -102,7 +102,10 @@ def search(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return errors and settings of the best grid point, once for the whole image and once for specular pixels."""
     tried = [
-        {**measure(denoise(frame, **fixed, **point).image, reference, specular, anisotropic), "settings": point}
+        {
+            **measure(denoise(frame, quality="fast", **fixed, **point).image, reference, specular, anisotropic),
+            "settings": point,
+        }
         for point in grid
     ]
     return min(tried, key=lambda row: row["rel_mse"]), min(tried, key=lambda row: row["rel_mse_specular"])
@@ -119,16 +122,16 @@ def run_frame(frame: Frame, reference: FloatArray) -> dict[str, Any]:
     for name, grid in (("normal", list(list_baselines(False))), ("band-limited", list(list_baselines(True)))):
         row[name], row[f"{name} (for specular)"] = search(*common, grid, similarity="normal")
     for similarity in ("sg", "sg_mixture", "asg", "ggx"):
-        row[similarity] = measure(denoise(frame, similarity=similarity).image, reference, *masks)
+        row[similarity] = measure(denoise(frame, quality="fast", similarity=similarity).image, reference, *masks)
         betas: list[dict[str, Any]] = [{"beta": beta} for beta in BETAS]
         row[f"{similarity} (tuned beta)"], _ = search(*common, betas, similarity=similarity)
     for similarity in ("sg", "asg", "ggx"):
-        near = denoise(frame, similarity=similarity, hit_distance=True).image
+        near = denoise(frame, quality="fast", similarity=similarity, hit_distance=True).image
         row[f"{similarity} with hits"] = measure(near, reference, *masks)
-    default = denoise(frame)
+    default = denoise(frame, quality="fast")
     row["default"] = {**measure(default.image, reference, *masks), "settings": default.settings}
     for form in ("separable", "atrous"):
-        row[f"default ({form})"] = measure(denoise(frame, form=form).image, reference, *masks)
+        row[f"default ({form})"] = measure(denoise(frame, quality="fast", form=form).image, reference, *masks)
     if has_oidn():
         row["oidn"] = measure(denoise_oidn(frame, guides="centre")[0], reference, *masks)
     row["default_over_normal"] = row["default"]["rel_mse"] / row["normal"]["rel_mse"]

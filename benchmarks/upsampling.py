@@ -445,7 +445,7 @@ def make_ghost_masks(frames: Sequence[AnyFrame], index: int) -> dict[str, Mask]:
 
 def run_alone(frame: AnyFrame, **changes: Any) -> Result:
     """Return the result of a frame without history."""
-    return upsample(frame, **changes) if isinstance(frame, SparseFrame) else denoise(frame, **changes)
+    return upsample(frame, **changes) if isinstance(frame, SparseFrame) else denoise(frame, quality="fast", **changes)
 
 
 def run_ghosting(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:

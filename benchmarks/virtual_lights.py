@@ -138,17 +138,19 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
     references = {"paths": truth, "all lights": whole}
     images = {"one sample": frame.radiance.color, "all lights": whole, "paths": truth}
     for similarity in ("sg", "ggx"):
-        images[f"{similarity}, default"] = denoise(frame, similarity=similarity, **FILTER).image
-        images[f"{similarity}, limited"] = denoise(frame, similarity=similarity, tau=tau, **FILTER).image
-    images["normal-aware"] = denoise(frame, similarity="normal", **FILTER).image
-    images["sg, default, radius 8"] = denoise(frame, similarity="sg").image
-    images["sg, limited, radius 8"] = denoise(frame, similarity="sg", tau=tau).image
+        images[f"{similarity}, default"] = denoise(frame, quality="fast", similarity=similarity, **FILTER).image
+        images[f"{similarity}, limited"] = denoise(
+            frame, quality="fast", similarity=similarity, tau=tau, **FILTER
+        ).image
+    images["normal-aware"] = denoise(frame, quality="fast", similarity="normal", **FILTER).image
+    images["sg, default, radius 8"] = denoise(frame, quality="fast", similarity="sg").image
+    images["sg, limited, radius 8"] = denoise(frame, quality="fast", similarity="sg", tau=tau).image
     row: dict[str, Any] = {
         "lights": method.lights.number,
         "lights_per_pixel": LIGHTS_PER_SAMPLE,
         "lights_seen": seen,
         "tau": tau,
-        "default_tau": denoise(frame, similarity="sg").settings["tau"],
+        "default_tau": denoise(frame, quality="fast", similarity="sg").settings["tau"],
         "reference_spp": 2 * REFERENCE_SPP,
         # A half is as far from the mean of both as the mean is from the truth.
         "reference_errors": find_errors(halves[0], frame, {"paths": truth}),
@@ -156,7 +158,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
         "sweep": {
             similarity: {
                 f"{value:g}": find_errors(
-                    denoise(frame, similarity=similarity, tau=value, **FILTER).image,
+                    denoise(frame, quality="fast", similarity=similarity, tau=value, **FILTER).image,
                     frame,
                     {"paths": references["paths"]},
                 )

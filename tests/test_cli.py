@@ -172,6 +172,50 @@ class TestDenoise:
         assert f'"form": "{form}"' in attributes["lobewise/denoised"]
         assert np.isfinite(read_image(out)).all()
 
+    @pytest.mark.parametrize("with_oidn", [True, False])
+    def test_mixing_with_open_image_denoise_is_asked_for(self, with_oidn, frame_file, tmp_path, monkeypatch, capsys):
+        import lobewise.denoising
+
+        asked = {}
+        real = lobewise.denoising.denoise
+
+        def record(frame, **settings):
+            asked.update(settings)
+            return real(frame, quality="fast", radius=1)
+
+        monkeypatch.setattr(lobewise.denoising, "denoise", record)
+        line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr")]
+        assert run([*line, "--with-oidn"] if with_oidn else line) == 0
+        assert asked["with_oidn"] is with_oidn
+        assert asked["quality"] == "auto"
+        # Brackets are markup where help is printed.
+        capsys.readouterr()
+        monkeypatch.setenv("COLUMNS", "300")
+        assert run(["denoise", "--help"]) == 0
+        assert "implies --quality high; needs lobewise[compare]." in capsys.readouterr().out
+
+    def test_open_image_denoise_that_is_not_installed_is_a_sentence(self, frame_file, tmp_path, monkeypatch, capsys):
+        import lobewise.denoising
+        from lobewise import peers
+
+        monkeypatch.setattr(peers, "has_oidn", lambda: False)
+        # All that matters here of filtering first.
+        monkeypatch.setattr(lobewise.denoising, "denoise", lambda frame, **settings: peers.denoise_oidn(frame))
+        err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
+        assert err.endswith("Open Image Denoise is not installed; pip install 'lobewise[compare]'.\n")
+        assert not (tmp_path / "out.exr").exists()
+
+    @pytest.mark.parametrize(
+        ("option", "value", "words"),
+        [
+            ("--quality", "balanced", "quality: expected 'high' with Open Image Denoise, got 'balanced'"),
+            ("--quality", "fast", "quality: expected 'high' with Open Image Denoise, got 'fast'"),
+            ("--form", "atrous", "form: expected 'full' with quality 'high', got 'atrous'"),
+        ],
+    )
+    def test_open_image_denoise_is_mixed_with_high_alone(self, option, value, words, frame_file, tmp_path, capsys):
+        assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn", option, value)
+
     def test_light_lost_to_fireflies_is_told(self):
         from lobewise.cli.output import describe_result
         from lobewise.frame import Result

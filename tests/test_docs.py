@@ -130,3 +130,10 @@ def test_default_similarity_is_the_winner_of_the_comparison() -> None:
             for name in logs:
                 logs[name] += float(np.log(row[name]["rel_mse"]))
     assert min(logs, key=lambda name: logs[name]) == DEFAULT_SIMILARITY
+
+
+def test_page_of_qualities_is_that_of_the_trials() -> None:
+    results = ROOT / "benchmarks" / "results"
+    trials, training = (json.loads((results / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
+    page = load_publisher().make_trials_page(trials, training)
+    assert (ROOT / "docs" / "quality.md").read_text() == page

@@ -112,11 +112,25 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(folder: Path, tmp_pat
             ["denoise", "d.####.exr", "-o", "o.####.exr", "--temporal", "--quality", "balanced"],
             ["d.0001.exr", "quality", "'fast' for a filter with history", "'balanced'"],
         ),
+        (
+            ["denoise", "d.####.exr", "-o", "o.####.exr", "--temporal", "--with-oidn"],
+            ["d.0001.exr", "quality", "'fast' for a filter with history", "with_oidn"],
+        ),
         (["upsample", "s.####.exr", "-o", "o.####.exr", "--temporal", "--bilinear"], ["--bilinear", "--temporal"]),
         (["denoise", "d.0001.exr", "-o", "o.exr", "--adaptive", "5%"], ["--adaptive", "--scene"]),
         (["upsample", "d.####.exr", "-o", "o.####.exr", "--temporal"], ["lobewise/sparse", "d.0001.exr"]),
     ],
-    ids=["no pattern", "one output", "no files", "memory", "quality", "bilinear", "no scene", "not sparse"],
+    ids=[
+        "no pattern",
+        "one output",
+        "no files",
+        "memory",
+        "quality",
+        "with oidn",
+        "bilinear",
+        "no scene",
+        "not sparse",
+    ],
 )
 def test_mistakes_are_told_in_one_sentence(line, words, folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)

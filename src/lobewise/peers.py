@@ -1,4 +1,4 @@
-"""Other people's denoisers behind our frame, for benchmarks and comparisons only."""
+"""Other people's denoisers behind our frame: to compare with, and to mix with when asked."""
 
 from __future__ import annotations
 

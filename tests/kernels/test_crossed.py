@@ -20,6 +20,7 @@ from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
 from lobewise.kernels.engine import count_compiled_kernels
 from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
 from lobewise.kernels.lobe_features import DiffuseFeature
+from lobewise.kernels.seen_features import SeenFeature
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 
 FloatImage = NDArray[np.float64]
@@ -125,6 +126,7 @@ class Given:
     albedo: FloatArray | None = None
     guide: FloatArray | None = None
     noise: float = 2.0
+    seen: Sequence[Feature] = ()
 
     def run(self) -> list[Crossed]:
         """Return what the kernel gives."""
@@ -140,7 +142,7 @@ def _split(given: Given) -> tuple[Any, ...]:
 
 
 def _name(given: Given) -> dict[str, Any]:
-    return {name: getattr(given, name) for name in ("radius", "step", "albedo", "guide", "noise")}
+    return {name: getattr(given, name) for name in ("radius", "step", "albedo", "guide", "noise", "seen")}
 
 
 class Found(NamedTuple):
@@ -161,9 +163,13 @@ def find_good(half: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | No
 
 
 def find_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
-    """Return radiance over albedo."""
-    divisor = np.ones(3) if albedo is None else np.where(albedo > FLOOR, albedo, FLOOR).astype(np.float64)
-    return np.asarray(half / divisor)
+    """Return radiance over albedo; a channel without albedo takes the mean of those that have one."""
+    if albedo is None:
+        return half.astype(np.float64)
+    known = albedo > FLOOR
+    light = half / np.where(known, albedo, 1.0).astype(np.float64)
+    mean = np.sum(light, axis=-1, where=known) / np.maximum(known.sum(axis=-1), 1)
+    return np.where(known, light, mean[..., None])
 
 
 def cross_reference(
@@ -178,6 +184,7 @@ def cross_reference(
     albedo: FloatArray | None = None,
     guide: FloatArray | None = None,
     noise: float = 1.0,
+    seen: Sequence[Feature] = (),
 ) -> list[Found]:
     """Return ``sum_j w_X I_X / sum_j w_X`` of both halves X, offset by offset, from the definition."""
     height, width = mask.shape
@@ -200,7 +207,7 @@ def cross_reference(
             continue
         alike = [
             np.prod([feature.get_similarity(i, j) for feature in group] or [np.ones(i[0].shape)], axis=0)
-            for group in (place, lobes)
+            for group in (place, lobes, seen)
         ]
         apart = np.zeros((2, *i[0].shape))
         if guide is not None:
@@ -210,9 +217,10 @@ def cross_reference(
                 squared = np.mean((g_i - g_j)[:, 3 * half : 3 * half + 3] ** 2, axis=-1)
                 unexplained = squared - (v_i + np.minimum(v_i, v_j))
                 apart[half] = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + noise * (v_i + v_j))
-        for number, (of_place, of_lobes, of_range) in enumerate(variants):
+        for number, (of_place, of_lobes, of_range, of_seen) in enumerate(variants):
             for half in range(2):
-                weight = alike[0] ** of_place * alike[1] ** of_lobes * np.exp(-of_range * apart[1 - half])
+                weight = alike[0] ** of_place * alike[1] ** of_lobes * alike[2] ** of_seen
+                weight = weight * np.exp(-of_range * apart[1 - half])
                 weight = weight * share[j] * good[half][j]
                 terms = [weight[:, None] * light[half][j], weight[:, None], weight[:, None] ** 2]
                 sums[number, half][i] += np.concatenate(terms, axis=-1)
@@ -314,6 +322,38 @@ def test_bad_pixels_are_there_to_be_seen(name: str) -> None:
     assert not given.mask.all()
 
 
+def test_what_is_seen_is_a_group_of_its_own() -> None:
+    shape = (20, 33)
+    images = [make_radiance(shape, seed) for seed in (31, 32, 33, 34)]
+    seen = SeenFeature(images[0], images[1] - np.float32(0.5), albedo_sharpness=3.0, normal_sharpness=0.7)
+    given = Given(
+        halves=(images[2], images[3]),
+        mask=np.ones(shape, dtype=bool),
+        place=[ScreenFeature(2.0)],
+        lobes=[],
+        variants=[Exponents(1.0, 1.0, 0.0, 2.0), Exponents(1.0, 1.0, 0.0, 0.0)],
+        radius=2,
+        seen=[seen],
+    )
+    for out, expected in zip(given.run(), given.run_oracle(), strict=True):
+        np.testing.assert_allclose(out.a, expected.a, rtol=1e-3)
+        np.testing.assert_allclose(out.weight_sum, expected.weight_sum, rtol=1e-3)
+    alone = replace(given, seen=[]).run()[1]
+    np.testing.assert_allclose(given.run()[1].a, alone.a, rtol=1e-6)
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_constant_light_stays_constant_where_colours_lack_a_channel(channel: int) -> None:
+    albedo = np.full((9, 12, 3), 0.7, np.float32)
+    albedo[:, 4:, channel] = 0.0
+    albedo[2:5, 8:, (channel + 1) % 3] = 0.0
+    radiance = np.float32(1.5) * albedo
+    everywhere = np.ones(albedo.shape[:2], dtype=bool)
+    (out,) = run_crossed((radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo)
+    np.testing.assert_allclose(out.a, 1.5, rtol=1e-5)
+    np.testing.assert_allclose(out.b, 1.5, rtol=1e-5)
+
+
 def test_a_half_of_bad_pixels_takes_the_mean_of_the_other() -> None:
     given = make_given(STANDARD, (33, 17))
     for empty in (0, 1):
@@ -385,7 +425,7 @@ def test_the_impulse_response_is_the_weight(name: str) -> None:
     found = replace(given, halves=(impulse, 2.0 * impulse)).run()
     rows, columns = (k[reach].ravel() for k in np.indices(shape))
     i, j = (rows, columns), (np.full_like(rows, at[0]), np.full_like(rows, at[1]))
-    for out, (of_place, of_lobes, of_range) in zip(found, case.variants, strict=True):
+    for out, (of_place, of_lobes, of_range, _) in zip(found, case.variants, strict=True):
         alike = given.place[0].get_similarity(i, j) ** of_place * given.lobes[0].get_similarity(i, j) ** of_lobes
         apart = np.zeros(rows.shape)
         if given.guide is not None:

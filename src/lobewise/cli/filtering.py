@@ -56,6 +56,14 @@ def denoise(
             "with another form than full and with --temporal.",
         ),
     ] = "auto",
+    with_oidn: Annotated[
+        bool,
+        typer.Option(
+            "--with-oidn",
+            help="Mix the result with that of Intel Open Image Denoise; implies --quality high; needs "
+            r"lobewise\[compare].",
+        ),
+    ] = False,
     form: Annotated[
         str,
         typer.Option(
@@ -99,6 +107,7 @@ def denoise(
     settings: dict[str, Any] = {
         "similarity": similarity,
         "quality": quality,
+        "with_oidn": with_oidn,
         "form": form,
         "radius": radius,
         "beta": parse_beta(beta),

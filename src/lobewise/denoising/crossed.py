@@ -24,6 +24,7 @@ from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import bound_fireflies
 from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.resolving import resolve_coverage
+from lobewise.kernels.seen_features import SeenFeature
 from lobewise.lobes.field import default_tau
 from lobewise.lobes.vectors import LUMINANCE
 
@@ -40,6 +41,8 @@ class Pass:
         Standard deviation of the distance on the screen, pixels, and in the scene, pixel footprints, at radius 8.
     lobes : float
         Exponent of the lobe similarity, over that of the settings.
+    lobes_with_seen : float
+        The same where the frame tells what reflections see, which then says more than the lobes do.
     noise : float or None
         Variances that a squared difference of the guide is divided by; None for no guide.
     step : int
@@ -49,6 +52,7 @@ class Pass:
     radius: int
     sigma: float
     lobes: float = 1.0
+    lobes_with_seen: float = 1.0
     noise: float | None = None
     step: int = 1
 
@@ -65,10 +69,14 @@ DIFFUSE = Plan(
     (Pass(5, 6.0, lobes=4.0), Pass(6, 30.0, noise=4.0), Pass(3, 30.0, noise=2.0, step=4)),
     beta=2.0,
 )
-SPECULAR = Plan((Pass(5, 4.0, lobes=2.0), Pass(6, 22.0, noise=2.0)), beta=1.0)
+SPECULAR = Plan((Pass(5, 4.0, lobes=2.0), Pass(6, 22.0, lobes_with_seen=0.5, noise=2.0)), beta=1.0)
 """Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
 the first gave reaches as far as a dense kernel of three times the cost. Reflections are too sharp for that."""
 
+SEEN_RADIUS, SEEN_SIGMA, SEEN_LOBES = 2, 3.0, 2.0
+"""Kernel over which what reflections see is averaged: radius and sigma in pixels, exponent of the lobes."""
+SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
+"""Sharpness with which its albedo and its normal are compared."""
 WIDEST = 30.0
 """Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
 TAU = 0.01
@@ -82,6 +90,7 @@ def resolve_crossed(frame: Frame, settings: DenoiseSettings, plain: DenoiseSetti
     return replace(
         plain,
         quality=settings.quality,
+        with_oidn=settings.with_oidn,
         beta=SPECULAR.beta if settings.beta == "auto" else settings.beta,
         diffuse_beta=DIFFUSE.beta if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
@@ -95,6 +104,7 @@ class NoisyLayer:
 
     layer: Layer
     name: str
+    seen: tuple[Feature, ...]
     halves: tuple[FloatArray, FloatArray]
     plan: Plan
     lost: float
@@ -131,8 +141,27 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
         a, b, _ = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
         given, left = (sum(_sum_luminance(half) for half in both) for both in (before, (a, b)))
         compared = replace(layer, features=(*layer.features, *extra))
-        found.append(NoisyLayer(compared, name, (a, b), plan, given - left, given))
+        seen = find_seen(frame, compared, settings) if name == "specular" else ()
+        found.append(NoisyLayer(compared, name, seen, (a, b), plan, given - left, given))
     return found
+
+
+def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Feature, ...]:
+    """Return the feature of what the layer's lobes see; nothing where the frame does not tell.
+
+    What few samples hit is noise like radiance, so it is first averaged over near pixels with like lobes.
+    """
+    albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
+    if albedo is None or normal is None:
+        return ()
+    # A pass takes what is not negative: normals are moved there and back.
+    images = albedo, np.float32(0.5) + np.float32(0.5) * normal
+    place = make_pass_features(frame, settings, SEEN_SIGMA)
+    lobes = [Exponents(1.0, SEEN_LOBES)]
+    (mean,) = run_crossed(images, layer.mask, place, layer.features, lobes, radius=SEEN_RADIUS, device=settings.device)
+    normal = np.float32(2.0) * mean.b - np.float32(1.0)
+    sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
+    return (SeenFeature(mean.a, normal, **sharpness),)
 
 
 def _sum_luminance(image: FloatArray) -> float:
@@ -141,27 +170,33 @@ def _sum_luminance(image: FloatArray) -> float:
     return float(np.dot(channels, LUMINANCE))
 
 
+def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) -> list[Feature]:
+    """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
+    assert not isinstance(settings.screen_sigma, str)
+    screen = max(sigma * settings.screen_sigma / WIDEST, 0.5)
+    position = screen * settings.position_sigma / DenoiseSettings().position_sigma
+    return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
+
+
 def run_pass(
     frame: Frame, noisy: NoisyLayer, number: int, before: Crossed | None, settings: DenoiseSettings
 ) -> Crossed:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
-    assert not isinstance(settings.screen_sigma, str)
     scale = settings.radius / 8.0
-    sigma = max(chosen.sigma * settings.screen_sigma / WIDEST, 0.5)
-    position = sigma * settings.position_sigma / DenoiseSettings().position_sigma
-    place = make_position_features(frame, replace(settings, screen_sigma=sigma, position_sigma=position))
     guide = None
     if before is not None and chosen.noise is not None:
         guide = make_noise_guide(before.a, before.b, layer.mask, settings.device)
+    seen = noisy.seen if guide is not None else ()
     sparse = before is not None and chosen.step > 1
     (found,) = run_crossed(
         (before.a, before.b) if before is not None and sparse else noisy.halves,
         layer.mask,
-        place,
+        make_pass_features(frame, settings, chosen.sigma),
         layer.features,
-        [Exponents(1.0, chosen.lobes, 1.0)],
+        [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
         radius=chosen.radius if sparse else round(chosen.radius * scale),
+        seen=seen,
         step=max(round(chosen.step * scale), 1),
         albedo=None if sparse else layer.albedo,
         guide=guide,

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.crossed import filter_balanced, make_noisy_layers, resolve_crossed
+from lobewise.denoising.combining import combine_with_peer
+from lobewise.denoising.crossed import CleanLayer, filter_balanced, make_noisy_layers, resolve_crossed
+from lobewise.denoising.high import mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
 from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
 from lobewise.errors import require_choice
@@ -95,6 +97,8 @@ def denoise(
     holes = ~find_good(image) | (bad & found.untouched)
     if holes.any():
         image = refill(image, holes, chosen)
+    if chosen.with_oidn:
+        image = combine_with_peer(frame, image, found.extras, chosen.device)
     apart = len(found.parts) == 2
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
@@ -118,6 +122,8 @@ class Filtered:
     parts: Sequence[FloatArray]
     supports: Sequence[Support]
     energy_lost: float = 0.0
+    extras: Sequence[FloatArray] = ()
+    """What a network sees of every layer, with the quality "high"."""
 
     @property
     def untouched(self) -> NDArray[np.bool_]:
@@ -148,10 +154,18 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
 def filter_crossed(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
     """Filter the halves of every layer, each by what the other half tells as well."""
     noisy = make_noisy_layers(frame, settings, features)
-    clean = [filter_balanced(frame, each, settings) for each in noisy]
+    extras: list[FloatArray] = []
+    clean: list[CleanLayer] = []
+    for each in noisy:
+        if settings.quality == "high":
+            found, seen = mix_layer(frame, each, settings)
+            extras.append(seen)
+        else:
+            found = filter_balanced(frame, each, settings)
+        clean.append(found)
     given = sum(each.given for each in noisy)
     lost = sum(each.lost for each in noisy) / given if given > 0.0 else 0.0
-    return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost)
+    return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost, extras)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

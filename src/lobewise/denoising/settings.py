@@ -66,6 +66,9 @@ class DenoiseSettings:
         are not apart 1 to 3, and one more is the diffuse lobe.
     hit_distance : bool or "auto"
         With "sg", "asg" and "ggx": compare footprints on what the lobes hit (see `lobewise.lobes.hits`).
+    with_oidn : bool
+        With the quality "high", which it implies: mix the result pixel by pixel with that of Intel Open Image Denoise
+        (needs ``lobewise[compare]``).
     """
 
     quality: str = "auto"
@@ -82,16 +85,18 @@ class DenoiseSettings:
     band_limit: float | None = None
     lobes: int = 3
     hit_distance: bool | str = "auto"
+    with_oidn: bool = False
 
     def __post_init__(self) -> None:
         require_choice("quality", self.quality, QUALITIES)
         require_choice("similarity", self.similarity, SIMILARITIES)
         require_choice("form", self.form, FORMS)
-        if self.quality in ("balanced", "high") and self.form != "full":
+        quality = "high" if self.with_oidn else self.quality
+        if quality in ("balanced", "high") and self.form != "full":
             raise InputError(
                 describe_problem(
                     "form",
-                    expected=f"'full' with quality {self.quality!r}",
+                    expected=f"'full' with quality {quality!r}",
                     got=repr(self.form),
                     action="use quality 'fast' for the other forms",
                 )
@@ -103,6 +108,15 @@ class DenoiseSettings:
                     expected=f"an integer from 0 to {LARGEST_RADIUS}",
                     got=repr(self.radius),
                     action="8 is usual; form='atrous' reaches further",
+                )
+            )
+        if self.with_oidn and self.quality not in ("auto", "high"):
+            raise InputError(
+                describe_problem(
+                    "quality",
+                    expected="'high' with Open Image Denoise",
+                    got=repr(self.quality),
+                    action="leave the quality out",
                 )
             )
         for name in ("beta", "diffuse_beta", "screen_sigma", "tau"):
@@ -136,17 +150,19 @@ def choose_quality(settings: DenoiseSettings) -> str:
     """Return the quality that "auto" stands for in `denoise`; others are returned as they are."""
     if settings.quality != "auto":
         return settings.quality
+    if settings.with_oidn:
+        return "high"
     return DEFAULT_QUALITY if settings.form == "full" else "fast"
 
 
 def require_plain(settings: DenoiseSettings, what: str) -> None:
     """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
-    if settings.quality not in ("auto", "fast"):
+    if settings.quality not in ("auto", "fast") or settings.with_oidn:
         raise InputError(
             describe_problem(
                 "quality",
                 expected=f"'fast' for {what}",
-                got=repr(settings.quality),
+                got="with_oidn" if settings.with_oidn else repr(settings.quality),
                 action="leave it out, or denoise frame by frame",
             )
         )
@@ -236,6 +252,7 @@ def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1)
     return replace(
         settings,
         quality="fast",
+        with_oidn=False,
         tau=float(tau),
         screen_sigma=choose_screen_sigma(density * spp, settings.radius * scale) if sigma == "auto" else float(sigma),
         similarity=choose_similarity(frame, settings.similarity),

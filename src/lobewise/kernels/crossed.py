@@ -1,11 +1,11 @@
 """The cross-bilateral sum over two halves of the samples, each weighted by what the other half shows.
 
 For both halves at once, ``out_X(i) = sum_j w_X(i, j) I_X(j) / sum_j w_X(i, j)`` with
-``w_X = a_j place^p lobes^l exp(-r E_Y)``: a_j the luminance of the albedo (so that the mean is that of light received,
-as a ratio of sums is), ``place`` and ``lobes`` the products of the similarities of two groups of features, and E_Y
-how far apart the two pixels are in the *other* half's guide. Weights are then independent of the noise that they
-average (Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means Filtering", section 5). Several
-variants (p, l, r) share all that is the same for them.
+``w_X = a_j place^p lobes^l seen^s exp(-r E_Y)``: a_j the luminance of the albedo (so that the mean is that of light
+received, as a ratio of sums is), ``place``, ``lobes`` and ``seen`` the products of the similarities of three groups of
+features, and E_Y how far apart the two pixels are in the *other* half's guide. Weights are then independent of the
+noise that they average (Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means Filtering", section
+5). Several variants (p, l, r, s) share all that is the same for them.
 
 The distance in the guide is that of the same paper, equation 2: squared differences less what the noise explains, over
 the noise. Departs: of pixels, not of patches, because the guide is a filtered image already: patches of 3x3 lowered the
@@ -49,6 +49,7 @@ class CrossedKey:
     radius: int
     place: tuple[Hashable, ...]
     lobes: tuple[Hashable, ...]
+    seen: tuple[Hashable, ...]
     demodulate: bool
     guided: bool
     variants: int
@@ -64,7 +65,7 @@ class CrossedFuncs:
     images: hl.Func
     guide: hl.Func | None
     sides: list[tuple[hl.Func | None, int, hl.Func | None, int]]
-    """Of both groups of features: planes and guides, with how many there are."""
+    """Of every group of features: planes and guides, with how many there are."""
     stages: list[hl.Func]
     across: hl.RDom
     down: hl.RDom
@@ -75,13 +76,13 @@ class CrossedFuncs:
     arguments: list[Any]
 
 
-def make_crossed(key: CrossedKey, place: Sequence[Feature], lobes: Sequence[Feature]) -> CrossedFuncs:
-    """Return the algorithm of a crossed pass.
+def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> CrossedFuncs:
+    """Return the algorithm of a crossed pass for the features of place, of lobes and of what is seen.
 
     The arguments of the compiled pass, in order: both halves (c, x, y); albedo (c, x, y) where demodulated; mask
     (x, y) uint8; guide (c, x, y) where guided, its channels those of `GUIDE_CHANNELS`; the arrays of every feature;
     step (int32) from tap to tap; noise, the factor of the variance in the distance; the parameters of every feature;
-    the exponents of place, lobes and range of every variant.
+    the exponents of place, lobes, range and what is seen of every variant.
     """
     x, y, c, u, v = (hl.Var(name) for name in ("x", "y", "c", "u", "v"))
     halves = [_make_image(f"half{number}", COLORS) for number in range(HALVES)]
@@ -98,11 +99,13 @@ def make_crossed(key: CrossedKey, place: Sequence[Feature], lobes: Sequence[Feat
     values: list[hl.Expr] = []
     for half in halves:
         radiance, good = demodulate(half, albedo if key.demodulate else None, clamped, hl.f32(ALBEDO_FLOOR))
-        share = _find_share(albedo, clamped) if key.demodulate else hl.f32(1.0)
+        share: hl.Expr = hl.f32(1.0)
+        if key.demodulate:
+            share = _find_share(albedo, clamped)
+            radiance = _fill_unknown(radiance, [albedo[k, clamped[0], clamped[1]] for k in range(COLORS)])
         values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
     images[x, c, y] = hl.mux(c, values)
 
-    groups = list(place), list(lobes)
     scalars = [
         [
             [hl.Param(hl.Float(32), f"g{group}p{number}_{k}") for k in range(len(feature.get_parameters()))]
@@ -112,7 +115,7 @@ def make_crossed(key: CrossedKey, place: Sequence[Feature], lobes: Sequence[Feat
     ]
     sides = [
         make_side(name, mask, features, own, (x, y, c))
-        for name, features, own in zip(("place", "lobes"), groups, scalars, strict=True)
+        for name, features, own in zip(("place", "lobes", "seen"), groups, scalars, strict=True)
     ]
     stages: list[hl.Func] = []
 
@@ -143,10 +146,10 @@ def make_crossed(key: CrossedKey, place: Sequence[Feature], lobes: Sequence[Feat
             squares = sum((change * change for change in changes), hl.f32(0.0))
             distances.append(hl.max(squares - explained, hl.f32(0.0)) * scale)
 
-    exponents = [[hl.Param(hl.Float(32), f"{name}{k}") for name in ("p", "l", "r")] for k in range(key.variants)]
+    exponents = [[hl.Param(hl.Float(32), f"{name}{k}") for name in ("p", "l", "r", "s")] for k in range(key.variants)]
     log_weights: list[hl.Expr] = []
-    for of_place, of_lobes, of_range in exponents:
-        shared = of_place * logs[0] + of_lobes * logs[1]
+    for of_place, of_lobes, of_range, of_seen in exponents:
+        shared = of_place * logs[0] + of_lobes * logs[1] + of_seen * logs[2]
         # Without a guide both halves have one weight.
         log_weights += [shared - of_range * distances[1 - half] for half in range(HALVES)] if key.guided else [shared]
     log_weight = hl.Func("log_weight")
@@ -212,6 +215,15 @@ def _make_image(name: str, channels: int) -> hl.ImageParam:
     image.dim(1).set_stride(channels)
     begin_at_zero(image)
     return image
+
+
+def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl.Expr]:
+    """Return the light with the mean of its known channels where the albedo has no such channel to tell it by."""
+    known = [tint > hl.f32(ALBEDO_FLOOR) for tint in tints]
+    count = sum((hl.f32(each) for each in known), hl.f32(0.0))
+    told = [hl.select(each, value, hl.f32(0.0)) for each, value in zip(known, light, strict=True)]
+    mean = sum(told, hl.f32(0.0)) / hl.max(count, hl.f32(1.0))
+    return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
 
 
 def _find_share(albedo: hl.ImageParam, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:

@@ -18,11 +18,12 @@ from lobewise.kernels.schedules import schedule_crossed_cpu
 
 
 class Exponents(NamedTuple):
-    """Powers to which a variant raises the similarities of place and of lobes, and that of the guides."""
+    """Powers to which a variant raises the similarities of place, of lobes, of the guides and of what is seen."""
 
     place: float
     lobes: float
     range: float = 0.0
+    seen: float = 1.0
 
 
 class Crossed(NamedTuple):
@@ -55,6 +56,7 @@ def run_crossed(
     variants: Sequence[Exponents],
     *,
     radius: int,
+    seen: Sequence[Feature] = (),
     step: int = 1,
     albedo: FloatArray | None = None,
     guide: FloatArray | None = None,
@@ -69,8 +71,8 @@ def run_crossed(
         Radiance of one half of the samples each. NaN, infinite and negative pixels of a half get weight 0 in it.
     mask : bool array, shape (height, width)
         False where a pixel neither gives nor takes.
-    place, lobes : sequence of Feature
-        Two groups of features, each with an exponent of its own.
+    place, lobes, seen : sequence of Feature
+        Three groups of features, each with an exponent of its own.
     variants : sequence of Exponents
         At least one.
     radius, step : int
@@ -91,17 +93,19 @@ def run_crossed(
         One for each variant.
     """
     height, width = mask.shape
+    groups = (place, lobes, seen)
     key = CrossedKey(
         radius=radius,
         place=tuple(describe_structure(feature) for feature in place),
         lobes=tuple(describe_structure(feature) for feature in lobes),
+        seen=tuple(describe_structure(feature) for feature in seen),
         demodulate=albedo is not None,
         guided=guide is not None,
         variants=len(variants),
     )
 
     def make(target: hl.Target) -> CrossedFuncs:
-        funcs = make_crossed(key, place, lobes)
+        funcs = make_crossed(key, groups)
         schedule_crossed_cpu(funcs, target)
         return funcs
 
@@ -113,9 +117,9 @@ def run_crossed(
     held.append(np.ascontiguousarray(mask).view(np.uint8))
     if guide is not None:
         held.append(take_image("guide", guide, (height, width, GUIDE_CHANNELS)))
-    held += [*take_arrays(place, (height, width)), *take_arrays(lobes, (height, width))]
+    held += [array for group in groups for array in take_arrays(group, (height, width))]
     buffers = [hl.Buffer(_borrow(array)) for array in held]
-    parameters = [*take_parameters(place), *take_parameters(lobes)]
+    parameters = [value for group in groups for value in take_parameters(group)]
     powers = [float(power) for each in variants for power in each]
     target = np.empty((height, width, len(variants) * OUTPUTS), dtype=np.float32)
     kernel(*buffers, step, float(noise), *parameters, *powers, hl.Buffer(target))

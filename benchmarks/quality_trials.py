@@ -1,0 +1,101 @@
+"""The page that tells how the quality modes came about, from the recorded trials and the trainer's JSON."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+HEAD = """# Quality: how the noise enters
+
+`lobewise.denoise(frame, quality=...)`, `lobewise denoise --quality ...`. Guides and lobes tell which pixels reflect alike; they do not know how noisy a frame is, or how
+fast what is reflected changes. Three qualities:
+
+| quality | what it does |
+| --- | --- |
+| `fast` | The paper's: one pass, weights from guides alone. Any form, radius, upsampling and histories. |
+| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes; then each is filtered widely, by lobes times how far apart two pixels are in the *other* half's pilot, over its noise. Diffuse light gets a third, sparse pass. |
+| `high` | Nine such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
+
+Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
+
+## What comes before and after
+
+- **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used; else the two colours of a checkerboard are.
+- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` and the command line say
+  which share of the light that took.
+- **Edges.** Filters work with the surface at a pixel's centre. Where the frame has `coverage` (`lobewise render` does), the light that falls on the surfaces around is mixed over the
+  pixel's area at the end, so that silhouettes and textures are smooth; without it they are as the guides are.
+
+## Tried, kept, dropped
+
+One at a time, on the two train scenes alone. `rel_mse` in units of 1e-5, noise of the references subtracted; rows compare within a table, differences of a few percent mean little.
+
+"""
+
+TAIL = """
+## The networks of `high`
+
+Inputs, all of them relative, so that neither exposure nor sample count enters: the variance of every candidate (how far its halves are apart), how far it is from the middle one, slope and brightness, what the narrow
+and the middle candidate are worth in samples, the variance of both guides, albedo, roughness and anisotropy. Two hidden layers, a softmax over the candidates; one network for
+diffuse, one for specular light. Trained on {scenes} scenes made at random (`benchmarks/training_scenes.py`), none of which is a scene that results are judged on; {weights} weights, 3 networks.
+Every fifth scene was kept aside once, to see that the networks do not learn their scenes by heart (error of the mixture over that of the middle candidate, geometric mean over scenes):
+
+{ratios}
+
+```sh
+python benchmarks/training_scenes.py --cache DIR --count 24 --size 384 --reference-spp 256
+python benchmarks/train.py --cache DIR
+```
+
+## Together with Open Image Denoise
+
+`denoise(frame, with_oidn=True)`, `--with-oidn`: `high`, then a mixture with what Open Image Denoise makes of the frame, pixel by pixel, in proportions that a third network reads off the same
+inputs and the difference of both. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
+
+{peer}
+
+## What is not settled
+
+- Reflections in near-mirrors are noisier than in Open Image Denoise at few samples: what the hit looks like helps from 16 samples on, but is itself noise at 4 (see the table), and is not in the weights.
+- Samples of pixels that two surfaces share count as samples of the one at the centre. Leaving them out made things worse.
+- Emission and background pass through as they came.
+- Radius and sigmas are those of images of some 400 to 1100 rows; scale `radius` with the resolution.
+"""
+
+
+def make_table(header: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table, figures to the right."""
+    align = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in [header, align, *rows])
+
+
+def make_trials(trials: list[dict[str, Any]]) -> str:
+    """Return a table for each group of trials."""
+    parts = []
+    for group, members in groupby(trials, key=lambda trial: trial["group"]):
+        rows = list(members)
+        header = [group, *rows[0]["columns"], ""]
+        table = [
+            [row["name"], *map(str, row["values"]), ": ".join(word for word in (row["verdict"], row["note"]) if word)]
+            for row in rows
+        ]
+        parts.append(make_table(header, table))
+    return "\n\n".join(parts) + "\n"
+
+
+def make_ratios(ratios: dict[str, dict[str, float]]) -> str:
+    """Return the trainer's table."""
+    names = list(next(iter(ratios.values())))
+    rows = [[f"{spp} spp", *(f"{row[name]:.2f}" for name in names)] for spp, row in ratios.items()]
+    return make_table(["samples", *names], rows)
+
+
+def make_trials_page(trials: dict[str, Any], training: dict[str, Any]) -> str:
+    """Return docs/quality.md."""
+    tail = TAIL.format(
+        scenes=len(training["scenes"]),
+        weights=training["weights"],
+        ratios=make_ratios(training["ratios"]),
+        peer=make_ratios(training["ratios_with_peer"]),
+    )
+    return HEAD + make_trials(trials["trials"]) + tail

@@ -1,0 +1,70 @@
+"""Our image and that of a neural denoiser, mixed pixel by pixel.
+
+A network that was trained on pictures is good where light is smooth or looks like other pictures; lobes and halves are
+good where a surface reflects in a way that only its guides tell. Which of the two to trust is read off the same numbers
+as in `lobewise.denoising.high`, by a network that was trained on the same random scenes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.high import load_networks
+from lobewise.frame import FloatArray, Frame
+from lobewise.kernels.mixing import mix_candidates
+from lobewise.lobes.vectors import LUMINANCE
+from lobewise.peers import denoise_oidn
+
+LAYERS = 2
+
+
+def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArray], device: str) -> FloatArray:
+    """Return a mixture of ``image`` and what Open Image Denoise makes of the frame, (height, width, 3).
+
+    Parameters
+    ----------
+    frame : Frame
+        With normals.
+    image : (height, width, 3)
+        Ours, finite, >= 0.
+    extras : sequence of arrays
+        What `find_candidates` tells of every layer.
+    device : str
+        A name from `list_devices`.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Open Image Denoise is not installed.
+    """
+    pairs, seen = list_pairs(image, denoise_with_peer(frame, image)), join_extras(extras)
+    return mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device)
+
+
+def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
+    """Return what Open Image Denoise makes of the frame, its bad pixels replaced by ours; finite, >= 0."""
+    color = frame.radiance.color
+    good = find_good(color)
+    if not good.all():
+        frame = frame.with_changes(radiance=type(frame.radiance)(np.where(good[..., None], color, image)))
+    peer, _ = denoise_oidn(frame, guides="mean")
+    fine = find_good(peer)
+    return peer if fine.all() else np.where(fine[..., None], peer, image)
+
+
+def list_pairs(image: FloatArray, peer: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return both images as candidates whose halves are the same."""
+    return [(image, image), (peer, peer)]
+
+
+def join_extras(extras: Sequence[FloatArray]) -> FloatArray:
+    """Return what is known of all layers side by side, (height, width, 2 EXTRAS); one layer stands for both."""
+    return np.concatenate([*extras, *extras][:LAYERS] if len(extras) < LAYERS else list(extras), axis=-1)
+
+
+def find_level(image: FloatArray) -> float:
+    """Return the mean luminance."""
+    return float(np.mean(image @ np.array(LUMINANCE, dtype=np.float32), dtype=np.float64))

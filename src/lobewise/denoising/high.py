@@ -1,0 +1,187 @@
+"""The quality "high": several averages of every layer, from narrow to wide, and the best mixture of them per pixel.
+
+How wide to average is a trade of noise for blur that changes from pixel to pixel. Here nine filters run, each guided
+by what those before it found, and a small network, trained on scenes that are made at random
+(``benchmarks/train.py``), says in which proportions they count. It sees how noisy each is, how far they are apart and
+what kind of surface a pixel shows, all of it relative, so that neither exposure nor sample count matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+
+from lobewise.denoising.crossed import CleanLayer, NoisyLayer, Pass, finish_layer, make_pass_features
+from lobewise.denoising.settings import DenoiseSettings
+from lobewise.frame import FloatArray, Frame
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR
+from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
+from lobewise.kernels.mixing import Network, mix_candidates
+from lobewise.kernels.noise_guides import make_noise_guide
+from lobewise.lobes.vectors import LUMINANCE
+
+PILOTS = {"diffuse": Pass(5, 6.0, lobes=4.0), "specular": Pass(5, 4.0, lobes=2.0)}
+NOISE = {"diffuse": 4.0, "specular": 2.0}
+"""Variances of the guide by which the dense passes divide squared differences."""
+SIGMA = 30.0
+"""Standard deviation of the distance, pixels and footprints, at radius 8."""
+FIRST = (Exponents(25.0, 2.0, 1.0, 2.0), Exponents(1.0, 1.0, 1.0), Exponents(1.0, 1.0, 0.3, 0.5))
+"""Guided by the pilot: narrow (a sigma of 6 pixels), middle, and loose."""
+SECOND = (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.25, 1.0, 2.0))
+"""Guided by the middle of the first; the other trusts the image and what is seen more than the lobes."""
+SPARSE = (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.25, 0.3))
+"""Guided by what they average: the first of the second, then the first of these."""
+SPARSE_RADIUS, SPARSE_NOISE = 3, 2.0
+SPARSE_STEPS = (4, 10)
+"""Pixels from tap to tap of the sparse passes, at radius 8; the second averages what the first gave."""
+MIDDLE = 1
+"""Which candidate the others are compared with."""
+COUNT = len(FIRST) + len(SECOND) + len(SPARSE_STEPS) * len(SPARSE)
+EXTRAS = 7
+WEIGHTS = "weights.npz"
+SMALLEST_ALPHA = 1e-3
+
+
+class Candidates(NamedTuple):
+    """Several averages of one layer, and what else a network sees.
+
+    Parameters
+    ----------
+    found : list of Crossed
+        `COUNT` of them.
+    extras : (height, width, EXTRAS)
+        Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
+        and of the middle candidate's guide, the albedo's luminance, the geometric mean of the alphas and their ratio (0
+        both in a diffuse layer).
+    level : float
+        Mean luminance of the middle candidate where the layer has meaning.
+    """
+
+    found: list[Crossed]
+    extras: FloatArray
+    level: float
+
+    @property
+    def pairs(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Both halves of each."""
+        return [(each.a, each.b) for each in self.found]
+
+
+def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> Candidates:
+    """Run every filter of a layer."""
+    layer = noisy.layer
+    kind = "diffuse" if noisy.name == "diffuse" else "specular"
+    scale, device = settings.radius / 8.0, settings.device
+    radius = settings.radius
+
+    def guide(found: Crossed) -> FloatArray:
+        return make_noise_guide(found.a, found.b, layer.mask, device)
+
+    pilot_pass = PILOTS[kind]
+    (pilot,) = run_crossed(
+        noisy.halves,
+        layer.mask,
+        make_pass_features(frame, settings, pilot_pass.sigma),
+        layer.features,
+        [Exponents(1.0, pilot_pass.lobes)],
+        radius=round(pilot_pass.radius * scale),
+        albedo=layer.albedo,
+        device=device,
+    )
+    place = make_pass_features(frame, settings, SIGMA)
+    guides = [guide(pilot)]
+    found: list[Crossed] = []
+    for variants in (FIRST, SECOND):
+        found += run_crossed(
+            noisy.halves,
+            layer.mask,
+            place,
+            layer.features,
+            variants,
+            radius=radius,
+            seen=noisy.seen,
+            albedo=layer.albedo,
+            guide=guides[-1],
+            noise=NOISE[kind],
+            device=device,
+        )
+        guides.append(guide(found[MIDDLE if variants is FIRST else len(FIRST)]))
+    source = found[len(FIRST)]
+    for step in SPARSE_STEPS:
+        sparse = run_crossed(
+            (source.a, source.b),
+            layer.mask,
+            place,
+            layer.features,
+            SPARSE,
+            radius=SPARSE_RADIUS,
+            seen=noisy.seen,
+            step=max(round(step * scale), 1),
+            guide=guides[-1],
+            noise=SPARSE_NOISE,
+            device=device,
+        )
+        found += sparse
+        source = sparse[0]
+        guides.append(guide(source))
+    middle = found[MIDDLE]
+    luminance = np.asarray(middle.mean @ np.array(LUMINANCE, dtype=np.float32))
+    level = float(np.sum(luminance, where=layer.mask, dtype=np.float64)) / max(int(np.count_nonzero(layer.mask)), 1)
+    extras = [found[0].effective_samples, middle.effective_samples, guides[0][..., -1], guides[1][..., -1]]
+    return Candidates(found, _take_logarithms(frame, noisy, extras, kind), level)
+
+
+def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], kind: str) -> FloatArray:
+    one: FloatArray = np.ones(frame.shape, dtype=np.float32)
+    guides, albedo = frame.gbuffer, noisy.layer.albedo
+    roughness: FloatArray = one
+    ratio: FloatArray = one
+    with np.errstate(invalid="ignore"):
+        tint: FloatArray = one if albedo is None else albedo @ np.array(LUMINANCE, dtype=np.float32)
+        if kind == "specular" and guides.alpha_u is not None:
+            alpha_u = np.maximum(guides.alpha_u, SMALLEST_ALPHA)
+            alpha_v = alpha_u if guides.alpha_v is None else np.maximum(guides.alpha_v, SMALLEST_ALPHA)
+            roughness = np.sqrt(alpha_u * alpha_v, dtype=np.float32)
+            ratio = np.divide(alpha_u, alpha_v, dtype=np.float32)
+        stacked = np.stack([*extras, np.maximum(tint, ALBEDO_FLOOR), roughness, ratio], axis=-1)
+        logs = np.log2(np.maximum(stacked, np.float32(1e-8)))
+    return np.where(np.isfinite(logs), logs, np.float32(0.0)).astype(np.float32)
+
+
+@cache
+def load_networks() -> Mapping[str, Network]:
+    """Return the trained networks of this package: "diffuse", "specular", and "peer" for `combine_with_peer`."""
+    with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
+        arrays = dict(np.load(file, allow_pickle=False))
+    return {kind: unpack_network(arrays, kind) for kind in ("diffuse", "specular", "peer")}
+
+
+def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Network:
+    """Return a network from arrays by name, as `pack_network` makes them."""
+    weights = tuple(arrays[f"{kind}_weights_{number}"] for number in range(3))
+    biases = tuple(arrays[f"{kind}_biases_{number}"] for number in range(3))
+    return Network(arrays[f"{kind}_mean"], arrays[f"{kind}_scale"], weights, biases)  # type: ignore[arg-type]
+
+
+def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
+    """Return a network as arrays by name."""
+    arrays = {f"{kind}_mean": network.mean, f"{kind}_scale": network.scale}
+    arrays |= {f"{kind}_weights_{number}": each for number, each in enumerate(network.weights)}
+    arrays |= {f"{kind}_biases_{number}": each for number, each in enumerate(network.biases)}
+    return arrays
+
+
+def mix_layer(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> tuple[CleanLayer, FloatArray]:
+    """Filter a layer in every way and mix what comes out; also return the candidates' extras."""
+    candidates = find_candidates(frame, noisy, settings)
+    kind = "diffuse" if noisy.name == "diffuse" else "specular"
+    light = mix_candidates(
+        candidates.pairs, MIDDLE, candidates.extras, candidates.level, load_networks()[kind], settings.device
+    )
+    middle = candidates.found[MIDDLE]
+    clean = finish_layer(frame, noisy, light, middle.weight_sum, middle.effective_samples)
+    return clean, candidates.extras

@@ -1,0 +1,582 @@
+"""The quality "high": its candidates, what the network sees, the mixture, and the share of Open Image Denoise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise import peers
+from lobewise.denoising import DenoiseSettings, combining, denoise, high
+from lobewise.denoising.combining import combine_with_peer, join_extras
+from lobewise.denoising.crossed import finish_layer, make_noisy_layers, resolve_crossed
+from lobewise.denoising.high import COUNT, EXTRAS, MIDDLE, find_candidates, load_networks, pack_network, unpack_network
+from lobewise.denoising.settings import choose_quality, resolve_settings
+from lobewise.errors import InputError, LobewiseError, MissingDependencyError
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.kernels.crossed_runs import Crossed
+from lobewise.kernels.mixing import Network, count_features
+from lobewise.sparse_frame import make_sparse
+from lobewise.temporal import TemporalFilter
+from lobewise.upsampling import upsample
+from tests.test_denoising import SHAPE, get_clean, make_frame
+from tests.test_quality_modes import FAR, make_shadowed, measure
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+ALBEDO_FLOOR = 1e-3
+SMALLEST_ALPHA = 1e-3
+FEW = {"FIRST": 2, "SECOND": 1, "SPARSE": 1, "SPARSE_STEPS": 1}
+"""Filters that are left of the plan in most of these tests: what holds of four holds of all, and compiles sooner."""
+FEWER = 4
+CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
+"""Lobes take the most time to compile."""
+
+SCALED = {1e-6: 5e-3, 3.0: 2e-3, 1e6: 5e-3}
+"""How far a frame may come out unlike k times another, relative, by k: the rounding of a logarithm of 10, times
+differences of 1, over the least variance that guides assume; less where the logarithm is."""
+ROUNDING = 1e-6
+"""Relative: a weighted mean in float32."""
+REACH = 6 + 5 + 3 + 8 + 3 + 8 + 3 + 12 + 2 + 1
+"""Pixels from which a pixel is told anything: fireflies, pilot, blur of its variance, two dense passes with that of
+their guides, the sparse pass, blur and slope of the mixing; as `FEW` leaves it."""
+EVERYWHERE = 1e-3
+"""What a bad pixel changes further away, relative: the mean of the frame has one pixel less of 2000."""
+
+
+def make_network(inputs: int, outputs: int, seed: int) -> Network:
+    """Return a small network of random numbers for features, logarithms about -5."""
+    rng = np.random.default_rng(seed)
+    pairs = list(pairwise((inputs, 4, 4, outputs)))
+    weights = tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs)
+    biases = tuple(rng.normal(size=after).astype(np.float32) for _, after in pairs)
+    mean, scale = np.full(inputs, -5.0, np.float32), np.full(inputs, 0.3, np.float32)
+    return Network(mean, scale, weights, biases)  # type: ignore[arg-type]
+
+
+def force(network: Network, chosen: int) -> Network:
+    """Return a network that gives one candidate everything."""
+    scores = np.full(network.biases[-1].size, -1e3, np.float32)
+    scores[chosen] = 1e3
+    weights = (*network.weights[:-1], np.zeros_like(network.weights[-1]))
+    return network._replace(weights=weights, biases=(*network.biases[:-1], scores))
+
+
+def make_networks(candidates: int) -> dict[str, Network]:
+    """Return one of each kind."""
+    inputs = count_features(candidates, EXTRAS)
+    return {
+        "diffuse": make_network(inputs, candidates, 1),
+        "specular": make_network(inputs, candidates, 2),
+        "peer": make_network(count_features(2, 2 * EXTRAS), 2, 5),
+    }
+
+
+def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str, Network]:
+    """Return the networks that are used from now on, to be changed in place."""
+    networks = make_networks(candidates)
+    for module in (high, combining):
+        monkeypatch.setattr(module, "load_networks", lambda: networks)
+    return networks
+
+
+@pytest.fixture
+def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
+    """Return networks of random numbers for a plan of few filters, both in use."""
+    for name, count in FEW.items():
+        monkeypatch.setattr(high, name, getattr(high, name)[:count])
+    return take_networks(monkeypatch, FEWER)
+
+
+def resolve(frame: Frame, **changes: Any) -> DenoiseSettings:
+    """Return the settings as `denoise` resolves them."""
+    asked = DenoiseSettings(**{**CHEAP, **changes})
+    return resolve_crossed(frame, asked, resolve_settings(frame, asked))
+
+
+def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
+    """Return what every layer would be if the network took one candidate alone."""
+    settings, images = resolve(frame), {}
+    for noisy in make_noisy_layers(frame, settings, ()):
+        found = find_candidates(frame, noisy, settings).found
+        images[noisy.name] = [
+            finish_layer(frame, noisy, each.mean, found[MIDDLE].weight_sum, found[MIDDLE].effective_samples).image
+            for each in found
+        ]
+    return images
+
+
+class TestMixture:
+    def test_a_network_that_wants_one_candidate_gets_it(self, networks):
+        frame = make_frame()
+        images = list_images(frame)
+        usual = dict(networks)
+        for k in range(FEWER):
+            other = FEWER - 1 - k
+            networks["diffuse"], networks["specular"] = force(usual["diffuse"], k), force(usual["specular"], other)
+            result = denoise(frame, **CHEAP)
+            np.testing.assert_allclose(result.diffuse, images["diffuse"][k], rtol=ROUNDING)
+            np.testing.assert_allclose(result.specular, images["specular"][other], rtol=ROUNDING)
+            np.testing.assert_allclose(result.image, images["diffuse"][k] + images["specular"][other], rtol=ROUNDING)
+        # Which all differ, or nothing is told.
+        for each in images.values():
+            assert min(np.abs(a - b).max() for a, b in pairwise(each)) > 0.01
+
+    def test_colour_alone_has_the_network_of_reflections(self, networks):
+        frame = make_frame(apart=False)
+        images = list_images(frame)["color"]
+        for k in range(FEWER):
+            networks["specular"] = force(networks["specular"], k)
+            result = denoise(frame, **CHEAP)
+            np.testing.assert_allclose(result.image, images[k], rtol=ROUNDING)
+            assert result.diffuse is None
+            assert result.specular is None
+
+    @pytest.mark.usefixtures("networks")
+    def test_the_mixture_is_between_the_candidates(self):
+        frame = make_frame()
+        result = denoise(frame, **CHEAP)
+        for name, images in list_images(frame).items():
+            mixed, stacked = getattr(result, name), np.stack(images)
+            assert (mixed >= stacked.min(axis=0) * (1.0 - ROUNDING)).all()
+            assert (mixed <= stacked.max(axis=0) * (1.0 + ROUNDING)).all()
+
+    @pytest.mark.usefixtures("networks")
+    @pytest.mark.parametrize("factor", SCALED)
+    def test_a_brighter_frame_is_the_same_frame(self, factor):
+        assert_scales(factor, **CHEAP)
+
+    @pytest.mark.usefixtures("networks")
+    def test_twice_the_same_bits(self):
+        frame, _ = make_shadowed()
+        first, second = (denoise(frame, **CHEAP) for _ in range(2))
+        for name in ("image", "diffuse", "specular", "weight_sum", "effective_samples"):
+            assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
+
+    @pytest.mark.usefixtures("networks")
+    def test_an_edge_of_light_that_no_guide_knows_stays(self):
+        # Whatever the network says: every candidate is told of the edge, but for the pilot of the first.
+        frame, truth = make_shadowed()
+        assert measure(denoise(frame, **CHEAP).image, truth) < 0.2 * measure(
+            denoise(frame, quality="fast").image, truth
+        )
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("similarity", "apart"), [("ggx", True), ("ggx", False)], ids=str)
+    def test_the_whole_plan_with_lobes(self, similarity, apart, monkeypatch):
+        take_networks(monkeypatch, COUNT)
+        frame, truth = make_shadowed(apart=apart)
+        first, second = (denoise(frame, quality="high", similarity=similarity) for _ in range(2))
+        assert np.isfinite(first.image).all()
+        assert first.image.tobytes() == second.image.tobytes()
+        assert measure(first.image[FAR], truth[FAR]) < 0.1 * measure(frame.radiance.color[FAR], truth[FAR])
+        assert first.settings["similarity"] == similarity
+        if apart:
+            assert_scales(3.0, quality="high", similarity=similarity)
+
+    @pytest.mark.slow
+    @pytest.mark.usefixtures("networks")
+    def test_without_albedos(self):
+        frame = make_frame(diffuse_albedo=None, specular_albedo=None, alpha_u=None, alpha_v=None)
+        image = denoise(frame, **CHEAP).image
+        assert np.isfinite(image).all()
+        assert measure(image, get_clean()) < 0.5 * measure(frame.radiance.color, get_clean())
+
+
+def assert_scales(factor: float, **settings: Any) -> None:
+    """Raise AssertionError unless a brighter frame comes out as a brighter image."""
+    frame, _ = make_shadowed()
+
+    def scale(radiance: Radiance) -> Radiance:
+        return Radiance(*(factor * getattr(radiance, name) for name in ("color", "diffuse", "specular")))
+
+    scaled = {name: scale(getattr(frame, name)) for name in ("radiance", "half_a", "half_b")}
+    plain, bright = (denoise(each, **settings) for each in (frame, frame.with_changes(**scaled)))
+    np.testing.assert_allclose(bright.image, factor * plain.image, rtol=SCALED[factor])
+
+
+class Recorder:
+    """Stands for the kernels of the passes: tells what they were called with, returns random numbers."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.calls: list[dict[str, Any]] = []
+        self.gave: list[list[Crossed]] = []
+        self.guided: list[tuple[FloatArray, FloatArray]] = []
+        self.guides: list[FloatArray] = []
+        self.rng = np.random.default_rng(11)
+        monkeypatch.setattr(high, "run_crossed", self.run)
+        monkeypatch.setattr(high, "make_noise_guide", self.guide)
+
+    def draw(self, *shape: int) -> FloatArray:
+        return self.rng.uniform(0.1, 9.0, shape).astype(np.float32)
+
+    def run(
+        self, halves: Any, mask: Any, place: Any, lobes: Any, variants: Sequence[Any], **options: Any
+    ) -> list[Crossed]:
+        self.calls.append({"halves": halves, "variants": tuple(variants), **options})
+        images = [[self.draw(*mask.shape, 3), self.draw(*mask.shape, 3)] for _ in variants]
+        self.gave.append([Crossed(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
+        return self.gave[-1]
+
+    def guide(self, a: FloatArray, b: FloatArray, mask: Any, device: str) -> FloatArray:
+        self.guided.append((a, b))
+        self.guides.append(self.draw(*mask.shape, 7))
+        return self.guides[-1]
+
+    def find_guided(self, guide: FloatArray) -> Any:
+        """Return the halves that a guide was made of."""
+        return next(both for both, each in zip(self.guided, self.guides, strict=True) if each is guide)
+
+
+@pytest.fixture
+def recorder(monkeypatch: pytest.MonkeyPatch) -> Recorder:
+    """Return what stands for the kernels of the passes."""
+    return Recorder(monkeypatch)
+
+
+def find_of(frame: Frame, name: str, **changes: Any) -> high.Candidates:
+    """Return the candidates of one layer."""
+    settings = resolve(frame, **changes)
+    (noisy,) = (each for each in make_noisy_layers(frame, settings, ()) if each.name == name)
+    return find_candidates(frame, noisy, settings)
+
+
+class TestCandidates:
+    def test_each_filter_is_guided_by_the_one_before(self, recorder):
+        candidates = find_of(make_frame(), "specular")
+        pilot, first, second, *sparse = recorder.calls
+        found_pilot, found_first, found_second, *found_sparse = recorder.gave
+        assert pilot.get("guide") is None
+        assert first["halves"] is second["halves"] is pilot["halves"]
+        for call, source in (
+            (first, found_pilot[0]),
+            (second, found_first[MIDDLE]),
+            (sparse[0], found_second[0]),
+            (sparse[1], found_sparse[0][0]),
+        ):
+            a, b = recorder.find_guided(call["guide"])
+            assert a is source.a
+            assert b is source.b
+        for call, source in ((sparse[0], found_second[0]), (sparse[1], found_sparse[0][0])):
+            assert call["halves"][0] is source.a
+            assert call["halves"][1] is source.b
+            # What they average has been divided by the albedo before.
+            assert call.get("albedo") is None
+        assert candidates.found == [each for found in recorder.gave[1:] for each in found]
+        assert len(candidates.found) == COUNT
+
+    @pytest.mark.parametrize(("radius", "expected"), [(8, (5, 8, 4, 10)), (16, (10, 16, 8, 20)), (1, (1, 1, 1, 1))])
+    def test_every_reach_follows_the_radius(self, radius, expected, recorder):
+        find_of(make_frame(), "diffuse", radius=radius)
+        pilot, first, second, *sparse = recorder.calls
+        assert (pilot["radius"], first["radius"], *(each["step"] for each in sparse)) == expected
+        assert second["radius"] == first["radius"]
+        assert {each["radius"] for each in sparse} == {high.SPARSE_RADIUS}
+
+    def test_extras_are_as_they_are_told(self, recorder):
+        rng = np.random.default_rng(4)
+        alphas = rng.uniform(0.01, 1.0, (2, *SHAPE))
+        albedo = rng.uniform(0.0, 1.0, (*SHAPE, 3))
+        albedo[3, 4] = 0.0
+        alphas[:, 5, 6] = 0.0
+        frame = make_frame(alpha_u=alphas[0], alpha_v=alphas[1], specular_albedo=albedo)
+        extras = find_of(frame, "specular").extras
+        assert extras.dtype == np.float32
+        _, first, *_ = recorder.gave
+        clamped = np.maximum(alphas, SMALLEST_ALPHA)
+        expected = [
+            first[0].effective_samples,
+            first[MIDDLE].effective_samples,
+            recorder.guides[0][..., 6],
+            recorder.guides[1][..., 6],
+            np.maximum(albedo @ LUMINANCE, ALBEDO_FLOOR),
+            np.sqrt(clamped[0] * clamped[1]),
+            clamped[0] / clamped[1],
+        ]
+        np.testing.assert_allclose(extras, np.log2(np.stack(expected, axis=-1)), rtol=1e-5, atol=1e-5)
+
+    @pytest.mark.parametrize(
+        ("name", "apart", "guides", "zero"),
+        [
+            ("diffuse", True, {}, [5, 6]),
+            ("specular", True, {"alpha_u": None, "alpha_v": None}, [5, 6]),
+            ("specular", True, {"alpha_v": None}, [6]),
+            ("specular", True, {"specular_albedo": None, "diffuse_albedo": None}, [4, 6]),
+            ("color", False, {"alpha_u": None, "alpha_v": None}, [5, 6]),
+            ("color", False, {"specular_albedo": None, "diffuse_albedo": None}, [4, 6]),
+        ],
+        ids=str,
+    )
+    def test_what_a_frame_lacks_is_one(self, name, apart, guides, zero, recorder):
+        albedo = np.full((*SHAPE, 3), 0.7)
+        frame = make_frame(apart=apart, **{"diffuse_albedo": albedo, "specular_albedo": albedo, **guides})
+        extras = find_of(frame, name).extras
+        assert extras.shape == (*SHAPE, EXTRAS)
+        assert np.isfinite(extras).all()
+        # Of the other images: make_frame's two alphas are the same.
+        assert [k for k in range(EXTRAS) if not extras[..., k].any()] == sorted({*zero, 6})
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0], ids=str)
+    @pytest.mark.parametrize("channel", ["alpha_u", "alpha_v", "specular_albedo"])
+    @pytest.mark.usefixtures("recorder")
+    def test_garbage_stays_finite(self, channel, bad):
+        guide = np.array(getattr(make_frame().gbuffer, channel))
+        guide[4, 7] = bad
+        assert np.isfinite(find_of(make_frame(**{channel: guide}), "specular").extras).all()
+
+    def test_the_level_is_that_of_the_surface(self, recorder):
+        normal = np.zeros((*SHAPE, 3)) + np.array([0.0, 0.6, 0.8])
+        depth = np.array(make_frame().gbuffer.depth)
+        normal[:15], depth[:15] = 0.0, 0.0
+        found = find_of(make_frame(normal=normal, depth=depth), "specular")
+        expected = recorder.gave[1][MIDDLE].mean[15:].astype(np.float64) @ LUMINANCE
+        assert found.level == pytest.approx(expected.mean(), rel=1e-5)
+
+
+@pytest.mark.usefixtures("networks")
+class TestContract:
+    @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
+    def test_bad_pixels_are_counted_and_refilled(self, apart):
+        frame = make_frame(apart=apart)
+        names = ("color", "diffuse") if apart else ("color",)
+        images = {name: np.array(getattr(frame.radiance, name)) for name in names}
+        bad = (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -2.0))
+        for image in images.values():
+            for at, value in bad:
+                image[at] = value
+        result = denoise(frame.with_changes(radiance=replace(frame.radiance, **images)), **CHEAP)
+        assert result.bad_pixel_count == 3
+        assert np.isfinite(result.image).all()
+        # Normals alone do not know the edge between both sides, but for the noise.
+        for at, _ in bad:
+            np.testing.assert_allclose(result.image[at], get_clean()[at], rtol=0.5)
+
+    def test_emission_and_background_pass_through(self):
+        depth = np.array(make_frame().gbuffer.depth)
+        normal = np.zeros((*SHAPE, 3), np.float32) + np.float32([0.0, 0.6, 0.8])
+        depth[:5], normal[:5] = 0.0, 0.0
+        frame = make_frame(depth=depth, normal=normal)
+        color = np.array(frame.radiance.color)
+        color[20, 20] += 7.0
+        lit = denoise(frame.with_changes(radiance=replace(frame.radiance, color=color)), **CHEAP)
+        plain = denoise(frame, **CHEAP)
+        np.testing.assert_allclose(lit.image[20, 20] - plain.image[20, 20], 7.0, rtol=1e-5)
+        np.testing.assert_allclose(lit.image[:5], color[:5], rtol=1e-6)
+
+    def test_bad_background_is_refilled_from_the_screen(self):
+        frame = make_frame(normal=np.zeros((*SHAPE, 3)), depth=np.zeros(SHAPE))
+        color = np.ones((*SHAPE, 3), np.float32)
+        color[5:9, 5:9] = np.nan
+        zero = np.zeros_like(color)
+        result = denoise(frame.with_changes(radiance=Radiance(color, zero, zero)), **CHEAP)
+        np.testing.assert_allclose(result.image, 1.0, rtol=1e-5)
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
+    @pytest.mark.parametrize("channel", ["alpha_u", "normal", "specular_albedo"])
+    def test_garbage_guides_spoil_only_their_own_surroundings(self, channel, bad):
+        shape = (REACH + 8, 11)
+        guide = np.array(getattr(make_frame(shape).gbuffer, channel))
+        guide[4, 7] = bad
+        clean, result = (denoise(make_frame(shape, **each), **CHEAP) for each in ({}, {channel: guide}))
+        assert np.isfinite(result.image).all()
+        assert np.abs(result.image - clean.image).max() < 2.0
+        np.testing.assert_allclose(result.image[REACH + 5 :], clean.image[REACH + 5 :], rtol=EVERYWHERE)
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (17, 3)], ids=str)
+    def test_odd_sizes(self, shape):
+        result = denoise(make_frame(shape), **CHEAP)
+        assert result.image.shape == (*shape, 3)
+        assert np.isfinite(result.image).all()
+
+    @pytest.mark.parametrize("factor", [1e-26, 1e15])
+    def test_very_dim_and_very_bright_frames_stay_finite(self, factor):
+        frame = make_frame()
+        parts = [np.float32(factor) * getattr(frame.radiance, name) for name in ("color", "diffuse", "specular")]
+        result = denoise(frame.with_changes(radiance=Radiance(*parts)), **CHEAP)
+        assert np.isfinite(result.image).all()
+        assert result.diffuse is not None
+        assert result.diffuse.max() > 0.0
+
+    def test_a_black_frame_stays_black(self):
+        black = np.zeros((*SHAPE, 3))
+        frame = make_frame().with_changes(radiance=Radiance(black, black, black))
+        np.testing.assert_array_equal(denoise(frame, **CHEAP).image, 0.0)
+
+    def test_result_describes_itself(self):
+        frame = make_frame()
+        before = frame.radiance.color.tobytes()
+        result = denoise(frame, **CHEAP)
+        assert result.settings["quality"] == "high"
+        assert result.settings["with_oidn"] is False
+        assert frame.radiance.color.tobytes() == before
+        assert (result.weight_sum >= 0.99).all()
+        assert (result.effective_samples >= 1.0).all()
+        np.testing.assert_allclose(result.image, result.diffuse + result.specular, rtol=1e-5)
+
+    def test_a_frame_without_a_good_pixel_is_refused(self):
+        nothing = Radiance(color=np.full((4, 4, 3), np.nan))
+        with pytest.raises(LobewiseError, match="at least one pixel that is finite"):
+            denoise(make_frame((4, 4)).with_changes(radiance=nothing), **CHEAP)
+
+
+@pytest.fixture
+def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Return what stands for Open Image Denoise: its "image", and once it is called the "frame" and options."""
+    told: dict[str, Any] = {"image": np.full((*SHAPE, 3), 3.0, np.float32)}
+
+    def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
+        told.update(options, frame=frame)
+        return told["image"], 0.1
+
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    return told
+
+
+OURS, PEERS = 0, 1
+
+
+class TestPeer:
+    def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
+        extras = [np.random.default_rng(k).uniform(-9.0, 0.0, (*SHAPE, EXTRAS)).astype(np.float32) for k in range(2)]
+        return combine_with_peer(frame, ours, extras, "cpu")
+
+    def make_ours(self) -> FloatArray:
+        return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
+
+    def test_either_alone_and_what_is_between(self, networks, peer):
+        ours, usual = self.make_ours(), networks["peer"]
+        networks["peer"] = force(usual, OURS)
+        np.testing.assert_allclose(self.combine(make_frame(), ours), ours, rtol=ROUNDING)
+        networks["peer"] = force(usual, PEERS)
+        np.testing.assert_allclose(self.combine(make_frame(), ours), peer["image"], rtol=ROUNDING)
+        networks["peer"] = usual
+        mixed = self.combine(make_frame(), ours)
+        assert (mixed >= ours).all()
+        assert (mixed <= peer["image"]).all()
+        # In proportions that change from pixel to pixel.
+        assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 0.1
+
+    def test_the_peer_is_given_the_frame(self, networks, peer):
+        frame = make_frame()
+        self.combine(frame, self.make_ours())
+        assert peer["frame"] is frame
+        assert peer["guides"] == "mean"
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
+    def test_what_the_peer_spoils_is_ours(self, bad, networks, peer):
+        networks["peer"] = force(networks["peer"], PEERS)
+        ours = self.make_ours()
+        peer["image"][3, 4, 1] = bad
+        mixed = self.combine(make_frame(), ours)
+        np.testing.assert_allclose(mixed[3, 4], ours[3, 4], rtol=ROUNDING)
+        mixed[3, 4] = 3.0
+        np.testing.assert_allclose(mixed, 3.0, rtol=ROUNDING)
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
+    def test_bad_pixels_do_not_reach_the_peer(self, bad, networks, peer):
+        frame, ours = make_frame(), self.make_ours()
+        color = np.array(frame.radiance.color)
+        color[3, 4, 1] = bad
+        mixed = self.combine(frame.with_changes(radiance=replace(frame.radiance, color=color)), ours)
+        given = peer["frame"]
+        np.testing.assert_array_equal(given.radiance.color[3, 4], ours[3, 4])
+        color[3, 4] = ours[3, 4]
+        np.testing.assert_array_equal(given.radiance.color, color)
+        np.testing.assert_array_equal(given.gbuffer.normal, frame.gbuffer.normal)
+        assert np.isfinite(mixed).all()
+
+    def test_one_layer_stands_for_both(self):
+        first, second = np.zeros((2, 3, EXTRAS), np.float32), np.ones((2, 3, EXTRAS), np.float32)
+        both = join_extras([first, second])
+        assert both.shape == (2, 3, 2 * EXTRAS)
+        np.testing.assert_array_equal(both[..., :EXTRAS], first)
+        np.testing.assert_array_equal(both[..., EXTRAS:], second)
+        np.testing.assert_array_equal(join_extras([second]), np.ones((2, 3, 2 * EXTRAS)))
+
+    @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
+    def test_denoise_mixes_when_asked(self, apart, networks, peer):
+        frame, usual = make_frame(apart=apart), networks["peer"]
+        plain = denoise(frame, **CHEAP)
+        assert "frame" not in peer
+        for quality in ("auto", "high"):
+            for chosen, expected in ((OURS, plain.image), (PEERS, peer["image"])):
+                networks["peer"] = force(usual, chosen)
+                result = denoise(frame, similarity="normal", quality=quality, with_oidn=True)
+                np.testing.assert_allclose(result.image, expected, rtol=ROUNDING)
+                assert result.settings["quality"] == "high"
+                assert result.settings["with_oidn"] is True
+
+    @pytest.mark.usefixtures("networks")
+    def test_one_that_is_not_installed_is_told(self, monkeypatch):
+        monkeypatch.setattr(peers, "has_oidn", lambda: False)
+        with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
+            denoise(make_frame(), similarity="normal", with_oidn=True)
+
+    @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+    def test_the_real_one(self, networks):
+        networks["peer"] = force(networks["peer"], PEERS)
+        frame = make_frame()
+        result = denoise(frame, similarity="normal", with_oidn=True)
+        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame, guides="mean")[0], rtol=1e-4, atol=1e-5)
+
+
+class TestSettings:
+    def test_open_image_denoise_implies_high(self):
+        for quality in ("auto", "high"):
+            assert choose_quality(DenoiseSettings(quality=quality, with_oidn=True)) == "high"
+
+    @pytest.mark.parametrize("quality", ["fast", "balanced"])
+    def test_other_qualities_do_not_mix(self, quality):
+        message = f"quality: expected 'high' with Open Image Denoise, got '{quality}'; leave the quality out"
+        with pytest.raises(InputError, match=message):
+            DenoiseSettings(quality=quality, with_oidn=True)
+
+    @pytest.mark.parametrize("form", ["separable", "atrous"])
+    def test_other_forms_do_not_mix(self, form):
+        with pytest.raises(InputError, match=f"form: expected 'full' with quality 'high', got '{form}'"):
+            DenoiseSettings(form=form, with_oidn=True)
+
+    def test_what_has_fast_alone_does_not_mix(self):
+        sparse = make_sparse(make_frame((8, 8)), 2)
+        with pytest.raises(InputError, match="quality: expected 'fast' for upsampling, got with_oidn"):
+            upsample(sparse, with_oidn=True)
+        for frame in (make_frame((8, 8)), sparse):
+            with pytest.raises(InputError, match="quality: expected 'fast' for a filter with history, got with_oidn"):
+                TemporalFilter(with_oidn=True).add(frame)
+
+
+class TestWeights:
+    def test_packed_networks_come_back(self):
+        arrays: dict[str, FloatArray] = {}
+        networks = make_networks(3)
+        for kind, network in networks.items():
+            arrays |= pack_network(network, kind)
+        assert len(arrays) == 8 * len(networks)
+        for kind, network in networks.items():
+            found = unpack_network(arrays, kind)
+            for name in ("mean", "scale"):
+                np.testing.assert_array_equal(getattr(found, name), getattr(network, name))
+            for name in ("weights", "biases"):
+                for a, b in zip(getattr(found, name), getattr(network, name), strict=True):
+                    np.testing.assert_array_equal(a, b)
+
+    def test_the_shipped_networks_fit(self):
+        found = load_networks()
+        assert sorted(found) == ["diffuse", "peer", "specular"]
+        for kind, network in found.items():
+            candidates, extras = (2, 2 * EXTRAS) if kind == "peer" else (COUNT, EXTRAS)
+            inputs = count_features(candidates, extras)
+            assert network.mean.shape == network.scale.shape == (inputs,)
+            assert network.weights[0].shape[0] == inputs
+            assert network.weights[-1].shape[1] == candidates
+            for weights, bias in zip(network.weights, network.biases, strict=True):
+                assert weights.shape[1:] == bias.shape
+            for before, after in pairwise(network.weights):
+                assert before.shape[1] == after.shape[0]
+            for array in pack_network(network, kind).values():
+                assert array.dtype == np.float32
+                assert np.isfinite(array).all()
+            assert (network.scale > 0.0).all()
