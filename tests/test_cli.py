@@ -195,12 +195,11 @@ class TestDenoise:
         assert "implies --quality high; needs lobewise[compare]." in capsys.readouterr().out
 
     def test_open_image_denoise_that_is_not_installed_is_a_sentence(self, frame_file, tmp_path, monkeypatch, capsys):
-        import lobewise.denoising
         from lobewise import peers
+        from lobewise.denoising import recipe
 
         monkeypatch.setattr(peers, "has_oidn", lambda: False)
-        # All that matters here of filtering first.
-        monkeypatch.setattr(lobewise.denoising, "denoise", lambda frame, **settings: peers.denoise_oidn(frame))
+        monkeypatch.setattr(recipe, "filter_crossed", lambda *_: pytest.fail("filtered first"))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
         assert err.endswith("Open Image Denoise is not installed; pip install 'lobewise[compare]'.\n")
         assert not (tmp_path / "out.exr").exists()

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import fields, replace
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import DenoiseSettings, combining, denoise, high
+from lobewise.denoising import DenoiseSettings, combining, denoise, high, recipe
 from lobewise.denoising.combining import combine_with_peer, join_extras
 from lobewise.denoising.crossed import finish_layer, make_noisy_layers, resolve_crossed
-from lobewise.denoising.high import COUNT, EXTRAS, MIDDLE, find_candidates, load_networks, pack_network, unpack_network
-from lobewise.denoising.settings import choose_quality, resolve_settings
+from lobewise.denoising.high import (
+    COUNT,
+    EXTRAS,
+    MIDDLE,
+    WIDE,
+    find_candidates,
+    load_networks,
+    pack_network,
+    unpack_network,
+)
+from lobewise.denoising.settings import QUALITIES, choose_quality, resolve_settings
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.io import describe_file, read_frame, write_frame, write_result
 from lobewise.kernels.crossed_runs import Crossed
 from lobewise.kernels.mixing import Network, count_features
 from lobewise.sparse_frame import make_sparse
@@ -29,8 +39,9 @@ from tests.test_quality_modes import FAR, make_shadowed, measure
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ALBEDO_FLOOR = 1e-3
 SMALLEST_ALPHA = 1e-3
-FEW = {"FIRST": 2, "SECOND": 1, "SPARSE": 1, "SPARSE_STEPS": 1}
-"""Filters that are left of the plan in most of these tests: what holds of four holds of all, and compiles sooner."""
+FEW = {"DENSE": 1, "SPARSE": 1, "SPARSE_STEPS": 1}
+"""What is left of the plan in most of these tests, passes and variants of sparse ones: what holds of four filters holds
+of all, and compiles sooner."""
 FEWER = 4
 CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
 """Lobes take the most time to compile."""
@@ -40,9 +51,9 @@ SCALED = {1e-6: 5e-3, 3.0: 2e-3, 1e6: 5e-3}
 differences of 1, over the least variance that guides assume; less where the logarithm is."""
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
-REACH = 6 + 5 + 3 + 8 + 3 + 8 + 3 + 12 + 2 + 1
-"""Pixels from which a pixel is told anything: fireflies, pilot, blur of its variance, two dense passes with that of
-their guides, the sparse pass, blur and slope of the mixing; as `FEW` leaves it."""
+REACH = 6 + 5 + 3 + 8 + 3 + 12 + 2 + 1
+"""Pixels from which a pixel is told anything: fireflies, pilot, blur of its variance, dense pass, blur of its variance,
+sparse pass, blur and slope of the mixing; as `FEW` leaves it."""
 EVERYWHERE = 1e-3
 """What a bad pixel changes further away, relative: the mean of the frame has one pixel less of 2000."""
 
@@ -158,7 +169,7 @@ class TestMixture:
 
     @pytest.mark.usefixtures("networks")
     def test_an_edge_of_light_that_no_guide_knows_stays(self):
-        # Whatever the network says: every candidate is told of the edge, but for the pilot of the first.
+        # Whatever the network says: every candidate is told of the edge, the pilot alone is not.
         frame, truth = make_shadowed()
         assert measure(denoise(frame, **CHEAP).image, truth) < 0.2 * measure(
             denoise(frame, quality="fast").image, truth
@@ -226,9 +237,21 @@ class Recorder:
         self.guides.append(self.draw(*mask.shape, 7))
         return self.guides[-1]
 
-    def find_guided(self, guide: FloatArray) -> Any:
-        """Return the halves that a guide was made of."""
-        return next(both for both, each in zip(self.guided, self.guides, strict=True) if each is guide)
+    def find_guide(self, found: Crossed) -> FloatArray:
+        """Return the guide that was made of both halves of a filter's result, once."""
+        pairs = zip(self.guided, self.guides, strict=True)
+        (guide,) = (guide for (a, b), guide in pairs if a is found.a and b is found.b)
+        return guide
+
+    @property
+    def dense(self) -> list[dict[str, Any]]:
+        """The calls between the pilot and the sparse passes."""
+        return self.calls[1 : 1 + len(high.DENSE)]
+
+    @property
+    def sparse(self) -> list[dict[str, Any]]:
+        """The last calls."""
+        return self.calls[1 + len(high.DENSE) :]
 
 
 @pytest.fixture
@@ -245,36 +268,50 @@ def find_of(frame: Frame, name: str, **changes: Any) -> high.Candidates:
 
 
 class TestCandidates:
-    def test_each_filter_is_guided_by_the_one_before(self, recorder):
-        candidates = find_of(make_frame(), "specular")
-        pilot, first, second, *sparse = recorder.calls
-        found_pilot, found_first, found_second, *found_sparse = recorder.gave
+    @pytest.mark.parametrize("name", ["diffuse", "specular"])
+    def test_every_filter_averages_and_is_guided_by_what_it_should(self, name, recorder):
+        candidates = find_of(make_frame(), name)
+        pilot, *_ = recorder.calls
+        (found_pilot,), *found = recorder.gave
         assert pilot.get("guide") is None
-        assert first["halves"] is second["halves"] is pilot["halves"]
-        for call, source in (
-            (first, found_pilot[0]),
-            (second, found_first[MIDDLE]),
-            (sparse[0], found_second[0]),
-            (sparse[1], found_sparse[0][0]),
-        ):
-            a, b = recorder.find_guided(call["guide"])
-            assert a is source.a
-            assert b is source.b
-        for call, source in ((sparse[0], found_second[0]), (sparse[1], found_sparse[0][0])):
+        assert [call["variants"] for call in recorder.dense] == list(high.DENSE)
+        for call in recorder.dense:
+            assert call["halves"] is pilot["halves"]
+            assert call["guide"] is recorder.find_guide(found_pilot)
+            assert call["noise"] == high.NOISE[name]
+            assert call["albedo"] is pilot["albedo"]
+        assert [call["variants"] for call in recorder.sparse] == [high.SPARSE] * 2
+        sources = candidates.found[WIDE], found[len(high.DENSE)][0]
+        for call, source in zip(recorder.sparse, sources, strict=True):
             assert call["halves"][0] is source.a
             assert call["halves"][1] is source.b
+            assert call["guide"] is recorder.find_guide(source)
+            assert call["noise"] == high.SPARSE_NOISE
             # What they average has been divided by the albedo before.
             assert call.get("albedo") is None
-        assert candidates.found == [each for found in recorder.gave[1:] for each in found]
-        assert len(candidates.found) == COUNT
+        assert candidates.found == list(chain.from_iterable(found))
+        assert len(candidates.found) == COUNT == 9
 
-    @pytest.mark.parametrize(("radius", "expected"), [(8, (5, 8, 4, 10)), (16, (10, 16, 8, 20)), (1, (1, 1, 1, 1))])
+    def test_every_filter_but_the_pilot_heeds_its_guide(self):
+        variants = [*chain.from_iterable(high.DENSE), *high.SPARSE]
+        assert all(each.range > 0.0 for each in variants)
+
+    def test_the_middle_candidate_is_between_the_narrow_and_the_wide(self):
+        sigmas = [high.SIGMA / each.place**0.5 for each in chain.from_iterable(high.DENSE)]
+        # Of 12 only about, as that of an exponent of 6.
+        assert sigmas[0] == pytest.approx(6.0)
+        assert sigmas[MIDDLE] == pytest.approx(12.0, rel=0.03)
+        assert sigmas[WIDE] == max(sigmas) == pytest.approx(30.0)
+
+    @pytest.mark.parametrize(
+        ("radius", "expected"), [(8, (5, 8, 4, 10)), (16, (10, 16, 8, 20)), (1, (1, 1, 1, 1)), (0, (0, 0, 1, 1))]
+    )
     def test_every_reach_follows_the_radius(self, radius, expected, recorder):
         find_of(make_frame(), "diffuse", radius=radius)
-        pilot, first, second, *sparse = recorder.calls
-        assert (pilot["radius"], first["radius"], *(each["step"] for each in sparse)) == expected
-        assert second["radius"] == first["radius"]
-        assert {each["radius"] for each in sparse} == {high.SPARSE_RADIUS}
+        pilot, first, *_ = recorder.calls
+        assert (pilot["radius"], first["radius"], *(each["step"] for each in recorder.sparse)) == expected
+        assert {each["radius"] for each in recorder.dense} == {first["radius"]}
+        assert {each["radius"] for each in recorder.sparse} == {high.SPARSE_RADIUS}
 
     def test_extras_are_as_they_are_told(self, recorder):
         rng = np.random.default_rng(4)
@@ -283,15 +320,15 @@ class TestCandidates:
         albedo[3, 4] = 0.0
         alphas[:, 5, 6] = 0.0
         frame = make_frame(alpha_u=alphas[0], alpha_v=alphas[1], specular_albedo=albedo)
-        extras = find_of(frame, "specular").extras
+        _, extras, _ = candidates = find_of(frame, "specular")
         assert extras.dtype == np.float32
-        _, first, *_ = recorder.gave
+        (pilot,), *_ = recorder.gave
         clamped = np.maximum(alphas, SMALLEST_ALPHA)
         expected = [
-            first[0].effective_samples,
-            first[MIDDLE].effective_samples,
-            recorder.guides[0][..., 6],
-            recorder.guides[1][..., 6],
+            candidates.found[0].effective_samples,
+            candidates.found[MIDDLE].effective_samples,
+            recorder.find_guide(pilot)[..., 6],
+            recorder.find_guide(candidates.found[WIDE])[..., 6],
             np.maximum(albedo @ LUMINANCE, ALBEDO_FLOOR),
             np.sqrt(clamped[0] * clamped[1]),
             clamped[0] / clamped[1],
@@ -332,7 +369,7 @@ class TestCandidates:
         depth = np.array(make_frame().gbuffer.depth)
         normal[:15], depth[:15] = 0.0, 0.0
         found = find_of(make_frame(normal=normal, depth=depth), "specular")
-        expected = recorder.gave[1][MIDDLE].mean[15:].astype(np.float64) @ LUMINANCE
+        expected = list(chain.from_iterable(recorder.gave[1:]))[MIDDLE].mean[15:].astype(np.float64) @ LUMINANCE
         assert found.level == pytest.approx(expected.mean(), rel=1e-5)
 
 
@@ -391,6 +428,19 @@ class TestContract:
         assert result.image.shape == (*shape, 3)
         assert np.isfinite(result.image).all()
 
+    @pytest.mark.parametrize("quality", QUALITIES)
+    def test_radius_zero(self, quality, networks):
+        # No dense pass has a tap but the pixel's own: reflections, with which none is sparse, stay as they are.
+        networks["specular"] = force(networks["specular"], MIDDLE)
+        frame, _ = make_shadowed()
+        result = denoise(frame, radius=0, quality=quality, similarity="normal")
+        assert result.settings["radius"] == 0
+        assert result.energy_lost == 0.0
+        np.testing.assert_allclose(result.specular, frame.radiance.specular, rtol=ROUNDING)
+        # Of an exponential that is approximated.
+        np.testing.assert_allclose(result.weight_sum, 1.0, rtol=1e-5)
+        assert np.isfinite(result.image).all()
+
     @pytest.mark.parametrize("factor", [1e-26, 1e15])
     def test_very_dim_and_very_bright_frames_stay_finite(self, factor):
         frame = make_frame()
@@ -432,6 +482,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
+    monkeypatch.setattr(peers, "has_oidn", lambda: True)
     return told
 
 
@@ -501,6 +552,7 @@ class TestPeer:
         frame, usual = make_frame(apart=apart), networks["peer"]
         plain = denoise(frame, **CHEAP)
         assert "frame" not in peer
+        assert (plain.diffuse is not None) is (plain.specular is not None) is apart
         for quality in ("auto", "high"):
             for chosen, expected in ((OURS, plain.image), (PEERS, peer["image"])):
                 networks["peer"] = force(usual, chosen)
@@ -508,12 +560,33 @@ class TestPeer:
                 np.testing.assert_allclose(result.image, expected, rtol=ROUNDING)
                 assert result.settings["quality"] == "high"
                 assert result.settings["with_oidn"] is True
+                # Of the peer's share nobody knows which lobe it is of.
+                assert result.diffuse is None
+                assert result.specular is None
 
-    @pytest.mark.usefixtures("networks")
-    def test_one_that_is_not_installed_is_told(self, monkeypatch):
+    @pytest.mark.usefixtures("networks", "peer")
+    def test_a_written_file_has_the_mixture_and_no_part_of_it(self, tmp_path):
+        source, out = tmp_path / "in.exr", tmp_path / "out.exr"
+        write_frame(source, make_frame(), half=False)
+        before = read_frame(source)
+        result = denoise(before, similarity="normal", with_oidn=True)
+        write_result(out, result, source=source)
+        after = read_frame(out)
+        np.testing.assert_array_equal(after.radiance.color, result.image)
+        # Neither filtered nor mixed: they are the file's own, like every guide.
+        for name in ("diffuse", "specular"):
+            np.testing.assert_array_equal(getattr(after.radiance, name), getattr(before.radiance, name))
+        for item in fields(before.gbuffer):
+            np.testing.assert_array_equal(getattr(after.gbuffer, item.name), getattr(before.gbuffer, item.name))
+        attributes = {name: value for name, _, value in describe_file(out).parts[0].attributes}
+        assert '"with_oidn": true' in attributes["lobewise/denoised"]
+
+    def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
         monkeypatch.setattr(peers, "has_oidn", lambda: False)
-        with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
-            denoise(make_frame(), similarity="normal", with_oidn=True)
+        monkeypatch.setattr(recipe, "filter_crossed", lambda *_: pytest.fail("filtered first"))
+        for quality in ("auto", "high"):
+            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
+                denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
 
     @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
     def test_the_real_one(self, networks):
