@@ -23,6 +23,7 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 - **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used; else the two colours of a checkerboard are.
 - **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` and the command line say
   which share of the light that took.
+- **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
 - **Edges.** Filters work with the surface at a pixel's centre. Where the frame has `coverage` (`lobewise render` does), the light that falls on the surfaces around is mixed over the
   pixel's area at the end, so that silhouettes and textures are smooth; without it they are as the guides are.
 
@@ -56,7 +57,7 @@ inputs and the difference of both. It was trained on the same scenes (error of t
 
 ## What is not settled
 
-- Reflections in near-mirrors are noisier than in Open Image Denoise at few samples: what the hit looks like helps from 16 samples on, but is itself noise at 4 (see the table), and is not in the weights.
+- Reflections in near-mirrors are noisier than in Open Image Denoise at few samples: what they see is itself noise then, and only an average of it helps (see the tables).
 - Samples of pixels that two surfaces share count as samples of the one at the centre. Leaving them out made things worse.
 - Emission and background pass through as they came.
 - Radius and sigmas are those of images of some 400 to 1100 rows; scale `radius` with the resolution.

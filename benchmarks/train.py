@@ -35,7 +35,7 @@ Array = NDArray[np.float32]
 
 KINDS = ("diffuse", "specular")
 SAMPLES = (1, 4, 16, 64)
-UNITS = (24, 24)
+UNITS = (32, 32)
 BATCH = 8192
 STEPS = 3000
 RATE = 3e-3

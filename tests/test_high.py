@@ -12,7 +12,7 @@ import pytest
 
 from lobewise import peers
 from lobewise.denoising import DenoiseSettings, combining, denoise, high, recipe
-from lobewise.denoising.combining import combine_with_peer, join_extras
+from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
 from lobewise.denoising.crossed import finish_layer, make_noisy_layers, resolve_crossed
 from lobewise.denoising.high import (
     COUNT,
@@ -311,7 +311,7 @@ class TestCandidates:
         pilot, first, *_ = recorder.calls
         assert (pilot["radius"], first["radius"], *(each["step"] for each in recorder.sparse)) == expected
         assert {each["radius"] for each in recorder.dense} == {first["radius"]}
-        assert {each["radius"] for each in recorder.sparse} == {high.SPARSE_RADIUS}
+        assert {each["radius"] for each in recorder.sparse} == {min(high.SPARSE_RADIUS, radius)}
 
     def test_extras_are_as_they_are_told(self, recorder):
         rng = np.random.default_rng(4)
@@ -547,6 +547,16 @@ class TestPeer:
         np.testing.assert_array_equal(both[..., EXTRAS:], second)
         np.testing.assert_array_equal(join_extras([second]), np.ones((2, 3, 2 * EXTRAS)))
 
+    def test_parts_are_shared_out_by_what_they_had(self):
+        diffuse, specular = np.full((1, 3, 3), 0.6, np.float32), np.full((1, 3, 3), 0.2, np.float32)
+        diffuse[0, 1], specular[0, 1] = 0.0, 0.0
+        specular[0, 0] = np.nan
+        before = np.float32([[[0.7] * 3, [0.5] * 3, [0.8] * 3]])
+        image = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3]])
+        found = share_out(image, before, [diffuse, specular])
+        np.testing.assert_allclose(found[0][0, :, 0], [1.2, 0.0, 0.3], rtol=1e-5)
+        np.testing.assert_allclose(found[1][0, :, 0], [0.0, 0.0, 0.1], rtol=1e-5)
+
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
     def test_denoise_mixes_when_asked(self, apart, networks, peer):
         frame, usual = make_frame(apart=apart), networks["peer"]
@@ -560,12 +570,10 @@ class TestPeer:
                 np.testing.assert_allclose(result.image, expected, rtol=ROUNDING)
                 assert result.settings["quality"] == "high"
                 assert result.settings["with_oidn"] is True
-                # Of the peer's share nobody knows which lobe it is of.
-                assert result.diffuse is None
-                assert result.specular is None
+                assert (result.diffuse is not None) is (result.specular is not None) is apart
 
     @pytest.mark.usefixtures("networks", "peer")
-    def test_a_written_file_has_the_mixture_and_no_part_of_it(self, tmp_path):
+    def test_a_written_file_has_the_mixture_and_its_parts(self, tmp_path):
         source, out = tmp_path / "in.exr", tmp_path / "out.exr"
         write_frame(source, make_frame(), half=False)
         before = read_frame(source)
@@ -573,9 +581,13 @@ class TestPeer:
         write_result(out, result, source=source)
         after = read_frame(out)
         np.testing.assert_array_equal(after.radiance.color, result.image)
-        # Neither filtered nor mixed: they are the file's own, like every guide.
-        for name in ("diffuse", "specular"):
-            np.testing.assert_array_equal(getattr(after.radiance, name), getattr(before.radiance, name))
+        # Where the network takes more than nothing of either, both parts and the rest are the whole.
+        radiance = before.radiance
+        rest = np.maximum(radiance.color - radiance.diffuse - radiance.specular, 0.0)
+        parts = after.radiance.diffuse + after.radiance.specular
+        whole = (parts > 0.0) & (result.image > rest)
+        assert whole.mean() > 0.5
+        np.testing.assert_allclose((parts + rest)[whole], result.image[whole], rtol=1e-2, atol=1e-3)
         for item in fields(before.gbuffer):
             np.testing.assert_array_equal(getattr(after.gbuffer, item.name), getattr(before.gbuffer, item.name))
         attributes = {name: value for name, _, value in describe_file(out).parts[0].attributes}

@@ -21,6 +21,12 @@ def has_oidn() -> bool:
     return importlib.util.find_spec("pyoidn") is not None
 
 
+def require_oidn() -> None:
+    """Raise MissingDependencyError if Open Image Denoise is not installed."""
+    if not has_oidn():
+        raise MissingDependencyError("Open Image Denoise is not installed; pip install 'lobewise[compare]'.")
+
+
 def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefiltered") -> tuple[FloatArray, float]:
     """Denoise with Intel Open Image Denoise, given what it asks for: HDR colour, first-hit albedo and normal.
 
@@ -56,8 +62,7 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
         If the frame has no normals.
     """
     require_choice("guides", guides, OIDN_GUIDES)
-    if not has_oidn():
-        raise MissingDependencyError("Open Image Denoise is not installed; pip install 'lobewise[compare]'.")
+    require_oidn()
     from pyoidn.denoise import denoise
 
     albedo, normal = _find_guides(frame, guides)

@@ -44,6 +44,27 @@ def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArr
     return mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device)
 
 
+def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the parts of ``before`` scaled so that with the rest, which is in neither, they make up ``image``.
+
+    A part keeps its share of both. Where there was nothing of either, or less is left than the rest alone, the parts
+    cannot make it up: they stay 0, or become it.
+
+    Parameters
+    ----------
+    image, before : (height, width, 3)
+        The mixture, and what it was mixed from.
+    parts : sequence of (height, width, 3)
+        Of ``before``; bad pixels count as 0.
+    """
+    good = [np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts]
+    filtered = np.sum(good, axis=0, dtype=np.float32)
+    rest = np.maximum(before - filtered, np.float32(0.0))
+    wanted = np.maximum(image - rest, np.float32(0.0))
+    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=filtered > 0.0)
+    return [part * factor for part in good]
+
+
 def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
     """Return what Open Image Denoise makes of the frame, its bad pixels replaced by ours; finite, >= 0."""
     color = frame.radiance.color

@@ -94,7 +94,9 @@ def resolve_crossed(frame: Frame, settings: DenoiseSettings, plain: DenoiseSetti
         beta=SPECULAR.beta if settings.beta == "auto" else settings.beta,
         diffuse_beta=DIFFUSE.beta if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
-        screen_sigma=WIDEST * settings.radius / 8.0 if settings.screen_sigma == "auto" else settings.screen_sigma,
+        screen_sigma=WIDEST * max(settings.radius, 1) / 8.0
+        if settings.screen_sigma == "auto"
+        else settings.screen_sigma,
     )
 
 
@@ -195,7 +197,7 @@ def run_pass(
         make_pass_features(frame, settings, chosen.sigma),
         layer.features,
         [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
-        radius=chosen.radius if sparse else round(chosen.radius * scale),
+        radius=min(chosen.radius, settings.radius) if sparse else round(chosen.radius * scale),
         seen=seen,
         step=max(round(chosen.step * scale), 1),
         albedo=None if sparse else layer.albedo,

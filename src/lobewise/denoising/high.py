@@ -29,18 +29,20 @@ NOISE = {"diffuse": 4.0, "specular": 2.0}
 """Variances of the guide by which the dense passes divide squared differences."""
 SIGMA = 30.0
 """Standard deviation of the distance, pixels and footprints, at radius 8."""
-FIRST = (Exponents(25.0, 2.0, 1.0, 2.0), Exponents(1.0, 1.0, 1.0), Exponents(1.0, 1.0, 0.3, 0.5))
-"""Guided by the pilot: narrow (a sigma of 6 pixels), middle, and loose."""
-SECOND = (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.25, 1.0, 2.0))
-"""Guided by the middle of the first; the other trusts the image and what is seen more than the lobes."""
+DENSE = (
+    (Exponents(25.0, 2.0, 1.0, 2.0), Exponents(6.0, 1.0, 1.0), Exponents(1.0, 1.0, 1.0)),
+    (Exponents(1.0, 1.0, 0.3, 0.5), Exponents(1.0, 0.25, 1.0, 2.0)),
+)
+"""Variants guided by the pilot, in two passes because sums of more would not stay in registers: narrow, middle (sigmas
+of 6 and 12 pixels) and wide; wide and trusting the guide less, the lobes less."""
 SPARSE = (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.25, 0.3))
-"""Guided by what they average: the first of the second, then the first of these."""
+"""Guided by what they average: the wide one, then the first of these."""
 SPARSE_RADIUS, SPARSE_NOISE = 3, 2.0
 SPARSE_STEPS = (4, 10)
 """Pixels from tap to tap of the sparse passes, at radius 8; the second averages what the first gave."""
-MIDDLE = 1
-"""Which candidate the others are compared with."""
-COUNT = len(FIRST) + len(SECOND) + len(SPARSE_STEPS) * len(SPARSE)
+MIDDLE, WIDE = 1, 2
+"""Which candidate the others are compared with, and which the sparse passes begin with."""
+COUNT = sum(map(len, DENSE)) + len(SPARSE_STEPS) * len(SPARSE)
 EXTRAS = 7
 WEIGHTS = "weights.npz"
 SMALLEST_ALPHA = 1e-3
@@ -55,7 +57,7 @@ class Candidates(NamedTuple):
         `COUNT` of them.
     extras : (height, width, EXTRAS)
         Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
-        and of the middle candidate's guide, the albedo's luminance, the geometric mean of the alphas and their ratio (0
+        and of the wide candidate's guide, the albedo's luminance, the geometric mean of the alphas and their ratio (0
         both in a diffuse layer).
     level : float
         Mean luminance of the middle candidate where the layer has meaning.
@@ -93,9 +95,9 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         device=device,
     )
     place = make_pass_features(frame, settings, SIGMA)
-    guides = [guide(pilot)]
+    piloted = guide(pilot)
     found: list[Crossed] = []
-    for variants in (FIRST, SECOND):
+    for variants in DENSE:
         found += run_crossed(
             noisy.halves,
             layer.mask,
@@ -105,20 +107,22 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             radius=radius,
             seen=noisy.seen,
             albedo=layer.albedo,
-            guide=guides[-1],
+            guide=piloted,
             noise=NOISE[kind],
             device=device,
         )
-        guides.append(guide(found[MIDDLE if variants is FIRST else len(FIRST)]))
-    source = found[len(FIRST)]
+    source = found[WIDE]
+    guides = [guide(source)]
     for step in SPARSE_STEPS:
+        if source is not found[WIDE]:
+            guides.append(guide(source))
         sparse = run_crossed(
             (source.a, source.b),
             layer.mask,
             place,
             layer.features,
             SPARSE,
-            radius=SPARSE_RADIUS,
+            radius=min(SPARSE_RADIUS, radius),
             seen=noisy.seen,
             step=max(round(step * scale), 1),
             guide=guides[-1],
@@ -127,11 +131,10 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         )
         found += sparse
         source = sparse[0]
-        guides.append(guide(source))
     middle = found[MIDDLE]
     luminance = np.asarray(middle.mean @ np.array(LUMINANCE, dtype=np.float32))
     level = float(np.sum(luminance, where=layer.mask, dtype=np.float64)) / max(int(np.count_nonzero(layer.mask)), 1)
-    extras = [found[0].effective_samples, middle.effective_samples, guides[0][..., -1], guides[1][..., -1]]
+    extras = [found[0].effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
     return Candidates(found, _take_logarithms(frame, noisy, extras, kind), level)
 
 

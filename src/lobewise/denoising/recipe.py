@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.combining import combine_with_peer
+from lobewise.denoising.combining import combine_with_peer, share_out
 from lobewise.denoising.crossed import CleanLayer, filter_balanced, make_noisy_layers, resolve_crossed
 from lobewise.denoising.high import mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
@@ -20,6 +20,7 @@ from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.peers import require_oidn
 
 
 def refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
@@ -90,6 +91,8 @@ def denoise(
     quality = choose_quality(asked)
     if quality != "fast":
         chosen = resolve_crossed(frame, replace(asked, quality=quality), chosen)
+    if chosen.with_oidn:
+        require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(bad, "pixel")
     found = filter_plain(frame, chosen, features) if quality == "fast" else filter_crossed(frame, chosen, features)
@@ -97,14 +100,16 @@ def denoise(
     holes = ~find_good(image) | (bad & found.untouched)
     if holes.any():
         image = refill(image, holes, chosen)
+    parts = found.parts
     if chosen.with_oidn:
-        image = combine_with_peer(frame, image, found.extras, chosen.device)
-    apart = len(found.parts) == 2
+        before, image = image, combine_with_peer(frame, image, found.extras, chosen.device)
+        parts = share_out(image, before, parts)
+    apart = len(parts) == 2
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
         image=image,
-        diffuse=blacken_bad(found.parts[0]) if apart else None,
-        specular=blacken_bad(found.parts[1]) if apart else None,
+        diffuse=blacken_bad(parts[0]) if apart else None,
+        specular=blacken_bad(parts[1]) if apart else None,
         weight_sum=weight_sum,
         effective_samples=effective_samples,
         bad_pixels=bad,
