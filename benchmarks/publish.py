@@ -154,7 +154,7 @@ def make_readme_figures(similarities: dict[str, Any], filters: dict[str, Any], u
     cells = upsampling["parts"]["orbit"]["all"]["default"]
     alone, over_time = cells["spatial"], cells["temporal"]
     flicker = upsampling["parts"]["flicker"]["whole frames"]
-    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of the four built-in scenes, {similarities["size"]}x{similarities["size"]}, 4 samples per pixel. The two
+    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of four of the built-in scenes, {similarities["size"]}x{similarities["size"]}, 4 samples per pixel. The two
 baselines were tuned on each frame by grid search against its reference, ours ran with `--quality fast`:
 
 {table}
@@ -317,7 +317,7 @@ Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit
 {similarities["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
 baselines were tuned on each frame against its reference ({len(similarities["grid"]["normal_exponent"])} exponents times
 {len(similarities["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(similarities["grid"]["band_limited_normal_exponent"])} times {len(similarities["grid"]["band_limited_screen_sigma"])} times {len(similarities["grid"]["band_limit"])} band-limits); ours and Open Image Denoise
-(default quality, noise-free albedo and normal) ran with their defaults.
+(default quality, noise-free albedo and normal) ran with their defaults, ours as `quality="fast"`.
 
 {make_error_table(similarities, "rel_mse", every)}
 

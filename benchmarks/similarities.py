@@ -1,4 +1,4 @@
-"""Error of every similarity on the four built-in scenes at 1, 4, 16 and 64 samples per pixel.
+"""Error of every similarity on four built-in scenes at 1, 4, 16 and 64 samples per pixel.
 
 Both of the paper's baselines are tuned by grid search on each frame against its reference (so they are at least as
 good as a user could make them); ours runs with its defaults. Writes a JSON with everything and prints a table; scenes
