@@ -503,6 +503,7 @@ def test_devices(capsys):
 class TestRender:
     """Rendering itself is tested elsewhere: here, what of it arrives in files."""
 
+    @pytest.mark.slow
     def test_frame_reference_and_guides(self, tmp_path, capsys):
         for name, extra in (("frame", []), ("reference", ["--reference"]), ("guides", ["--aov-only", "--float"])):
             line = ["render", "showroom", "--spp", "2", "--width", "24", "--height", "16", "-o"]
@@ -551,6 +552,7 @@ SCENE = """<scene version="3.0.0">
 
 
 @pytest.mark.mitsuba
+@pytest.mark.slow
 class TestFitMitsuba:
     """Materials of scenes; what fitting itself does is tested elsewhere."""
 

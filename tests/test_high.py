@@ -57,6 +57,8 @@ sparse pass, blur and slope of the mixing; as `FEW` leaves it."""
 EVERYWHERE = 1e-3
 """What a bad pixel changes further away, relative: the mean of the frame has one pixel less of 2000."""
 
+pytestmark = pytest.mark.slow
+
 
 def make_network(inputs: int, outputs: int, seed: int) -> Network:
     """Return a small network of random numbers for features, logarithms about -5."""

@@ -22,6 +22,8 @@ ROOT = Path(__file__).parents[1]
 SLOPE = 2e-5
 """Relative, of the largest: steps of 1e-5 in float64 leave 1e-10 of a value's rounding over 1e-5."""
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def train(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:

@@ -205,6 +205,7 @@ sys.stdout.buffer.write(bounded.a.tobytes() + bounded.b.tobytes() + np.float64(b
 """
 
 
+@pytest.mark.slow
 def test_threads_change_nothing() -> None:
     bounded = bound_fireflies(*make_case((131, 67)))
     alone = {**os.environ, "HL_NUM_THREADS": "1"}

@@ -77,6 +77,7 @@ def frame(mi: Any, lobes: str, make_box_scene: Callable[..., Any]) -> Frame:
     return render_frame(scene, spp=8, seed=2)
 
 
+@pytest.mark.slow
 class TestAgainstFormulas:
     @pytest.mark.parametrize("cos_view", [1.0, 0.85, 0.5])
     def test_metal(self, guide: Guide, fit_all: None, cos_view: float) -> None:
@@ -234,6 +235,7 @@ class TestAgainstFormulas:
         assert velvet.tolist() == [0.2, 0.5]
 
 
+@pytest.mark.slow
 class TestPythonBsdf:
     def test_guides_are_finite_and_name_their_tables(self, frame: Frame) -> None:
         material = frame.gbuffer.material

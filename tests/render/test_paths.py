@@ -89,6 +89,7 @@ def test_agrees_with_mitsuba_on_smooth_surfaces_and_sky(mi: Any, make_box_scene:
     compare_with_mitsuba(mi, make_box_scene(items), 512)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list_scenes())
 def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str, built_in_frames: Callable[[str], Frame]) -> None:
     frame = built_in_frames(name)

@@ -62,6 +62,7 @@ def test_guides_are_those_of_a_whole_frame_but_for_averages(stages: Stages, show
     assert abs(np.median(ratio) - 1.0) < 0.05
 
 
+@pytest.mark.slow
 def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
     stages = Stages(showroom)
     for camera in make_orbit(stages.start_camera, (0.0, 0.75, -0.6), 3, 20.0):
@@ -74,6 +75,7 @@ def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
 
 
+@pytest.mark.slow
 def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     parts = [shade_direct(stages, seed) for seed in range(256)]
@@ -154,6 +156,7 @@ def test_what_a_pixel_gets_does_not_depend_on_the_others(stages: Stages) -> None
         assert not np.array_equal(whole, different)
 
 
+@pytest.mark.slow
 def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> None:
     """A BSDF of a plugin written in Python, whose fitted lobes lie outside the scene."""
     square = {"type": "rectangle", "bsdf": {"type": register_lobes()}}
