@@ -21,12 +21,11 @@ from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
 from lobewise.kernels.features import Feature
-from lobewise.kernels.fireflies import bound_fireflies
+from lobewise.kernels.fireflies import BoundedHalves, bound_fireflies
 from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.resolving import resolve_coverage
 from lobewise.kernels.seen_features import SeenFeature
 from lobewise.lobes.field import default_tau
-from lobewise.lobes.vectors import LUMINANCE
 
 
 @dataclass(frozen=True)
@@ -107,12 +106,13 @@ class NoisyLayer:
     layer: Layer
     name: str
     seen: tuple[Feature, ...]
-    halves: tuple[FloatArray, FloatArray]
+    bounded: BoundedHalves
     plan: Plan
-    lost: float
-    """Luminance that was taken from fireflies, summed over both halves."""
-    given: float
-    """Luminance that there was."""
+
+    @property
+    def halves(self) -> tuple[FloatArray, FloatArray]:
+        """Both halves, (height, width, 3) each."""
+        return self.bounded.a, self.bounded.b
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,10 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
     found = []
     for layer, (name, plan) in zip(layers, named, strict=True):
         before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
-        a, b, _ = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
-        given, left = (sum(_sum_luminance(half) for half in both) for both in (before, (a, b)))
+        bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
         compared = replace(layer, features=(*layer.features, *extra))
         seen = find_seen(frame, compared, settings) if name == "specular" else ()
-        found.append(NoisyLayer(compared, name, seen, (a, b), plan, given - left, given))
+        found.append(NoisyLayer(compared, name, seen, bounded, plan))
     return found
 
 
@@ -164,12 +163,6 @@ def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Fe
     normal = np.float32(2.0) * mean.b - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
-
-
-def _sum_luminance(image: FloatArray) -> float:
-    """Return the sum of the luminance of all good pixels."""
-    channels = [np.nansum(np.where(np.isfinite(image[..., k]), image[..., k], 0.0), dtype=np.float64) for k in range(3)]
-    return float(np.dot(channels, LUMINANCE))
 
 
 def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) -> list[Feature]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.denoising.crossed import CleanLayer, NoisyLayer, Pass, finish_layer, make_pass_features
+from lobewise.denoising.crossed import CleanLayer, NoisyLayer, finish_layer, make_pass_features
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
@@ -24,9 +24,6 @@ from lobewise.kernels.mixing import Network, mix_candidates
 from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.lobes.vectors import LUMINANCE
 
-PILOTS = {"diffuse": Pass(5, 6.0, lobes=4.0), "specular": Pass(5, 4.0, lobes=2.0)}
-NOISE = {"diffuse": 4.0, "specular": 2.0}
-"""Variances of the guide by which the dense passes divide squared differences."""
 SIGMA = 30.0
 """Standard deviation of the distance, pixels and footprints, at radius 8."""
 DENSE = (
@@ -83,7 +80,8 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     def guide(found: Crossed) -> FloatArray:
         return make_noise_guide(found.a, found.b, layer.mask, device)
 
-    pilot_pass = PILOTS[kind]
+    pilot_pass, dense_pass = noisy.plan.passes[:2]
+    assert dense_pass.noise is not None
     (pilot,) = run_crossed(
         noisy.halves,
         layer.mask,
@@ -108,7 +106,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             seen=noisy.seen,
             albedo=layer.albedo,
             guide=piloted,
-            noise=NOISE[kind],
+            noise=dense_pass.noise,
             device=device,
         )
     source = found[WIDE]

@@ -168,8 +168,8 @@ def filter_crossed(frame: Frame, settings: DenoiseSettings, features: Sequence[F
         else:
             found = filter_balanced(frame, each, settings)
         clean.append(found)
-    given = sum(each.given for each in noisy)
-    lost = sum(each.lost for each in noisy) / given if given > 0.0 else 0.0
+    light = sum(each.bounded.light for each in noisy)
+    lost = sum(each.bounded.energy_lost * each.bounded.light for each in noisy) / light if light > 0.0 else 0.0
     return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost, extras)
 
 

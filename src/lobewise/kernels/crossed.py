@@ -8,8 +8,7 @@ noise that they average (Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering 
 5). Several variants (p, l, r, s) share all that is the same for them.
 
 The distance in the guide is that of the same paper, equation 2: squared differences less what the noise explains, over
-the noise. Departs: of pixels, not of patches, because the guide is a filtered image already: patches of 3x3 lowered the
-error by 0-4 % and cost as much again as everything else.
+the noise. Departs: of pixels, not of patches, because the guide is a filtered image already (docs/quality.md).
 """
 
 from __future__ import annotations

@@ -45,11 +45,14 @@ class BoundedHalves(NamedTuple):
         The two halves, nowhere brighter than they were.
     energy_lost : float
         Share of the luminance that was taken, of all good pixels of both, in [0, 1].
+    light : float
+        That luminance, summed, before.
     """
 
     a: FloatArray
     b: FloatArray
     energy_lost: float
+    light: float
 
 
 @dataclass
@@ -112,7 +115,8 @@ def bound_fireflies(
     seen, taken = (np.empty((height, lanes), np.float32) for _ in range(2))
     kernel(*(hl.Buffer(_borrow(array)) for array in held), *(hl.Buffer(array) for array in (a, b, seen, taken)))
     before = float(seen.sum(dtype=np.float64))
-    return BoundedHalves(a, b, min(float(taken.sum(dtype=np.float64)) / before, 1.0) if before > 0.0 else 0.0)
+    lost = min(float(taken.sum(dtype=np.float64)) / before, 1.0) if before > 0.0 else 0.0
+    return BoundedHalves(a, b, lost, before)
 
 
 Crowd = Sequence[hl.Expr]
