@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from interactive_page import make_interactive_page
-from quality_page import make_quality_page
+from quality_page import make_quality_page, make_readme_quality
 from quality_trials import make_trials_page
 
 ROOT = Path(__file__).parents[1]
@@ -144,27 +144,16 @@ def describe_run(data: dict[str, Any]) -> str:
     return f"{machine['processor']}, {machine['threads']} threads, commit {machine['commit']}"
 
 
-def make_readme_figures(similarities: dict[str, Any], filters: dict[str, Any], upsampling: dict[str, Any]) -> str:
+def make_readme_figures(quality: dict[str, Any], upsampling: dict[str, Any]) -> str:
     """Return the block of the README."""
-    table = make_error_table(similarities, "rel_mse", ["4"])
-    wide = filters["oidn"]["1920x1080"]
-    kernel = wide["sg kernel, separable, radius 8"]
-    recipe = wide["denoise(ggx, separable, radius 8): diffuse and specular"]
-    oidn = wide["oidn, default quality"]
     cells = upsampling["parts"]["orbit"]["all"]["default"]
     alone, over_time = cells["spatial"], cells["temporal"]
     flicker = upsampling["parts"]["flicker"]["whole frames"]
-    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) of four of the built-in scenes, {similarities["size"]}x{similarities["size"]}, 4 samples per pixel. The two
-baselines were tuned on each frame by grid search against its reference, ours ran with `--quality fast`:
-
-{table}
-
-Time at 1920x1080 on {describe_run(filters).rsplit(",", 1)[0]}: the separable `sg` kernel takes {kernel["milliseconds"]:.0f} ms, a whole
-`denoise` with `ggx` on diffuse and specular radiance {recipe["milliseconds"]:.0f} ms, Open Image Denoise {oidn["milliseconds"]:.0f} ms.
+    return f"""{make_readme_quality(quality)}
 
 With one of 4x4 pixels shaded (4 samples each), upsampling leaves an error of {alone["rel_mse"]:.4f} in `showroom`; with the fifteen frames before it, on a
 slow orbit, {over_time["rel_mse"]:.4f}. Over {upsampling["parts"]["flicker"]["frames"]} denoised frames the flicker falls to {flicker["ratio"]:.2f} of that of frames denoised one by one. All
-figures, other sample counts and how they were made: [docs/results.md](docs/results.md)."""
+similarities, other sample counts and how they were made: [docs/results.md](docs/results.md)."""
 
 
 def make_upsampling_section(data: dict[str, Any]) -> str:
@@ -470,11 +459,12 @@ def main() -> None:
     similarities = json.loads((RESULTS / "similarities.json").read_text())
     filters = json.loads((RESULTS / "filters.json").read_text())
     upsampling = json.loads((RESULTS / "upsampling.json").read_text())
+    quality = json.loads((RESULTS / "quality.json").read_text())
     readme = ROOT / "README.md"
     text = readme.read_text()
     head, rest = text.split(START)
     tail = rest.split(END)[1]
-    readme.write_text(f"{head}{START}\n{make_readme_figures(similarities, filters, upsampling)}\n{END}{tail}")
+    readme.write_text(f"{head}{START}\n{make_readme_figures(quality, upsampling)}\n{END}{tail}")
     paper = json.loads((RESULTS / "paper_table.json").read_text())
     hits = json.loads((RESULTS / "hit_distance.json").read_text())
     gallery = json.loads((RESULTS / "gallery.json").read_text())
@@ -484,9 +474,7 @@ def main() -> None:
     (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))
     trials, training = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
     (ROOT / "docs" / "quality.md").write_text(make_trials_page(trials, training))
-    quality = RESULTS / "quality.json"
-    if quality.exists():
-        (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(json.loads(quality.read_text())))
+    (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
 
 
 if __name__ == "__main__":

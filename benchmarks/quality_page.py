@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quality_summary import CLASSES, PARTS
+from quality_summary import CLASSES, PARTS, WIDE
 
 TITLES = {
     "noisy": "noisy",
@@ -25,6 +25,9 @@ BASE_TITLES = {"single SG": "the single SG lobe", "oidn": "Open Image Denoise"}
 TIME_BASES = ("single SG", "oidn", "oidn, guides as they come")
 BY_CLASS = ("normal-aware", "single SG", "balanced", "high", "high + oidn")
 """Methods whose errors are shown by class of pixels."""
+README = ("noisy", "normal-aware", "single SG", "balanced", "high", "high + oidn", "oidn")
+README_SAMPLES = "4"
+TIMED = ("single SG", "balanced", "high", "oidn, guides as they come", "oidn fast")
 BY_SCENE = ("noisy", "normal-aware", "single SG", "balanced", "high", "oidn", "high + oidn")
 SCREEN_SAMPLES = ("4", "16")
 """Sample counts at which the metrics of what a screen shows are given."""
@@ -171,6 +174,34 @@ def _list_rows(data: dict[str, Any], scenes: tuple[str, ...], samples: list[str]
 
 def _show(value: Any, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
+
+
+def make_readme_quality(data: dict[str, Any]) -> str:
+    """Return what the README says of errors and times: every scene at one sample count, then the means of the others."""
+    scenes = [scene for part in PARTS.values() for scene in part]
+    rows = [
+        [scene, *(_show(np.mean(methods[name]["rel_mse"]["all"]), 4) for name in README)]
+        for scene, _, methods in _list_rows(data, tuple(scenes), [README_SAMPLES])
+    ]
+    errors = make_table(["scene", *(TITLES[name] for name in README)], rows)
+    bases = data["summary"]["ratios"]["held out"]["oidn"]
+    samples = [str(spp) for spp in data["samples"]]
+    ratios = make_table(
+        ["held out, over Open Image Denoise", *(f"{spp} spp" for spp in samples)],
+        [[TITLES[name], *(_show(bases[name]["all"][spp]["ratio"], 2) for spp in samples)] for name in README[1:-1]],
+    )
+    times = data["speed"][WIDE]["milliseconds"]
+    cells = [f"{TITLES[name]} {times[name] / 1000.0:.2f} s" for name in TIMED]
+    train, held_out = (", ".join(f"`{scene}`" for scene in PARTS[part]) for part in PARTS)
+    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) at {README_SAMPLES} samples per pixel, {data["size"]}x{data["size"]}, mean of {len(data["seeds"])} noise seeds. Parameters, ours and
+the baseline's, were chosen on {train}; {held_out} were only measured:
+
+{errors}
+
+{ratios}
+
+Time at {WIDE} on {data["machine"]["processor"]}, {data["machine"]["threads"]} threads: {"; ".join(cells)}. Goals, met and missed, classes
+of pixels, FLIP and pictures: [docs/quality_results.md](docs/quality_results.md)."""
 
 
 def make_part(data: dict[str, Any], part: str, samples: list[str]) -> str:

@@ -13,8 +13,8 @@ fast what is reflected changes. Three qualities:
 | quality | what it does |
 | --- | --- |
 | `fast` | The paper's: one pass, weights from guides alone. Any form, radius, upsampling and histories. |
-| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes; then each is filtered widely, by lobes times how far apart two pixels are in the *other* half's pilot, over its noise. Diffuse light gets a third, sparse pass. |
-| `high` | Nine such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
+| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. Diffuse light gets a third, sparse pass. |
+| `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
 
 Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
 
@@ -36,8 +36,8 @@ One at a time, on the two train scenes alone. `rel_mse` in units of 1e-5, noise 
 TAIL = """
 ## The networks of `high`
 
-Inputs, all of them relative, so that neither exposure nor sample count enters: the variance of every candidate (how far its halves are apart), how far it is from the middle one, slope and brightness, what the narrow
-and the middle candidate are worth in samples, the variance of both guides, albedo, roughness and anisotropy. Two hidden layers, a softmax over the candidates; one network for
+Inputs, all of them relative, so that neither exposure nor sample count enters: the variance of every candidate (how far its halves are apart), how far it is from the middle one, slope and brightness, each averaged over
+5x5 pixels and once more over some 17x17; what the narrow and the middle candidate are worth in samples, the variance of both guides, albedo, roughness and anisotropy. Two hidden layers, a softmax over the candidates; one network for
 diffuse, one for specular light. Trained on {scenes} scenes made at random (`benchmarks/training_scenes.py`), none of which is a scene that results are judged on; {weights} weights, 3 networks.
 Every fifth scene was kept aside once, to see that the networks do not learn their scenes by heart (error of the mixture over that of the middle candidate, geometric mean over scenes):
 

@@ -1,7 +1,7 @@
 """Train the networks of the quality "high" on scenes made at random, and write their weights into the package.
 
 The frames and references are those of `training_scenes.py` (none of the scenes that results are judged on). For every
-pixel the networks of both layers say in which proportions nine filtered images are mixed; what is minimised is the
+pixel the networks of both layers say in which proportions thirteen filtered images are mixed; what is minimised is the
 relative squared error of the sum of both layers, each frame counting by its error before. A fifth of the scenes is
 kept aside to tell when the networks only learn their scenes by heart. Then a third network learns to mix what comes out
 with what Open Image Denoise makes of the frame (``with_oidn``).
@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from common import describe_machine, write_json
 from lobewise.denoising.combining import denoise_with_peer, find_level, join_extras, list_pairs
-from lobewise.denoising.crossed import finish_layer, make_noisy_layers, resolve_crossed
+from lobewise.denoising.guided import finish_layer, make_noisy_layers, resolve_guided
 from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network
-from lobewise.denoising.settings import DenoiseSettings, resolve_settings
+from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image
 from lobewise.kernels.mixing import LEAK, Network, find_features, mix_candidates
@@ -41,7 +41,7 @@ STEPS = 3000
 RATE = 3e-3
 CAP = 20.0
 """Squared relative error, over the frame's mean, above which a pixel pulls no harder: fireflies teach nothing."""
-SHARE = 0.3
+SHARE = 0.15
 """Share of the pixels that are taken as examples."""
 HELD_OUT_EVERY = 5
 """Every fifth scene is not trained on."""
@@ -79,7 +79,7 @@ class Scene:
 def resolve(frame: Frame) -> DenoiseSettings:
     """Return the settings of the quality "high"."""
     asked = DenoiseSettings(quality="high")
-    return resolve_crossed(frame, asked, resolve_settings(frame, asked))
+    return resolve_guided(frame, asked)
 
 
 def make_examples(
@@ -116,7 +116,8 @@ def collect(frame: Frame, scene: Scene) -> Examples:
         found = find_candidates(frame, noisy, settings)
         features[noisy.name] = find_features(found.pairs, MIDDLE, found.extras, found.level)
         candidates[noisy.name] = [
-            finish_layer(frame, noisy, each.mean, each.weight_sum, each.effective_samples).image for each in found.found
+            finish_layer(frame, noisy, (each.a, each.b), each.weight_sum, each.effective_samples).image
+            for each in found.found
         ]
     rest = find_rest(frame)
     return make_examples(scene, rest, features, candidates, sum((candidates[kind][MIDDLE] for kind in KINDS), rest))
@@ -130,7 +131,7 @@ def collect_peer(frame: Frame, scene: Scene, networks: dict[str, Network]) -> Ex
         found = find_candidates(frame, noisy, settings)
         light = mix_candidates(found.pairs, MIDDLE, found.extras, found.level, networks[noisy.name])
         middle = found.found[MIDDLE]
-        image = image + finish_layer(frame, noisy, light, middle.weight_sum, middle.effective_samples).image
+        image = image + finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples).image
         extras.append(found.extras)
     pairs = list_pairs(image, denoise_with_peer(frame, image))
     features = find_features(pairs, 0, join_extras(extras), find_level(image))

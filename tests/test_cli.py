@@ -199,7 +199,7 @@ class TestDenoise:
         from lobewise.denoising import recipe
 
         monkeypatch.setattr(peers, "has_oidn", lambda: False)
-        monkeypatch.setattr(recipe, "filter_crossed", lambda *_: pytest.fail("filtered first"))
+        monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
         assert err.endswith("Open Image Denoise is not installed; pip install 'lobewise[compare]'.\n")
         assert not (tmp_path / "out.exr").exists()

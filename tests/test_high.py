@@ -13,23 +13,24 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import DenoiseSettings, combining, denoise, high, recipe
 from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
-from lobewise.denoising.crossed import DIFFUSE, SPECULAR, finish_layer, make_noisy_layers, resolve_crossed
+from lobewise.denoising.guided import finish_layer, make_noisy_layers, resolve_guided
 from lobewise.denoising.high import (
     COUNT,
     EXTRAS,
     MIDDLE,
+    NARROW,
     WIDE,
     find_candidates,
     load_networks,
     pack_network,
     unpack_network,
 )
-from lobewise.denoising.settings import QUALITIES, choose_quality, resolve_settings
+from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io import describe_file, read_frame, write_frame, write_result
-from lobewise.kernels.crossed_runs import Crossed
 from lobewise.kernels.mixing import Network, count_features
+from lobewise.kernels.paired_runs import Paired
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -51,9 +52,9 @@ SCALED = {1e-6: 5e-3, 3.0: 2e-3, 1e6: 5e-3}
 differences of 1, over the least variance that guides assume; less where the logarithm is."""
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
-REACH = 6 + 5 + 3 + 8 + 3 + 12 + 2 + 1
+REACH = 6 + 5 + 3 + 8 + 3 + 12 + 2 + 6 + 1
 """Pixels from which a pixel is told anything: fireflies, pilot, blur of its variance, dense pass, blur of its variance,
-sparse pass, blur and slope of the mixing; as `FEW` leaves it."""
+sparse pass, blurs and slope of the mixing; as `FEW` leaves it."""
 EVERYWHERE = 1e-3
 """What a bad pixel changes further away, relative: the mean of the frame has one pixel less of 2000."""
 
@@ -107,7 +108,7 @@ def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
 def resolve(frame: Frame, **changes: Any) -> DenoiseSettings:
     """Return the settings as `denoise` resolves them."""
     asked = DenoiseSettings(**{**CHEAP, **changes})
-    return resolve_crossed(frame, asked, resolve_settings(frame, asked))
+    return resolve_guided(frame, asked)
 
 
 def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
@@ -116,7 +117,9 @@ def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings).found
         images[noisy.name] = [
-            finish_layer(frame, noisy, each.mean, found[MIDDLE].weight_sum, found[MIDDLE].effective_samples).image
+            finish_layer(
+                frame, noisy, (each.a, each.b), found[MIDDLE].weight_sum, found[MIDDLE].effective_samples
+            ).image
             for each in found
         ]
     return images
@@ -216,11 +219,11 @@ class Recorder:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[dict[str, Any]] = []
-        self.gave: list[list[Crossed]] = []
+        self.gave: list[list[Paired]] = []
         self.guided: list[tuple[FloatArray, FloatArray]] = []
         self.guides: list[FloatArray] = []
         self.rng = np.random.default_rng(11)
-        monkeypatch.setattr(high, "run_crossed", self.run)
+        monkeypatch.setattr(high, "run_paired", self.run)
         monkeypatch.setattr(high, "make_noise_guide", self.guide)
 
     def draw(self, *shape: int) -> FloatArray:
@@ -228,18 +231,18 @@ class Recorder:
 
     def run(
         self, halves: Any, mask: Any, place: Any, lobes: Any, variants: Sequence[Any], **options: Any
-    ) -> list[Crossed]:
+    ) -> list[Paired]:
         self.calls.append({"halves": halves, "variants": tuple(variants), **options})
         images = [[self.draw(*mask.shape, 3), self.draw(*mask.shape, 3)] for _ in variants]
-        self.gave.append([Crossed(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
+        self.gave.append([Paired(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
         return self.gave[-1]
 
     def guide(self, a: FloatArray, b: FloatArray, mask: Any, device: str) -> FloatArray:
         self.guided.append((a, b))
-        self.guides.append(self.draw(*mask.shape, 7))
+        self.guides.append(self.draw(*mask.shape, 4))
         return self.guides[-1]
 
-    def find_guide(self, found: Crossed) -> FloatArray:
+    def find_guide(self, found: Paired) -> FloatArray:
         """Return the guide that was made of both halves of a filter's result, once."""
         pairs = zip(self.guided, self.guides, strict=True)
         (guide,) = (guide for (a, b), guide in pairs if a is found.a and b is found.b)
@@ -280,7 +283,7 @@ class TestCandidates:
         for call in recorder.dense:
             assert all(given is first for given, first in zip(call["halves"], pilot["halves"], strict=True))
             assert call["guide"] is recorder.find_guide(found_pilot)
-            assert call["noise"] == {"diffuse": DIFFUSE, "specular": SPECULAR}[name].passes[1].noise
+            assert call["noise"] == high.NOISE[name]
             assert call["albedo"] is pilot["albedo"]
         assert [call["variants"] for call in recorder.sparse] == [high.SPARSE] * 2
         sources = candidates.found[WIDE], found[len(high.DENSE)][0]
@@ -292,7 +295,7 @@ class TestCandidates:
             # What they average has been divided by the albedo before.
             assert call.get("albedo") is None
         assert candidates.found == list(chain.from_iterable(found))
-        assert len(candidates.found) == COUNT == 9
+        assert len(candidates.found) == COUNT == 13
 
     def test_every_filter_but_the_pilot_heeds_its_guide(self):
         variants = [*chain.from_iterable(high.DENSE), *high.SPARSE]
@@ -301,7 +304,7 @@ class TestCandidates:
     def test_the_middle_candidate_is_between_the_narrow_and_the_wide(self):
         sigmas = [high.SIGMA / each.place**0.5 for each in chain.from_iterable(high.DENSE)]
         # Of 12 only about, as that of an exponent of 6.
-        assert sigmas[0] == pytest.approx(6.0)
+        assert sigmas[NARROW] == pytest.approx(6.0)
         assert sigmas[MIDDLE] == pytest.approx(12.0, rel=0.03)
         assert sigmas[WIDE] == max(sigmas) == pytest.approx(30.0)
 
@@ -327,10 +330,10 @@ class TestCandidates:
         (pilot,), *_ = recorder.gave
         clamped = np.maximum(alphas, SMALLEST_ALPHA)
         expected = [
-            candidates.found[0].effective_samples,
+            candidates.found[NARROW].effective_samples,
             candidates.found[MIDDLE].effective_samples,
-            recorder.find_guide(pilot)[..., 6],
-            recorder.find_guide(candidates.found[WIDE])[..., 6],
+            recorder.find_guide(pilot)[..., 3],
+            recorder.find_guide(candidates.found[WIDE])[..., 3],
             np.maximum(albedo @ LUMINANCE, ALBEDO_FLOOR),
             np.sqrt(clamped[0] * clamped[1]),
             clamped[0] / clamped[1],
@@ -597,7 +600,7 @@ class TestPeer:
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
         monkeypatch.setattr(peers, "has_oidn", lambda: False)
-        monkeypatch.setattr(recipe, "filter_crossed", lambda *_: pytest.fail("filtered first"))
+        monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
             with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)

@@ -1,7 +1,7 @@
 """The quality "high": several averages of every layer, from narrow to wide, and the best mixture of them per pixel.
 
-How wide to average is a trade of noise for blur that changes from pixel to pixel. Here nine filters run, each guided
-by what those before it found, and a small network, trained on scenes that are made at random
+How wide to average is a trade of noise for blur that changes from pixel to pixel. Here thirteen filters run, each
+guided by what those before it found, and a small network, trained on scenes that are made at random
 (``benchmarks/train.py``), says in which proportions they count. It sees how noisy each is, how far they are apart and
 what kind of surface a pixel shows, all of it relative, so that neither exposure nor sample count matters.
 """
@@ -15,30 +15,35 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.denoising.crossed import CleanLayer, NoisyLayer, finish_layer, make_pass_features
+from lobewise.denoising.guided import CleanLayer, NoisyLayer, Pass, finish_layer, make_pass_features
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
 from lobewise.kernels.mixing import Network, mix_candidates
 from lobewise.kernels.noise_guides import make_noise_guide
+from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.lobes.vectors import LUMINANCE
 
+PILOTS = {"diffuse": Pass(5, 6.0, lobes=4.0), "specular": Pass(5, 6.0, lobes=4.0)}
+NOISE = {"diffuse": 12.0, "specular": 6.0}
+"""Variances of the guide by which the dense passes divide squared differences."""
 SIGMA = 30.0
-"""Standard deviation of the distance, pixels and footprints, at radius 8."""
+"""Standard deviation of the distance, pixels and footprints, at radius 8, of a variant whose exponent of place is 1."""
 DENSE = (
     (Exponents(25.0, 2.0, 1.0, 2.0), Exponents(6.0, 1.0, 1.0), Exponents(1.0, 1.0, 1.0)),
-    (Exponents(1.0, 1.0, 0.3, 0.5), Exponents(1.0, 0.25, 1.0, 2.0)),
+    (Exponents(225.0, 4.0, 1.0, 2.0), Exponents(64.0, 2.0, 1.0, 2.0), Exponents(25.0, 4.0, 0.3, 2.0)),
+    (Exponents(6.0, 4.0, 1.0, 2.0), Exponents(1.0, 0.25, 1.0, 2.0), Exponents(1.0, 2.0, 0.3)),
 )
-"""Variants guided by the pilot, in two passes because sums of more would not stay in registers: narrow, middle (sigmas
-of 6 and 12 pixels) and wide; wide and trusting the guide less, the lobes less."""
+"""Variants guided by the pilot, in three passes because sums of more would not stay in registers: narrow, middle and
+wide (sigmas of 6, 12 and 30 pixels); narrower (2 and 4); and such as trust lobes or guide more or less."""
 SPARSE = (Exponents(1.0, 1.0, 1.0), Exponents(1.0, 0.25, 0.3))
 """Guided by what they average: the wide one, then the first of these."""
-SPARSE_RADIUS, SPARSE_NOISE = 3, 2.0
+SPARSE_RADIUS, SPARSE_NOISE = 3, 6.0
 SPARSE_STEPS = (4, 10)
 """Pixels from tap to tap of the sparse passes, at radius 8; the second averages what the first gave."""
-MIDDLE, WIDE = 1, 2
-"""Which candidate the others are compared with, and which the sparse passes begin with."""
+NARROW, MIDDLE, WIDE = range(3)
+"""Which candidates tell how many samples there are, which the others are compared with, and which the sparse passes
+begin with."""
 COUNT = sum(map(len, DENSE)) + len(SPARSE_STEPS) * len(SPARSE)
 EXTRAS = 7
 WEIGHTS = "weights.npz"
@@ -50,7 +55,7 @@ class Candidates(NamedTuple):
 
     Parameters
     ----------
-    found : list of Crossed
+    found : list of Paired
         `COUNT` of them.
     extras : (height, width, EXTRAS)
         Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
@@ -60,7 +65,7 @@ class Candidates(NamedTuple):
         Mean luminance of the middle candidate where the layer has meaning.
     """
 
-    found: list[Crossed]
+    found: list[Paired]
     extras: FloatArray
     level: float
 
@@ -77,12 +82,11 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     scale, device = settings.radius / 8.0, settings.device
     radius = settings.radius
 
-    def guide(found: Crossed) -> FloatArray:
+    def guide(found: Paired) -> FloatArray:
         return make_noise_guide(found.a, found.b, layer.mask, device)
 
-    pilot_pass, dense_pass = noisy.plan.passes[:2]
-    assert dense_pass.noise is not None
-    (pilot,) = run_crossed(
+    pilot_pass = PILOTS[kind]
+    (pilot,) = run_paired(
         noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, pilot_pass.sigma),
@@ -94,9 +98,9 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     )
     place = make_pass_features(frame, settings, SIGMA)
     piloted = guide(pilot)
-    found: list[Crossed] = []
+    found: list[Paired] = []
     for variants in DENSE:
-        found += run_crossed(
+        found += run_paired(
             noisy.halves,
             layer.mask,
             place,
@@ -106,7 +110,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             seen=noisy.seen,
             albedo=layer.albedo,
             guide=piloted,
-            noise=dense_pass.noise,
+            noise=NOISE[kind],
             device=device,
         )
     source = found[WIDE]
@@ -114,7 +118,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     for step in SPARSE_STEPS:
         if source is not found[WIDE]:
             guides.append(guide(source))
-        sparse = run_crossed(
+        sparse = run_paired(
             (source.a, source.b),
             layer.mask,
             place,
@@ -132,7 +136,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     middle = found[MIDDLE]
     luminance = np.asarray(middle.mean @ np.array(LUMINANCE, dtype=np.float32))
     level = float(np.sum(luminance, where=layer.mask, dtype=np.float64)) / max(int(np.count_nonzero(layer.mask)), 1)
-    extras = [found[0].effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
+    extras = [found[NARROW].effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
     return Candidates(found, _take_logarithms(frame, noisy, extras, kind), level)
 
 
@@ -184,5 +188,5 @@ def mix_layer(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> tup
         candidates.pairs, MIDDLE, candidates.extras, candidates.level, load_networks()[kind], settings.device
     )
     middle = candidates.found[MIDDLE]
-    clean = finish_layer(frame, noisy, light, middle.weight_sum, middle.effective_samples)
+    clean = finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples)
     return clean, candidates.extras

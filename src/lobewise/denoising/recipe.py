@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
-from lobewise.denoising.crossed import CleanLayer, filter_balanced, make_noisy_layers, resolve_crossed
+from lobewise.denoising.guided import CleanLayer, filter_balanced, make_noisy_layers, resolve_guided
 from lobewise.denoising.high import mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
 from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
@@ -87,15 +87,14 @@ def denoise(
     for name in changes:
         require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
     asked = replace(settings or DenoiseSettings(), **changes)
-    chosen = resolve_settings(frame, asked)
     quality = choose_quality(asked)
-    if quality != "fast":
-        chosen = resolve_crossed(frame, replace(asked, quality=quality), chosen)
+    resolve = resolve_settings if quality == "fast" else resolve_guided
+    chosen = resolve(frame, replace(asked, quality=quality))
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(bad, "pixel")
-    found = filter_plain(frame, chosen, features) if quality == "fast" else filter_crossed(frame, chosen, features)
+    found = filter_plain(frame, chosen, features) if quality == "fast" else filter_guided(frame, chosen, features)
     image = compose(frame, found.parts)
     holes = ~find_good(image) | (bad & found.untouched)
     if holes.any():
@@ -110,8 +109,8 @@ def denoise(
         image=image,
         diffuse=blacken_bad(parts[0]) if apart else None,
         specular=blacken_bad(parts[1]) if apart else None,
-        weight_sum=weight_sum,
-        effective_samples=effective_samples,
+        weight_sum=np.ascontiguousarray(weight_sum),
+        effective_samples=np.ascontiguousarray(effective_samples),
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
@@ -156,7 +155,7 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
     return Filtered(layers, parts, outputs)
 
 
-def filter_crossed(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
+def filter_guided(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
     """Filter the halves of every layer, each by what the other half tells as well."""
     noisy = make_noisy_layers(frame, settings, features)
     extras: list[FloatArray] = []

@@ -241,10 +241,12 @@ def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1)
     and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
     samples of another material are as near as those of the own one (fitted on the built-in scenes at scale 4).
     """
-    spp = estimate_spp(frame)
+    sigma, tau = settings.screen_sigma, settings.tau
+    asked = (sigma, tau, settings.beta, settings.diffuse_beta)
+    # It looks at every pixel, so only where it is asked for.
+    spp = estimate_spp(frame) if "auto" in asked else 1.0
     density = 1.0 / scale**2
     beta = choose_beta(spp) * math.pow(density, -0.15)
-    sigma, tau = settings.screen_sigma, settings.tau
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     if tau == "auto":
         # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.

@@ -26,6 +26,9 @@ from lobewise.kernels.engine import _borrow, get_kernel, take_image
 COLORS = 3
 BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
 """Binomial weights over which squares are averaged, in rows and in columns."""
+APART = 3
+"""Pixels from weight to weight where the averages are averaged once more: one is local, the other steady."""
+SCALES = 2
 DARKEST = 0.05
 """Squares are relative to that of the local mean, and to this share of the whole mean."""
 LEAST_SQUARE = 1e-8
@@ -54,7 +57,7 @@ class Network(NamedTuple):
 
 def count_features(candidates: int, extras: int) -> int:
     """Return how many inputs a network has for so many candidates and extras."""
-    return 2 * candidates - 1 + 2 + extras
+    return SCALES * (2 * candidates + 1) + extras
 
 
 class _Funcs:
@@ -97,17 +100,26 @@ class _Funcs:
         squares = [spread[x, k, y] for k in range(candidates)]
         squares += [step * step for step in steps]
         squares += [slopes[0] * slopes[0] + slopes[1] * slopes[1], light[x, middle, y]]
-        sharp, rows, soft = hl.Func("sharp"), hl.Func("rows"), hl.Func("soft")
+        sharp = hl.Func("sharp")
         sharp[x, c, y] = hl.mux(c, squares)
-        taps = list(enumerate(BLUR, start=-(len(BLUR) // 2)))
-        rows[x, c, y] = sum((hl.f32(weight) * sharp[x + k, c, y] for k, weight in taps), hl.f32(0.0))
-        soft[x, c, y] = sum((hl.f32(weight) * rows[x, c, y + k] for k, weight in taps), hl.f32(0.0))
-        level = soft[x, len(squares) - 1, y]
-        unit = hl.f32(1.0) / (level * level + floor)
-        features = hl.Func("features")
-        values = [expressions.log2(hl.max(soft[x, k, y] * unit, hl.f32(LEAST_SQUARE))) for k in range(len(squares) - 1)]
-        values.append(expressions.log2(hl.max(level / mean, hl.f32(LEAST_LIGHT))))
+        blurs: list[tuple[hl.Func, hl.Func]] = []
+        source = sharp
+        for step in (1, APART):
+            taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
+            rows, soft = hl.Func(f"rows{step}"), hl.Func(f"soft{step}")
+            rows[x, c, y] = sum((weight * source[x + k, c, y] for k, weight in taps), hl.f32(0.0))
+            soft[x, c, y] = sum((weight * rows[x, c, y + k] for k, weight in taps), hl.f32(0.0))
+            blurs.append((rows, soft))
+            source = soft
+        values: list[hl.Expr] = []
+        for _, soft in blurs:
+            level = soft[x, len(squares) - 1, y]
+            unit = hl.f32(1.0) / (level * level + floor)
+            relative = [soft[x, k, y] * unit for k in range(len(squares) - 1)]
+            values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
+            values.append(expressions.log2(hl.max(level / mean, hl.f32(LEAST_LIGHT))))
         values += [more[k, x, y] for k in range(extras)]
+        features = hl.Func("features")
         features[x, c, y] = hl.mux(c, values)
 
         self.arguments: list[Any] = [*images, more, floor, mean]
@@ -162,9 +174,12 @@ class _Funcs:
         for func, count in ((light, candidates), (spread, candidates)):
             func.compute_at(out, ys).bound(c, 0, count).reorder_storage(x, c, y).reorder(c, x, y)
             func.vectorize(x, lanes).unroll(c).never_partition_all()
-        soft.compute_at(out, yi).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-        rows.compute_at(out, ys).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-        sharp.compute_at(rows, y).bound(c, 0, len(squares)).reorder_storage(x, c, y).reorder(c, x, y)
+        for number, (rows, soft) in enumerate(blurs):
+            rows.compute_at(out, ys).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
+            # What is averaged again is needed some rows away.
+            soft.compute_at(out, yi if number == len(blurs) - 1 else ys)
+            soft.reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
+        sharp.compute_at(blurs[0][0], y).bound(c, 0, len(squares)).reorder_storage(x, c, y).reorder(c, x, y)
         sharp.vectorize(x, lanes).unroll(c)
         features.compute_at(out, xo).bound(c, 0, len(values)).reorder_storage(x, c, y).reorder(c, x, y)
         features.vectorize(x, lanes).unroll(c)
@@ -257,7 +272,8 @@ def find_features(
 
     In this order, all base-2 logarithms: variance of each candidate (a quarter of the squared difference of its
     halves), squared difference of each other candidate to the middle one, squared slope of the middle one, all
-    averaged over `BLUR` and relative to the squared local mean; that mean over ``level``; the extras as they are.
+    averaged over `BLUR` and relative to the squared local mean; that mean over ``level``; the same of all that averaged
+    once more, over weights `APART` pixels apart; the extras as they are.
 
     Parameters
     ----------

@@ -6,61 +6,92 @@ area the centres around it stand for, and the light that falls on those is mixed
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.pointwise import Grid, Vector, run_pointwise
+from lobewise.kernels import expressions
+from lobewise.kernels.pointwise import Grid, Vector, run_pointwise, select_or_nan
 
 SMALLEST_SHARE = 1e-6
 """Sum of shares times albedos below which a pixel keeps the light at its own centre."""
+COLORS = 3
 
 
-def resolve_coverage(
-    light: FloatArray, lit: NDArray[np.bool_], albedo: FloatArray, coverage: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the light over the area of every pixel, and where any of its surfaces is lit.
+def resolve_light(
+    images: Sequence[FloatArray],
+    lit: NDArray[np.bool_],
+    radiance: FloatArray,
+    albedo: FloatArray | None = None,
+    coverage: FloatArray | None = None,
+) -> FloatArray:
+    """Return the radiance of every pixel's area, shape (height, width, 3), from the light at pixel centres.
 
-    ``L_i = sum_k c_ik a_k L_k / sum_k c_ik a_k`` over the 3x3 neighbours, channel by channel; times the albedo of pixel
-    i this is the radiance of its area, exactly where every surface has one albedo or all have the same light.
+    With ``coverage`` the light is ``L_i = sum_k c_ik a_k L_k / sum_k c_ik a_k`` over the 3x3 neighbours, channel by
+    channel; times the albedo of pixel i this is the radiance of its area, exactly where every surface has one albedo
+    or all have the same light. Where none of its surfaces is lit a pixel keeps its radiance, NaN if that is bad.
 
     Parameters
     ----------
-    light : array, shape (height, width, 3)
-        Radiance over albedo at the pixel centres, finite, >= 0.
+    images : sequence of array, shape (height, width, 3)
+        One or two, whose mean is the light, radiance over albedo, finite, >= 0.
     lit : bool array, shape (height, width)
-        Where ``light`` has meaning.
-    albedo : array, shape (height, width, 3)
-        Mean albedo of every pixel's area.
-    coverage : array, shape (height, width, 9)
-        As in `lobewise.frame.GBuffer`.
+        Where it has meaning.
+    radiance : array, shape (height, width, 3)
+        As it came.
+    albedo : array, shape (height, width, 3), optional
+        Mean albedo of every pixel's area; without coverage that at its centre will do. Channels that are negative or
+        not finite count 0.
+    coverage : array, shape (height, width, 9), optional
+        As in `lobewise.frame.GBuffer`; needs albedo.
     """
-    images = {"light": light, "lit": lit, "albedo": albedo, "coverage": coverage}
-    resolved, known = run_pointwise(_define_resolved, images, {})
-    return np.asarray(resolved), np.asarray(known)
+    named = {f"light{k}": image for k, image in enumerate(images)}
+    others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
+    (resolved,) = run_pointwise(_define_resolved, {**named, **others}, {})
+    return np.asarray(resolved)
 
 
 def _define_resolved(grid: Grid) -> list[Vector]:
     width, height = grid.size
-    shares = grid.read("coverage")
-    own = grid.read("light")
-    zero = hl.f32(0.0)
-    sums: list[hl.Expr] = [zero] * 3
-    weights: list[hl.Expr] = [zero] * 3
-    area: hl.Expr = zero
-    for k, share in enumerate(shares):
-        x = hl.clamp(grid.x + (k % 3 - 1), 0, width - 1)
-        y = hl.clamp(grid.y + (k // 3 - 1), 0, height - 1)
-        (lit,) = grid.read("lit", x, y)
-        counted = hl.select(lit != 0, share, zero)
-        area = area + counted
-        for channel, (value, tint) in enumerate(zip(grid.read("light", x, y), grid.read("albedo", x, y), strict=True)):
-            weight = counted * tint
-            sums[channel] = sums[channel] + weight * value
-            weights[channel] = weights[channel] + weight
-    resolved = [
-        hl.select(weight > hl.f32(SMALLEST_SHARE), total / weight, mine)
-        for total, weight, mine in zip(sums, weights, own, strict=True)
-    ]
-    return [resolved, [hl.u8(area > zero)]]
+    zero, half = hl.f32(0.0), hl.f32(0.5)
+
+    def read_light(x: hl.Expr, y: hl.Expr) -> Vector:
+        first = grid.read("light0", x, y)
+        if not grid.has("light1"):
+            return first
+        return [half * (a + b) for a, b in zip(first, grid.read("light1", x, y), strict=True)]
+
+    def read_albedo(x: hl.Expr, y: hl.Expr) -> Vector:
+        return [hl.select(expressions.is_bad(tint), zero, tint) for tint in grid.read("albedo", x, y)]
+
+    light = read_light(grid.x, grid.y)
+    known = grid.read_one("lit") != 0
+    if grid.has("coverage"):
+        sums: list[hl.Expr] = [zero] * COLORS
+        weights: list[hl.Expr] = [zero] * COLORS
+        area: hl.Expr = zero
+        for k, share in enumerate(grid.read("coverage")):
+            x = hl.clamp(grid.x + (k % 3 - 1), 0, width - 1)
+            y = hl.clamp(grid.y + (k // 3 - 1), 0, height - 1)
+            (lit,) = grid.read("lit", x, y)
+            counted = hl.select(lit != 0, share, zero)
+            area = area + counted
+            for channel, (value, tint) in enumerate(zip(read_light(x, y), read_albedo(x, y), strict=True)):
+                weight = counted * tint
+                sums[channel] = sums[channel] + weight * value
+                weights[channel] = weights[channel] + weight
+        light = [
+            hl.select(weight > hl.f32(SMALLEST_SHARE), total / weight, own)
+            for total, weight, own in zip(sums, weights, light, strict=True)
+        ]
+        known = area > zero
+    tints = read_albedo(grid.x, grid.y) if grid.has("albedo") else [hl.f32(1.0)] * COLORS
+    raw = grid.read("radiance")
+    good = ~(expressions.is_bad(raw[0]) | expressions.is_bad(raw[1]) | expressions.is_bad(raw[2]))
+    # Bits, because what is kept may be NaN.
+    kept = [hl.reinterpret(hl.UInt(32), select_or_nan(good, value)) for value in raw]
+    found = [hl.reinterpret(hl.UInt(32), value * tint) for value, tint in zip(light, tints, strict=True)]
+    return [[hl.reinterpret(hl.Float(32), hl.select(known, a, b)) for a, b in zip(found, kept, strict=True)]]

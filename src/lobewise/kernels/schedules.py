@@ -5,9 +5,9 @@ from __future__ import annotations
 import halide as hl
 
 from lobewise.kernels.cross_filter import PassFuncs
-from lobewise.kernels.crossed import COLORS, GUIDE_CHANNELS, HALVES, OUTPUTS, CrossedFuncs
 from lobewise.kernels.history import ReprojectionFuncs
 from lobewise.kernels.joining import JoiningFuncs
+from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, HALVES, PairedFuncs
 
 
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
@@ -59,7 +59,7 @@ def _keep_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl
     func.vectorize(x, lanes).unroll(c).never_partition_all()
 
 
-def schedule_crossed_cpu(funcs: CrossedFuncs, target: hl.Target) -> None:
+def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     """Strips of rows in parallel, columns in vectors, one row of taps at a time.
 
     What it rests on: the sums of a row of taps stay in registers, and those of a tile are updated once for each row;
@@ -70,7 +70,9 @@ def schedule_crossed_cpu(funcs: CrossedFuncs, target: hl.Target) -> None:
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
     xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
     rows, strip, columns = 8, 32, 4 * lanes
-    out.bound(c, 0, OUTPUTS * funcs.variants)
+    out.bound(c, 0, COLORS)
+    for buffer in out.output_buffers():
+        buffer.dim(1).set_stride(COLORS)
     out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
     out.reorder(c, xi, yi, xo, yo, ys).unroll(c).vectorize(xi, lanes).parallel(ys).never_partition_all()
     sums, row = funcs.sums, funcs.row

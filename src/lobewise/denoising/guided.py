@@ -1,10 +1,10 @@
-"""Variance-aware filtering: every half of the samples is filtered by weights that the other half tells.
+"""Variance-aware filtering: how noisy an image is, is seen in two halves of its samples.
 
 A lobe says which pixels reflect alike, not how fast what they reflect changes. That is seen in the image itself, once
-it has been filtered a little: a narrow pass over both halves gives two pilots, whose difference is their noise, and the
-wide pass that follows averages what is alike in lobes *and* no further apart in the other half's pilot than its noise.
-Sources: Rousselle, Knaus and Zwicker 2012 (dual buffers, crossed weights); Schied et al. 2017, "Spatiotemporal
-Variance-Guided Filtering" (colour weights that follow the filtered variance); Tokuyoshi 2015 (the lobe weights).
+it has been filtered a little: a narrow pass over both halves gives a pilot and, by how far the halves are apart, its
+noise; the wide pass that follows averages what is alike in lobes *and* no further apart in the pilot than its noise.
+Sources: Rousselle, Knaus and Zwicker 2012 (dual buffers); Schied et al. 2017, "Spatiotemporal Variance-Guided
+Filtering" (colour weights that follow the filtered variance); Tokuyoshi 2015 (the lobe weights).
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features
 from lobewise.denoising.noise import find_halves
-from lobewise.denoising.settings import DenoiseSettings
+from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.frame import FloatArray, Frame
-from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
 from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import BoundedHalves, bound_fireflies
 from lobewise.kernels.noise_guides import make_noise_guide
-from lobewise.kernels.resolving import resolve_coverage
+from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
+from lobewise.kernels.resolving import resolve_light
 from lobewise.kernels.seen_features import SeenFeature
 from lobewise.lobes.field import default_tau
 
@@ -65,10 +64,10 @@ class Plan:
 
 
 DIFFUSE = Plan(
-    (Pass(5, 6.0, lobes=4.0), Pass(6, 30.0, noise=4.0), Pass(3, 30.0, noise=2.0, step=4)),
+    (Pass(3, 6.0, lobes=4.0), Pass(6, 30.0, noise=12.0), Pass(3, 30.0, noise=6.0, step=4)),
     beta=2.0,
 )
-SPECULAR = Plan((Pass(5, 4.0, lobes=2.0), Pass(6, 22.0, lobes_with_seen=0.5, noise=2.0)), beta=1.0)
+SPECULAR = Plan((Pass(4, 6.0, lobes=4.0), Pass(6, 22.0, lobes_with_seen=0.5, noise=6.0)), beta=1.0)
 """Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
 the first gave reaches as far as a dense kernel of three times the cost. Reflections are too sharp for that."""
 
@@ -83,13 +82,11 @@ TAU = 0.01
 for it."""
 
 
-def resolve_crossed(frame: Frame, settings: DenoiseSettings, plain: DenoiseSettings) -> DenoiseSettings:
-    """Return ``settings`` with what "auto" stands for where the noise is known; ``plain`` is what it does elsewhere."""
+def resolve_guided(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
+    """Return ``settings`` with what "auto" stands for where the noise is known."""
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
-    return replace(
-        plain,
-        quality=settings.quality,
-        with_oidn=settings.with_oidn,
+    told = replace(
+        settings,
         beta=SPECULAR.beta if settings.beta == "auto" else settings.beta,
         diffuse_beta=DIFFUSE.beta if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
@@ -97,6 +94,7 @@ def resolve_crossed(frame: Frame, settings: DenoiseSettings, plain: DenoiseSetti
         if settings.screen_sigma == "auto"
         else settings.screen_sigma,
     )
+    return replace(resolve_settings(frame, told), quality=settings.quality, with_oidn=settings.with_oidn)
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ class CleanLayer:
     image : (height, width, 3)
         Filtered radiance, albedo included; the noisy one where nothing was gathered.
     weight_sum, effective_samples : (height, width)
-        See `lobewise.kernels.crossed_runs.Crossed`.
+        See `lobewise.kernels.paired_runs.Paired`.
     """
 
     image: FloatArray
@@ -159,7 +157,7 @@ def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Fe
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     lobes = [Exponents(1.0, SEEN_LOBES)]
-    (mean,) = run_crossed(images, layer.mask, place, layer.features, lobes, radius=SEEN_RADIUS, device=settings.device)
+    (mean,) = run_paired(images, layer.mask, place, layer.features, lobes, radius=SEEN_RADIUS, device=settings.device)
     normal = np.float32(2.0) * mean.b - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
@@ -173,9 +171,7 @@ def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) ->
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
-def run_pass(
-    frame: Frame, noisy: NoisyLayer, number: int, before: Crossed | None, settings: DenoiseSettings
-) -> Crossed:
+def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None, settings: DenoiseSettings) -> Paired:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
     scale = settings.radius / 8.0
@@ -184,7 +180,7 @@ def run_pass(
         guide = make_noise_guide(before.a, before.b, layer.mask, settings.device)
     seen = noisy.seen if guide is not None else ()
     sparse = before is not None and chosen.step > 1
-    (found,) = run_crossed(
+    (found,) = run_paired(
         (before.a, before.b) if before is not None and sparse else noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, chosen.sigma),
@@ -203,7 +199,7 @@ def run_pass(
 
 def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> CleanLayer:
     """Filter a layer by its plan."""
-    found: Crossed | None = None
+    found: Paired | None = None
     weight_sum: FloatArray | None = None
     for number, chosen in enumerate(noisy.plan.passes):
         found = run_pass(frame, noisy, number, found, settings)
@@ -211,23 +207,28 @@ def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         if chosen.step == 1:
             weight_sum, effective_samples = found.weight_sum, found.effective_samples
     assert found is not None and weight_sum is not None
-    return finish_layer(frame, noisy, found.mean, weight_sum, effective_samples)
+    return finish_layer(frame, noisy, (found.a, found.b), weight_sum, effective_samples)
 
 
 def finish_layer(
-    frame: Frame, noisy: NoisyLayer, light: FloatArray, weight_sum: FloatArray, effective_samples: FloatArray
+    frame: Frame,
+    noisy: NoisyLayer,
+    light: Sequence[FloatArray],
+    weight_sum: FloatArray,
+    effective_samples: FloatArray,
 ) -> CleanLayer:
-    """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known."""
+    """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known.
+
+    ``light`` is one image or two halves.
+    """
     guides, albedo = frame.gbuffer, noisy.layer.albedo
     means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo}
-    mean = means.get(noisy.name)
+    mean, coverage = means.get(noisy.name), guides.coverage
+    if coverage is None or mean is None or albedo is None:
+        mean, coverage = albedo, None
     lit = noisy.layer.mask & (weight_sum > 0.0)
-    if guides.coverage is not None and mean is not None and albedo is not None:
-        light, lit = resolve_coverage(light, lit, mean, guides.coverage)
-        albedo = mean
-    if albedo is not None:
-        good = (albedo >= 0.0) & np.isfinite(albedo)
-        light = light * (albedo if good.all() else np.where(good, albedo, np.float32(0.0)))
-    raw = noisy.layer.radiance
-    kept = raw if lit.all() else np.where(find_good(raw)[..., None], raw, np.float32(np.nan))
-    return CleanLayer(np.where(lit[..., None], light, kept), weight_sum, effective_samples)
+    return CleanLayer(
+        resolve_light(light, lit, noisy.layer.radiance, mean, coverage),
+        weight_sum,
+        effective_samples,
+    )

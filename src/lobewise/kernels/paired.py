@@ -1,14 +1,15 @@
-"""The cross-bilateral sum over two halves of the samples, each weighted by what the other half shows.
+"""The cross-bilateral sum over two halves of the samples, both by the same weights.
 
-For both halves at once, ``out_X(i) = sum_j w_X(i, j) I_X(j) / sum_j w_X(i, j)`` with
-``w_X = a_j place^p lobes^l seen^s exp(-r E_Y)``: a_j the luminance of the albedo (so that the mean is that of light
+For both halves X at once, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)`` with
+``w = a_j place^p lobes^l seen^s exp(-r E)``: a_j the luminance of the albedo (so that the mean is that of light
 received, as a ratio of sums is), ``place``, ``lobes`` and ``seen`` the products of the similarities of three groups of
-features, and E_Y how far apart the two pixels are in the *other* half's guide. Weights are then independent of the
-noise that they average (Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means Filtering", section
-5). Several variants (p, l, r, s) share all that is the same for them.
+features, and E how far apart the two pixels are in a guide, an image filtered before. How far the filtered halves are
+apart then tells how noisy they are. Several variants (p, l, r, s) share all that is the same for them.
 
-The distance in the guide is that of the same paper, equation 2: squared differences less what the noise explains, over
-the noise. Departs: of pixels, not of patches, because the guide is a filtered image already (docs/quality.md).
+The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means
+Filtering": squared differences less what the noise explains, over the noise. Departs: of pixels, not of patches,
+because the guide is a filtered image already; and one guide for both halves, not each half by the other's: what a pilot
+without a guide averages hardly knows the noise of a single pixel, and it costs half (docs/quality.md).
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ from lobewise.kernels.features import LOG2_E, Feature
 
 COLORS = 3
 HALVES = 2
-GUIDE_CHANNELS = HALVES * COLORS + 1
-"""Both halves' colours and the variance that they share."""
+GUIDE_CHANNELS = COLORS + 1
+"""Colours and their variance."""
 SUMS = COLORS + 2
 """Of one half in one variant: weighted radiance, weight, squared weight."""
-OUTPUTS = HALVES * COLORS + 2
-"""Of one variant: the mean of each half, weight sum, effective samples."""
+OUTPUTS = HALVES + 1
+"""Images of one variant, three channels each: the mean of each half; weight sum, effective samples and nothing."""
 NOISE_FLOOR = 1e-4
 """Added to the noise that differences are divided by."""
 
 
 @dataclass(frozen=True)
-class CrossedKey:
-    """Everything that changes the code of a crossed pass."""
+class PairedKey:
+    """Everything that changes the code of a paired pass."""
 
     radius: int
     place: tuple[Hashable, ...]
@@ -55,8 +56,8 @@ class CrossedKey:
 
 
 @dataclass
-class CrossedFuncs:
-    """The Halide functions of a crossed pass, for the schedules."""
+class PairedFuncs:
+    """The Halide functions of a paired pass, for the schedules."""
 
     out: hl.Func
     sums: hl.Func
@@ -75,13 +76,13 @@ class CrossedFuncs:
     arguments: list[Any]
 
 
-def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> CrossedFuncs:
-    """Return the algorithm of a crossed pass for the features of place, of lobes and of what is seen.
+def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFuncs:
+    """Return the algorithm of a paired pass for the features of place, of lobes and of what is seen.
 
     The arguments of the compiled pass, in order: both halves (c, x, y); albedo (c, x, y) where demodulated; mask
-    (x, y) uint8; guide (c, x, y) where guided, its channels those of `GUIDE_CHANNELS`; the arrays of every feature;
+    (x, y) uint8; guide (c, x, y) where guided, with `GUIDE_CHANNELS`; the arrays of every feature;
     step (int32) from tap to tap; noise, the factor of the variance in the distance; the parameters of every feature;
-    the exponents of place, lobes, range and what is seen of every variant.
+    the exponents of place, lobes, range and what is seen of every variant; out the images of every variant (c, x, y).
     """
     x, y, c, u, v = (hl.Var(name) for name in ("x", "y", "c", "u", "v"))
     halves = [_make_image(f"half{number}", COLORS) for number in range(HALVES)]
@@ -133,24 +134,22 @@ def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> Crosse
         logs.append(total)
 
     guide = None
-    distances: list[hl.Expr] = []
+    distance: hl.Expr = hl.f32(0.0)
     if key.guided:
         guide = hl.Func("guide")
         guide[x, c, y] = guide_input[c, clamped[0], clamped[1]]
-        own_noise, other_noise = (guide[at[0], HALVES * COLORS, at[1]] for at in ((x, y), there))
+        own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((x, y), there))
         explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
         scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + noise * (own_noise + other_noise))
-        for half in range(HALVES):
-            changes = [guide[x, k, y] - guide[there[0], k, there[1]] for k in range(COLORS * half, COLORS * (half + 1))]
-            squares = sum((change * change for change in changes), hl.f32(0.0))
-            distances.append(hl.max(squares - explained, hl.f32(0.0)) * scale)
+        changes = [guide[x, k, y] - guide[there[0], k, there[1]] for k in range(COLORS)]
+        squares = sum((change * change for change in changes), hl.f32(0.0))
+        distance = stage(hl.max(squares - explained, hl.f32(0.0)) * scale)
 
     exponents = [[hl.Param(hl.Float(32), f"{name}{k}") for name in ("p", "l", "r", "s")] for k in range(key.variants)]
     log_weights: list[hl.Expr] = []
     for of_place, of_lobes, of_range, of_seen in exponents:
         shared = of_place * logs[0] + of_lobes * logs[1] + of_seen * logs[2]
-        # Without a guide both halves have one weight.
-        log_weights += [shared - of_range * distances[1 - half] for half in range(HALVES)] if key.guided else [shared]
+        log_weights.append(shared - of_range * distance if key.guided else shared)
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = hl.Tuple(log_weights) if len(log_weights) > 1 else log_weights[0]
 
@@ -163,14 +162,13 @@ def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> Crosse
     at = log_weight[x, y, across.x, v]
     taken = [images[x + across.x * step, k, y + v * step] for k in range(HALVES * (COLORS + 1))]
     updates: list[hl.Expr] = []
-    for number in range(key.variants * HALVES):
-        which = number if key.guided else number // HALVES
-        weight = expressions.exp2(at[which] if len(log_weights) > 1 else at)
-        half = number % HALVES
-        for value in taken[half * (COLORS + 1) : (half + 1) * (COLORS + 1)]:
-            updates.append(row[x, y, v][len(updates)] + weight * value)
-        counted = weight * taken[half * (COLORS + 1) + COLORS]
-        updates.append(row[x, y, v][len(updates)] + counted * counted)
+    for variant in range(key.variants):
+        weight = expressions.exp2(at[variant] if key.variants > 1 else at)
+        for half in range(HALVES):
+            *light, share = taken[half * (COLORS + 1) : (half + 1) * (COLORS + 1)]
+            counted = weight * share
+            for value in (*(weight * value for value in light), counted, counted * counted):
+                updates.append(row[x, y, v][len(updates)] + value)
     row[x, y, v] = hl.Tuple(updates)
     sums = hl.Func("sums")
     sums[x, y] = hl.Tuple(zeros)
@@ -180,9 +178,10 @@ def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> Crosse
     own_share = _find_share(albedo, (x, y)) if key.demodulate else hl.f32(1.0)
     for variant in range(key.variants):
         first = variant * HALVES * SUMS
-        results += _find_means([sums[x, y][first + k] for k in range(HALVES * SUMS)], own_share)
+        found = _find_means([sums[x, y][first + k] for k in range(HALVES * SUMS)], own_share)
+        results += [hl.select(mask[x, y] != 0, hl.mux(c, image), hl.f32(0.0)) for image in found]
     out = hl.Func("out")
-    out[c, x, y] = hl.select(mask[x, y] != 0, hl.mux(c, results), hl.f32(0.0))
+    out[c, x, y] = hl.Tuple(results)
     arguments: list[Any] = [*halves]
     arguments += [albedo] if key.demodulate else []
     arguments += [mask]
@@ -191,7 +190,7 @@ def make_crossed(key: CrossedKey, groups: Sequence[Sequence[Feature]]) -> Crosse
     arguments += [step, noise]
     arguments += [parameter for own in scalars for each in own for parameter in each]
     arguments += [parameter for each in exponents for parameter in each]
-    return CrossedFuncs(
+    return PairedFuncs(
         out=out,
         sums=sums,
         row=row,
@@ -231,8 +230,8 @@ def _find_share(albedo: hl.ImageParam, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
     return find_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
 
 
-def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[hl.Expr]:
-    """Return the outputs of a variant; a half that gathered nothing takes the other's mean."""
+def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
+    """Return the images of a variant; a half that gathered nothing takes the other's mean."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     means: list[list[hl.Expr]] = []
     totals: list[hl.Expr] = []
@@ -244,12 +243,12 @@ def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[hl.Expr]:
         # The squares underflow before the sum does: then one far tap decides, which is one sample.
         spreads.append(hl.select((total > zero) & (square > zero), square / (total * total), one))
     found = [
-        hl.select(totals[half] > zero, means[half][k], means[1 - half][k])
+        [hl.select(totals[half] > zero, means[half][k], means[1 - half][k]) for k in range(COLORS)]
         for half in range(HALVES)
-        for k in range(COLORS)
     ]
     weight = hl.f32(0.5) * (totals[0] + totals[1]) / hl.max(share, hl.f32(ALBEDO_FLOOR))
     # The mean of a half and itself is worth that half; the spread of one that gathered nothing is the larger.
     some, both = (totals[0] > zero) | (totals[1] > zero), (totals[0] > zero) & (totals[1] > zero)
     alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
-    return [*found, weight, hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)]
+    worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
+    return [*found, [weight, worth, zero]]

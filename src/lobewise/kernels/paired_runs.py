@@ -1,4 +1,4 @@
-"""Calls of the crossed pass: buffers made and checked, kernels looked up."""
+"""Calls of the paired pass: buffers made and checked, kernels looked up."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import describe_structure
-from lobewise.kernels.crossed import COLORS, GUIDE_CHANNELS, OUTPUTS, CrossedFuncs, CrossedKey, make_crossed
 from lobewise.kernels.engine import _borrow, get_kernel, take_arrays, take_image, take_parameters
 from lobewise.kernels.features import Feature
-from lobewise.kernels.schedules import schedule_crossed_cpu
+from lobewise.kernels.paired import (
+    COLORS,
+    GUIDE_CHANNELS,
+    OUTPUTS,
+    PairedFuncs,
+    PairedKey,
+    make_paired,
+)
+from lobewise.kernels.schedules import schedule_paired_cpu
 
 
 class Exponents(NamedTuple):
@@ -26,8 +33,8 @@ class Exponents(NamedTuple):
     seen: float = 1.0
 
 
-class Crossed(NamedTuple):
-    """What a variant of a crossed pass gives.
+class Paired(NamedTuple):
+    """What a variant of a paired pass gives.
 
     Parameters
     ----------
@@ -48,7 +55,7 @@ class Crossed(NamedTuple):
         return np.float32(0.5) * (self.a + self.b)
 
 
-def run_crossed(
+def run_paired(
     halves: tuple[FloatArray, FloatArray],
     mask: NDArray[np.bool_],
     place: Sequence[Feature],
@@ -62,8 +69,8 @@ def run_crossed(
     guide: FloatArray | None = None,
     noise: float = 1.0,
     device: str = "cpu",
-) -> list[Crossed]:
-    """Filter two halves of the samples, each by weights of the other; see `lobewise.kernels.crossed`.
+) -> list[Paired]:
+    """Filter two halves of the samples, each by weights of the other; see `lobewise.kernels.paired`.
 
     Parameters
     ----------
@@ -79,9 +86,8 @@ def run_crossed(
         Kernel radius in taps, >= 0, and pixels from tap to tap, >= 1.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance; its luminance is a weight.
-    guide : array, shape (height, width, 7), optional
-        Colours of both halves and the variance that they share (`lobewise.kernels.noise_guides`). Without it both
-        halves have the same weights.
+    guide : array, shape (height, width, 4), optional
+        Colours and their variance (`lobewise.kernels.noise_guides`).
     noise : float
         How many variances a squared difference is divided by, > 0.
     device : str
@@ -89,12 +95,12 @@ def run_crossed(
 
     Returns
     -------
-    list of Crossed
+    list of Paired
         One for each variant.
     """
     height, width = mask.shape
     groups = (place, lobes, seen)
-    key = CrossedKey(
+    key = PairedKey(
         radius=radius,
         place=tuple(describe_structure(feature) for feature in place),
         lobes=tuple(describe_structure(feature) for feature in lobes),
@@ -104,9 +110,9 @@ def run_crossed(
         variants=len(variants),
     )
 
-    def make(target: hl.Target) -> CrossedFuncs:
-        funcs = make_crossed(key, groups)
-        schedule_crossed_cpu(funcs, target)
+    def make(target: hl.Target) -> PairedFuncs:
+        funcs = make_paired(key, groups)
+        schedule_paired_cpu(funcs, target)
         return funcs
 
     kernel = get_kernel(device, key, make)
@@ -121,13 +127,9 @@ def run_crossed(
     buffers = [hl.Buffer(_borrow(array)) for array in held]
     parameters = [value for group in groups for value in take_parameters(group)]
     powers = [float(power) for each in variants for power in each]
-    target = np.empty((height, width, len(variants) * OUTPUTS), dtype=np.float32)
-    kernel(*buffers, step, float(noise), *parameters, *powers, hl.Buffer(target))
-    parts = target.reshape(height, width, len(variants), OUTPUTS)
+    images = [np.empty((height, width, COLORS), dtype=np.float32) for _ in range(len(variants) * OUTPUTS)]
+    kernel(*buffers, step, float(noise), *parameters, *powers, *(hl.Buffer(image) for image in images))
     return [
-        Crossed(
-            *(np.ascontiguousarray(parts[:, :, k, first : first + COLORS]) for first in (0, COLORS)),
-            *(np.ascontiguousarray(parts[:, :, k, channel]) for channel in (2 * COLORS, 2 * COLORS + 1)),
-        )
-        for k in range(len(variants))
+        Paired(a, b, support[..., 0], support[..., 1])
+        for a, b, support in (images[OUTPUTS * k : OUTPUTS * (k + 1)] for k in range(len(variants)))
     ]

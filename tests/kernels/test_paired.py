@@ -1,4 +1,4 @@
-"""Both halves filtered by each other's weights, against the definition in float64 and what follows from it."""
+"""Both halves filtered by the same weights, against the definition in float64 and what follows from it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.kernels.crossed_runs import Crossed, Exponents, run_crossed
 from lobewise.kernels.engine import count_compiled_kernels
 from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
 from lobewise.kernels.lobe_features import DiffuseFeature
+from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.kernels.seen_features import SeenFeature
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 
@@ -79,7 +79,7 @@ def make_own_feature(kind: str, shape: tuple[int, int]) -> Feature:
 
 @dataclass(frozen=True)
 class Case:
-    """What decides the code of a crossed pass, and the exponents that it is tried with."""
+    """What decides the code of a paired pass, and the exponents that it is tried with."""
 
     radius: int
     place: tuple[str, ...]
@@ -114,7 +114,7 @@ CASES = {
 
 @dataclass(frozen=True)
 class Given:
-    """The arguments of a crossed pass."""
+    """The arguments of a paired pass."""
 
     halves: tuple[FloatArray, FloatArray]
     mask: NDArray[np.bool_]
@@ -128,13 +128,13 @@ class Given:
     noise: float = 2.0
     seen: Sequence[Feature] = ()
 
-    def run(self) -> list[Crossed]:
+    def run(self) -> list[Paired]:
         """Return what the kernel gives."""
-        return run_crossed(*_split(self), **_name(self))
+        return run_paired(*_split(self), **_name(self))
 
     def run_oracle(self) -> list[Found]:
         """Return what the definition gives."""
-        return cross_reference(*_split(self), **_name(self))
+        return paired_reference(*_split(self), **_name(self))
 
 
 def _split(given: Given) -> tuple[Any, ...]:
@@ -146,7 +146,7 @@ def _name(given: Given) -> dict[str, Any]:
 
 
 class Found(NamedTuple):
-    """What a variant gives, float64; see `Crossed`."""
+    """What a variant gives, float64; see `Paired`."""
 
     a: FloatImage
     b: FloatImage
@@ -172,7 +172,7 @@ def find_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
     return np.where(known, light, mean[..., None])
 
 
-def cross_reference(
+def paired_reference(
     halves: tuple[FloatArray, FloatArray],
     mask: NDArray[np.bool_],
     place: Sequence[Feature],
@@ -209,18 +209,16 @@ def cross_reference(
             np.prod([feature.get_similarity(i, j) for feature in group] or [np.ones(i[0].shape)], axis=0)
             for group in (place, lobes, seen)
         ]
-        apart = np.zeros((2, *i[0].shape))
+        apart = np.zeros(i[0].shape)
         if guide is not None:
             g_i, g_j = guide[i].astype(np.float64), guide[j].astype(np.float64)
-            v_i, v_j = g_i[:, 6], g_j[:, 6]
-            for half in range(2):
-                squared = np.mean((g_i - g_j)[:, 3 * half : 3 * half + 3] ** 2, axis=-1)
-                unexplained = squared - (v_i + np.minimum(v_i, v_j))
-                apart[half] = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + noise * (v_i + v_j))
+            v_i, v_j = g_i[:, 3], g_j[:, 3]
+            unexplained = np.mean((g_i - g_j)[:, :3] ** 2, axis=-1) - (v_i + np.minimum(v_i, v_j))
+            apart = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + noise * (v_i + v_j))
         for number, (of_place, of_lobes, of_range, of_seen) in enumerate(variants):
             for half in range(2):
                 weight = alike[0] ** of_place * alike[1] ** of_lobes * alike[2] ** of_seen
-                weight = weight * np.exp(-of_range * apart[1 - half])
+                weight = weight * np.exp(-of_range * apart)
                 weight = weight * share[j] * good[half][j]
                 terms = [weight[:, None] * light[half][j], weight[:, None], weight[:, None] ** 2]
                 sums[number, half][i] += np.concatenate(terms, axis=-1)
@@ -245,8 +243,8 @@ def make_given(case: Case, shape: tuple[int, int], *, clean: bool = False, step:
     """Return random halves and guides: a tenth each is bad in one half, in the other, in the albedo, masked."""
     rng = np.random.default_rng([case.radius, *shape])
     albedo = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
-    guide = rng.normal(0.0, 0.5, (*shape, 7)).astype(np.float32)
-    guide[..., 6] = np.exp(rng.uniform(np.log(1e-3), np.log(0.3), shape))
+    guide = rng.normal(0.0, 0.5, (*shape, 4)).astype(np.float32)
+    guide[..., 3] = np.exp(rng.uniform(np.log(1e-3), np.log(0.3), shape))
     mask = make_mask(shape)
     bad = not clean and shape != (1, 1)
     if bad:
@@ -290,12 +288,12 @@ def assert_agrees(given: Given, tolerance: float) -> None:
             assert found.dtype == np.float32
 
 
-def get_bits(found: Sequence[Crossed]) -> bytes:
+def get_bits(found: Sequence[Paired]) -> bytes:
     """Return the bits of every image."""
     return b"".join(image.tobytes() for each in found for image in each)
 
 
-def assert_close(found: Sequence[Crossed], expected: Sequence[Crossed], rtol: float = REORDERED) -> None:
+def assert_close(found: Sequence[Paired], expected: Sequence[Paired], rtol: float = REORDERED) -> None:
     """Raise AssertionError unless all images of all variants are the same but for rounding."""
     for one, other in zip(found, expected, strict=True):
         for name, image in one._asdict().items():
@@ -349,7 +347,7 @@ def test_constant_light_stays_constant_where_colours_lack_a_channel(channel: int
     albedo[2:5, 8:, (channel + 1) % 3] = 0.0
     radiance = np.float32(1.5) * albedo
     everywhere = np.ones(albedo.shape[:2], dtype=bool)
-    (out,) = run_crossed((radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo)
+    (out,) = run_paired((radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo)
     np.testing.assert_allclose(out.a, 1.5, rtol=1e-5)
     np.testing.assert_allclose(out.b, 1.5, rtol=1e-5)
 
@@ -394,28 +392,28 @@ def test_a_far_tap_whose_square_underflows_is_one_sample() -> None:
     np.testing.assert_allclose(out.effective_samples, 2.0, rtol=1e-6)
 
 
-def test_weights_of_each_half_are_of_the_other_halfs_guide() -> None:
+def test_an_edge_of_the_guide_stops_both_halves() -> None:
     shape, edge = (21, 24), 12
     given = make_given(STANDARD, shape, clean=True)
     left = np.arange(24)[None, :, None] < edge
     both = np.broadcast_to(np.where(left, 1.0, 3.0), (*shape, 3)).astype(np.float32)
-    # The guide of b alone shows the edge.
-    guide = np.zeros((*shape, 7), np.float32)
-    guide[:, edge:, 3:6] = 5.0
-    guide[..., 6] = 1e-3
-    out = replace(given, halves=(both, both), guide=guide, albedo=np.ones_like(both)).run()[0]
-    np.testing.assert_allclose(out.a, both, rtol=ROUNDING)
-    assert (out.b[:, edge - 1] > 1.1).all()
-    assert (out.b[:, edge] < 2.9).all()
+    guide = np.zeros((*shape, 4), np.float32)
+    guide[:, edge:, :3] = 5.0
+    guide[..., 3] = 1e-3
+    out, blind = (
+        replace(given, halves=(both, both), guide=each, albedo=np.ones_like(both)).run()[0]
+        for each in (guide, np.zeros_like(guide))
+    )
+    for seen, unseen in ((out.a, blind.a), (out.b, blind.b)):
+        np.testing.assert_allclose(seen, both, rtol=ROUNDING)
+        assert (unseen[:, edge - 1] > 1.1).all()
+        assert (unseen[:, edge] < 2.9).all()
 
 
 @pytest.mark.parametrize("name", ["unguided", "standard"])
 def test_the_impulse_response_is_the_weight(name: str) -> None:
     case, shape = CASES[name], (11, 13)
     given = make_given(case, shape, clean=True)
-    if given.guide is not None:
-        # One guide for both halves, so that they have one weight, whose sum is then known.
-        given.guide[..., 3:6] = given.guide[..., :3]
     assert given.albedo is not None
     share = given.albedo @ LUMINANCE
     at = 5, 4
@@ -430,8 +428,8 @@ def test_the_impulse_response_is_the_weight(name: str) -> None:
         apart = np.zeros(rows.shape)
         if given.guide is not None:
             g_i, g_j = given.guide[i].astype(np.float64), given.guide[at].astype(np.float64)
-            unexplained = np.mean((g_i - g_j)[:, :3] ** 2, axis=-1) - g_i[:, 6] - np.minimum(g_i[:, 6], g_j[6])
-            apart = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + given.noise * (g_i[:, 6] + g_j[6]))
+            unexplained = np.mean((g_i - g_j)[:, :3] ** 2, axis=-1) - g_i[:, 3] - np.minimum(g_i[:, 3], g_j[3])
+            apart = np.maximum(unexplained, 0.0) / (NOISE_FLOOR + given.noise * (g_i[:, 3] + g_j[3]))
         expected = np.zeros(shape)
         expected[i] = alike * np.exp(-of_range * apart) * share[at]
         for image, height in ((out.a, 1.0), (out.b, 2.0)):
@@ -476,8 +474,7 @@ def test_a_brighter_frame_is_filtered_alike(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_halves_that_change_places_change_results(name: str) -> None:
     given = make_given(CASES[name], (33, 17))
-    guide = given.guide[..., [3, 4, 5, 0, 1, 2, 6]] if given.guide is not None else None
-    swapped = replace(given, halves=(given.halves[1], given.halves[0]), guide=guide)
+    swapped = replace(given, halves=(given.halves[1], given.halves[0]))
     back = [out._replace(a=out.b, b=out.a) for out in swapped.run()]
     assert_close(back, given.run())
 
@@ -554,7 +551,7 @@ def test_images_of_another_size_are_refused() -> None:
     for wrong in (
         {"halves": (given.halves[0], given.halves[1][:, :8])},
         {"albedo": given.albedo[:7]},
-        {"guide": given.guide[..., :6]},
+        {"guide": given.guide[..., :3]},
         {"lobes": [make_feature("sg", (8, 8))]},
     ):
         with pytest.raises(InputError, match="shape"):
@@ -563,7 +560,7 @@ def test_images_of_another_size_are_refused() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_crossed import *
+from tests.kernels.test_paired import *
 sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
 """
 
