@@ -42,7 +42,9 @@ class Pass:
     lobes_with_seen : float
         The same where the frame tells what reflections see, which then says more than the lobes do.
     noise : float or None
-        Variances that a squared difference of the guide is divided by; None for no guide.
+        Variances that a squared difference of the guide is divided by; None for no guide. The first pass is guided by
+        the samples themselves, where every pixel has some in both halves: so weakly that noise is no difference, but
+        that what is far brighter on both (a lamp in a mirror) stays where it is.
     step : int
         Pixels from tap to tap, at radius 8. Above 1 the pass averages what the one before gave, else the samples.
     """
@@ -64,10 +66,13 @@ class Plan:
 
 
 DIFFUSE = Plan(
-    (Pass(3, 6.0, lobes=4.0), Pass(6, 30.0, noise=12.0), Pass(3, 30.0, noise=6.0, step=4)),
+    (Pass(3, 6.0, lobes=4.0, noise=40.0), Pass(6, 30.0, noise=12.0), Pass(3, 30.0, noise=6.0, step=4)),
     beta=2.0,
 )
-SPECULAR = Plan((Pass(4, 6.0, lobes=4.0), Pass(6, 22.0, lobes_with_seen=0.5, noise=6.0)), beta=1.0)
+SPECULAR = Plan(
+    (Pass(4, 6.0, lobes=4.0, noise=40.0), Pass(6, 22.0, lobes_with_seen=0.5, noise=6.0)),
+    beta=1.0,
+)
 """Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
 the first gave reaches as far as a dense kernel of three times the cost. Reflections are too sharp for that."""
 
@@ -106,6 +111,8 @@ class NoisyLayer:
     seen: tuple[Feature, ...]
     bounded: BoundedHalves
     plan: Plan
+    is_whole: bool
+    """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
 
     @property
     def halves(self) -> tuple[FloatArray, FloatArray]:
@@ -141,7 +148,7 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
         bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
         compared = replace(layer, features=(*layer.features, *extra))
         seen = find_seen(frame, compared, settings) if name == "specular" else ()
-        found.append(NoisyLayer(compared, name, seen, bounded, plan))
+        found.append(NoisyLayer(compared, name, seen, bounded, plan, halves.origin == "file"))
     return found
 
 
@@ -171,14 +178,23 @@ def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) ->
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
+def make_pass_guide(noisy: NoisyLayer, before: Paired | None, device: str) -> FloatArray | None:
+    """Return the guide of a pass: what the one ``before`` gave, or else the samples; None where they tell no noise."""
+    mask = noisy.layer.mask
+    if before is None:
+        if not noisy.is_whole:
+            return None
+        itself = [Exponents(0.0, 0.0)]
+        (before,) = run_paired(noisy.halves, mask, (), (), itself, radius=0, albedo=noisy.layer.albedo, device=device)
+    return make_noise_guide(before.a, before.b, mask, device)
+
+
 def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None, settings: DenoiseSettings) -> Paired:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
     scale = settings.radius / 8.0
-    guide = None
-    if before is not None and chosen.noise is not None:
-        guide = make_noise_guide(before.a, before.b, layer.mask, settings.device)
-    seen = noisy.seen if guide is not None else ()
+    guide = make_pass_guide(noisy, before, settings.device) if chosen.noise is not None else None
+    seen = noisy.seen if before is not None else ()
     sparse = before is not None and chosen.step > 1
     (found,) = run_paired(
         (before.a, before.b) if before is not None and sparse else noisy.halves,

@@ -15,7 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.denoising.guided import CleanLayer, NoisyLayer, Pass, finish_layer, make_pass_features
+from lobewise.denoising.guided import (
+    CleanLayer,
+    NoisyLayer,
+    Pass,
+    finish_layer,
+    make_pass_features,
+    make_pass_guide,
+)
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
@@ -24,7 +31,7 @@ from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.lobes.vectors import LUMINANCE
 
-PILOTS = {"diffuse": Pass(5, 6.0, lobes=4.0), "specular": Pass(5, 6.0, lobes=4.0)}
+PILOT = Pass(5, 6.0, lobes=4.0, noise=40.0)
 NOISE = {"diffuse": 12.0, "specular": 6.0}
 """Variances of the guide by which the dense passes divide squared differences."""
 SIGMA = 30.0
@@ -85,15 +92,16 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     def guide(found: Paired) -> FloatArray:
         return make_noise_guide(found.a, found.b, layer.mask, device)
 
-    pilot_pass = PILOTS[kind]
     (pilot,) = run_paired(
         noisy.halves,
         layer.mask,
-        make_pass_features(frame, settings, pilot_pass.sigma),
+        make_pass_features(frame, settings, PILOT.sigma),
         layer.features,
-        [Exponents(1.0, pilot_pass.lobes)],
-        radius=round(pilot_pass.radius * scale),
+        [Exponents(1.0, PILOT.lobes, 1.0)],
+        radius=round(PILOT.radius * scale),
         albedo=layer.albedo,
+        guide=make_pass_guide(noisy, None, device),
+        noise=PILOT.noise or 1.0,
         device=device,
     )
     place = make_pass_features(frame, settings, SIGMA)
