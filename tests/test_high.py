@@ -13,7 +13,7 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import DenoiseSettings, combining, denoise, high, recipe
 from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
-from lobewise.denoising.guided import finish_layer, make_noisy_layers, resolve_guided
+from lobewise.denoising.guided import finish_layer, make_noisy_layers, make_pass_guide, resolve_guided
 from lobewise.denoising.high import (
     COUNT,
     EXTRAS,
@@ -296,6 +296,21 @@ class TestCandidates:
             assert call.get("albedo") is None
         assert candidates.found == list(chain.from_iterable(found))
         assert len(candidates.found) == COUNT == 13
+
+    def test_the_pilot_is_guided_by_the_samples_where_halves_have_all_pixels(self, recorder):
+        frame, _ = make_shadowed()
+        for each, guided in ((frame, True), (frame.with_changes(half_a=None, half_b=None), False)):
+            recorder.calls.clear()
+            find_of(each, "specular")
+            (noisy,) = (layer for layer in make_noisy_layers(each, resolve(each), ()) if layer.name == "specular")
+            guide, expected = recorder.calls[0]["guide"], make_pass_guide(noisy, None, "cpu")
+            assert (guide is not None) == (expected is not None) == guided
+            if guided:
+                np.testing.assert_array_equal(guide, expected)
+                light = noisy.halves[0] / 0.5
+                offset = 0.04 * light.mean()
+                assert np.abs(guide[..., :3] - np.log(light + offset)).max() < 1.0
+            assert recorder.calls[0]["noise"] == high.PILOT.noise
 
     def test_every_filter_but_the_pilot_heeds_its_guide(self):
         variants = [*chain.from_iterable(high.DENSE), *high.SPARSE]

@@ -70,6 +70,21 @@ class TestNoise:
         balanced = measure(denoise(frame, quality="balanced").image, truth)
         assert balanced < 0.12 * fast
 
+    def test_a_lamp_in_a_mirror_does_not_leak(self):
+        # No guide tells of it; both halves do, at every pixel. What is dark beside it is noisy.
+        frame, _ = make_shadowed()
+        lamp = np.zeros(SHAPE, bool)
+        lamp[10:14, 8:20] = True
+
+        def light(radiance: Radiance) -> Radiance:
+            images = (getattr(radiance, name) for name in ("color", "diffuse", "specular"))
+            return Radiance(*(np.where(lamp[..., None], np.float32(500.0), image) for image in images))
+
+        lit = frame.with_changes(**{name: light(getattr(frame, name)) for name in ("radiance", "half_a", "half_b")})
+        image = denoise(lit, quality="balanced").image
+        assert image[lamp].min() > 400.0
+        assert image[~lamp].max() < 5.0
+
     def test_neighbours_serve_as_halves_as_well(self):
         # Either way all samples count once: what is left of the noise is alike.
         errors = {"file": 0.0, "neighbours": 0.0}

@@ -60,8 +60,10 @@ def test_impulse_response_is_the_weight(kind: str, form: str, shape: tuple[int, 
         out = run_filter(impulse, mask, features, form=form, radius=RADIUS)
         image, total, *_ = filter_reference(impulse, mask, features, form=form, radius=RADIUS)
         weights = image[..., 0] * total
+        # The polynomial of the diffuse similarity is good to 3.8e-3, of far normals not relative to what is left.
+        smallest = 4e-4 if kind == "diffuse" else 2e-5
         np.testing.assert_allclose(
-            out.image[..., 0] * out.weight_sum, weights, rtol=2.0 * get_tolerance(kind, form), atol=2e-5
+            out.image[..., 0] * out.weight_sum, weights, rtol=2.0 * get_tolerance(kind, form), atol=smallest
         )
 
 
