@@ -88,6 +88,7 @@ class Case:
     guided: bool
     variants: tuple[Exponents, ...]
     tolerance: float = WEIGHT
+    joined: bool = False
 
 
 # Every one compiles a kernel.
@@ -107,6 +108,9 @@ CASES = {
         APPROXIMATE,
     ),
     "standard": STANDARD,
+    "joined": Case(
+        3, ("screen",), ("sg",), True, True, (Exponents(1.0, 0.5, 1.0), Exponents(0.5, 2.0, 0.3)), joined=True
+    ),
     "no features": Case(4, (), (), False, False, (Exponents(1.0, 1.0),)),
     "own feature": Case(5, ("screen",), ("tone",), False, True, (Exponents(1.0, 2.0, 0.25),)),
 }
@@ -127,6 +131,7 @@ class Given:
     guide: FloatArray | None = None
     noise: float = 2.0
     seen: Sequence[Feature] = ()
+    joined: bool = False
 
     def run(self) -> list[Paired]:
         """Return what the kernel gives."""
@@ -142,7 +147,7 @@ def _split(given: Given) -> tuple[Any, ...]:
 
 
 def _name(given: Given) -> dict[str, Any]:
-    return {name: getattr(given, name) for name in ("radius", "step", "albedo", "guide", "noise", "seen")}
+    return {name: getattr(given, name) for name in ("radius", "step", "albedo", "guide", "noise", "seen", "joined")}
 
 
 class Found(NamedTuple):
@@ -185,8 +190,9 @@ def paired_reference(
     guide: FloatArray | None = None,
     noise: float = 1.0,
     seen: Sequence[Feature] = (),
+    joined: bool = False,
 ) -> list[Found]:
-    """Return ``sum_j w_X I_X / sum_j w_X`` of both halves X, offset by offset, from the definition."""
+    """Return ``sum_j w I_X / sum_j w`` of both halves X, or of all samples, offset by offset, from the definition."""
     height, width = mask.shape
     share = np.ones(mask.shape)
     if albedo is not None:
@@ -222,7 +228,18 @@ def paired_reference(
                 weight = weight * share[j] * good[half][j]
                 terms = [weight[:, None] * light[half][j], weight[:, None], weight[:, None] ** 2]
                 sums[number, half][i] += np.concatenate(terms, axis=-1)
-    return [_find_means(each, mask, share) for each in sums]
+    return [(_find_mean if joined else _find_means)(each, mask, share) for each in sums]
+
+
+def _find_mean(sums: FloatImage, mask: NDArray[np.bool_], share: FloatImage) -> Found:
+    both = sums.sum(axis=0)
+    total, square = both[..., 3], both[..., 4]
+    some = total > 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(some[..., None], both[..., :3] / total[..., None], 0.0)
+        effective = np.where(some, total**2 / square, 0.0)
+    weight_sum = 0.5 * total / np.maximum(share, FLOOR)
+    return Found(mean, mean, np.where(mask, weight_sum, 0.0), np.where(mask, effective, 0.0))
 
 
 def _find_means(sums: FloatImage, mask: NDArray[np.bool_], share: FloatImage) -> Found:
@@ -275,6 +292,7 @@ def make_given(case: Case, shape: tuple[int, int], *, clean: bool = False, step:
         step=step,
         albedo=albedo if case.demodulate else None,
         guide=guide if case.guided else None,
+        joined=case.joined,
     )
 
 

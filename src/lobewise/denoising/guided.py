@@ -76,8 +76,8 @@ SPECULAR = Plan(
 """Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
 the first gave reaches as far as a dense kernel of three times the cost. Reflections are too sharp for that."""
 
-SEEN_RADIUS, SEEN_SIGMA, SEEN_LOBES = 2, 3.0, 2.0
-"""Kernel over which what reflections see is averaged: radius and sigma in pixels, exponent of the lobes."""
+SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
+"""Kernel over which what reflections see is averaged: radius and sigma in pixels."""
 SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness with which its albedo and its normal are compared."""
 WIDEST = 30.0
@@ -107,6 +107,8 @@ class NoisyLayer:
     """One radiance in two halves, fireflies bounded, with what it is compared by and how far it is averaged."""
 
     layer: Layer
+    pilot_features: tuple[Feature, ...]
+    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
     name: str
     seen: tuple[Feature, ...]
     bounded: BoundedHalves
@@ -141,21 +143,25 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
     """Return the layers of a frame with both their halves; ``extra`` features count like the lobes."""
     halves = find_halves(frame)
     layers = make_lobe_layers(frame, settings)
+    simple = replace(settings, similarity="sg") if settings.similarity in ("ggx", "asg") else None
+    pilots = make_lobe_layers(frame, simple) if simple is not None else layers
     named = [("diffuse", DIFFUSE), ("specular", SPECULAR)] if len(layers) == 2 else [("color", SPECULAR)]
     found = []
-    for layer, (name, plan) in zip(layers, named, strict=True):
+    for layer, pilot, (name, plan) in zip(layers, pilots, named, strict=True):
         before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
         bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
         compared = replace(layer, features=(*layer.features, *extra))
         seen = find_seen(frame, compared, settings) if name == "specular" else ()
-        found.append(NoisyLayer(compared, name, seen, bounded, plan, halves.origin == "file"))
+        found.append(
+            NoisyLayer(compared, (*pilot.features, *extra), name, seen, bounded, plan, halves.origin == "file")
+        )
     return found
 
 
 def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Feature, ...]:
     """Return the feature of what the layer's lobes see; nothing where the frame does not tell.
 
-    What few samples hit is noise like radiance, so it is first averaged over near pixels with like lobes.
+    What few samples hit is noise like radiance, so it is first averaged over near pixels.
     """
     albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
     if albedo is None or normal is None:
@@ -163,8 +169,8 @@ def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Fe
     # A pass takes what is not negative: normals are moved there and back.
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
-    lobes = [Exponents(1.0, SEEN_LOBES)]
-    (mean,) = run_paired(images, layer.mask, place, layer.features, lobes, radius=SEEN_RADIUS, device=settings.device)
+    near = [Exponents(1.0, 1.0)]
+    (mean,) = run_paired(images, layer.mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
     normal = np.float32(2.0) * mean.b - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
@@ -200,7 +206,7 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
         (before.a, before.b) if before is not None and sparse else noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, chosen.sigma),
-        layer.features,
+        noisy.pilot_features if before is None else layer.features,
         [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
         radius=min(chosen.radius, settings.radius) if sparse else round(chosen.radius * scale),
         seen=seen,
@@ -208,6 +214,8 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
         albedo=None if sparse else layer.albedo,
         guide=guide,
         noise=chosen.noise or 1.0,
+        # Nothing follows that asks for the noise that is left.
+        joined=number == len(noisy.plan.passes) - 1,
         device=settings.device,
     )
     return found
@@ -223,7 +231,7 @@ def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         if chosen.step == 1:
             weight_sum, effective_samples = found.weight_sum, found.effective_samples
     assert found is not None and weight_sum is not None
-    return finish_layer(frame, noisy, (found.a, found.b), weight_sum, effective_samples)
+    return finish_layer(frame, noisy, (found.a,), weight_sum, effective_samples)
 
 
 def finish_layer(

@@ -96,7 +96,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, PILOT.sigma),
-        layer.features,
+        noisy.pilot_features,
         [Exponents(1.0, PILOT.lobes, 1.0)],
         radius=round(PILOT.radius * scale),
         albedo=layer.albedo,

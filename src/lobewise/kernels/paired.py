@@ -37,7 +37,8 @@ GUIDE_CHANNELS = COLORS + 1
 SUMS = COLORS + 2
 """Of one half in one variant: weighted radiance, weight, squared weight."""
 OUTPUTS = HALVES + 1
-"""Images of one variant, three channels each: the mean of each half; weight sum, effective samples and nothing."""
+"""Images of one variant, three channels each: the mean of each half, or of both where they are joined; weight sum,
+effective samples and nothing."""
 NOISE_FLOOR = 1e-4
 """Added to the noise that differences are divided by."""
 
@@ -52,7 +53,14 @@ class PairedKey:
     seen: tuple[Hashable, ...]
     demodulate: bool
     guided: bool
+    joined: bool
+    """Whether only the mean of both halves is wanted."""
     variants: int
+
+    @property
+    def plane_count(self) -> int:
+        """Planes of the images that taps read."""
+        return COLORS + 2 if self.joined else HALVES * (COLORS + 1)
 
 
 @dataclass
@@ -63,6 +71,7 @@ class PairedFuncs:
     sums: hl.Func
     row: hl.Func
     images: hl.Func
+    image_count: int
     guide: hl.Func | None
     sides: list[tuple[hl.Func | None, int, hl.Func | None, int]]
     """Of every group of features: planes and guides, with how many there are."""
@@ -104,6 +113,10 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
             share = _find_share(albedo, clamped)
             radiance = _fill_unknown(radiance, [albedo[k, clamped[0], clamped[1]] for k in range(COLORS)])
         values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
+    if key.joined:
+        # Of both halves together; then the weight of one, for the sum of squares.
+        a, b = values[: COLORS + 1], values[COLORS + 1 :]
+        values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
     images[x, c, y] = hl.mux(c, values)
 
     scalars = [
@@ -157,17 +170,19 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
     r = key.radius
     across, down = hl.RDom([(-r, 2 * r + 1)], "across"), hl.RDom([(-r, 2 * r + 1)], "down")
     row = hl.Func("row")
-    zeros = [hl.f32(0.0)] * (key.variants * HALVES * SUMS)
+    summed = 1 if key.joined else HALVES
+    zeros = [hl.f32(0.0)] * (key.variants * summed * SUMS)
     row[x, y, v] = hl.Tuple(zeros)
     at = log_weight[x, y, across.x, v]
-    taken = [images[x + across.x * step, k, y + v * step] for k in range(HALVES * (COLORS + 1))]
+    taken = [images[x + across.x * step, k, y + v * step] for k in range(key.plane_count)]
     updates: list[hl.Expr] = []
     for variant in range(key.variants):
         weight = expressions.exp2(at[variant] if key.variants > 1 else at)
-        for half in range(HALVES):
-            *light, share = taken[half * (COLORS + 1) : (half + 1) * (COLORS + 1)]
+        for first in range(0, summed * (COLORS + 1), COLORS + 1):
+            *light, share = taken[first : first + COLORS + 1]
             counted = weight * share
-            for value in (*(weight * value for value in light), counted, counted * counted):
+            square = counted * (weight * taken[-1]) if key.joined else counted * counted
+            for value in (*(weight * value for value in light), counted, square):
                 updates.append(row[x, y, v][len(updates)] + value)
     row[x, y, v] = hl.Tuple(updates)
     sums = hl.Func("sums")
@@ -177,8 +192,8 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
     results: list[hl.Expr] = []
     own_share = _find_share(albedo, (x, y)) if key.demodulate else hl.f32(1.0)
     for variant in range(key.variants):
-        first = variant * HALVES * SUMS
-        found = _find_means([sums[x, y][first + k] for k in range(HALVES * SUMS)], own_share)
+        own_sums = [sums[x, y][variant * summed * SUMS + k] for k in range(summed * SUMS)]
+        found = (_find_mean if key.joined else _find_means)(own_sums, own_share)
         results += [hl.select(mask[x, y] != 0, hl.mux(c, image), hl.f32(0.0)) for image in found]
     out = hl.Func("out")
     out[c, x, y] = hl.Tuple(results)
@@ -195,6 +210,7 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
         sums=sums,
         row=row,
         images=images,
+        image_count=key.plane_count,
         guide=guide,
         sides=[(side.planes, side.plane_count, side.guides, side.guide_count) for side in sides],
         stages=[*stages, log_weight],
@@ -252,3 +268,13 @@ def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
     alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
     worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
     return [*found, [weight, worth, zero]]
+
+
+def _find_mean(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
+    """Return the images of a variant whose halves were added up: their mean, and how it is supported."""
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+    total, square = sums[COLORS], sums[COLORS + 1]
+    mean = [hl.select(total > zero, sums[k] / total, zero) for k in range(COLORS)]
+    worth = hl.select(square > zero, total * total / square, one)
+    weight = hl.f32(0.5) * total / hl.max(share, hl.f32(ALBEDO_FLOOR))
+    return [mean, [weight, hl.select(total > zero, worth, zero), zero]]

@@ -68,6 +68,7 @@ def run_paired(
     albedo: FloatArray | None = None,
     guide: FloatArray | None = None,
     noise: float = 1.0,
+    joined: bool = False,
     device: str = "cpu",
 ) -> list[Paired]:
     """Filter two halves of the samples, each by weights of the other; see `lobewise.kernels.paired`.
@@ -90,6 +91,8 @@ def run_paired(
         Colours and their variance (`lobewise.kernels.noise_guides`).
     noise : float
         How many variances a squared difference is divided by, > 0.
+    joined : bool
+        Whether only the mean of both halves is wanted: ``a`` and ``b`` are then one image, the mean of all samples.
     device : str
         A name from `list_devices`.
 
@@ -107,6 +110,7 @@ def run_paired(
         seen=tuple(describe_structure(feature) for feature in seen),
         demodulate=albedo is not None,
         guided=guide is not None,
+        joined=joined,
         variants=len(variants),
     )
 
@@ -127,9 +131,8 @@ def run_paired(
     buffers = [hl.Buffer(_borrow(array)) for array in held]
     parameters = [value for group in groups for value in take_parameters(group)]
     powers = [float(power) for each in variants for power in each]
-    images = [np.empty((height, width, COLORS), dtype=np.float32) for _ in range(len(variants) * OUTPUTS)]
+    count = OUTPUTS - 1 if joined else OUTPUTS
+    images = [np.empty((height, width, COLORS), dtype=np.float32) for _ in range(len(variants) * count)]
     kernel(*buffers, step, float(noise), *parameters, *powers, *(hl.Buffer(image) for image in images))
-    return [
-        Paired(a, b, support[..., 0], support[..., 1])
-        for a, b, support in (images[OUTPUTS * k : OUTPUTS * (k + 1)] for k in range(len(variants)))
-    ]
+    parts = [images[count * k : count * (k + 1)] for k in range(len(variants))]
+    return [Paired(part[0], part[-2], part[-1][..., 0], part[-1][..., 1]) for part in parts]

@@ -7,7 +7,7 @@ import halide as hl
 from lobewise.kernels.cross_filter import PassFuncs
 from lobewise.kernels.history import ReprojectionFuncs
 from lobewise.kernels.joining import JoiningFuncs
-from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, HALVES, PairedFuncs
+from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, PairedFuncs
 
 
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
@@ -69,7 +69,7 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     lanes = target.natural_vector_size(hl.Float(32))
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
     xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
-    rows, strip, columns = 8, 32, 4 * lanes
+    rows, strip, columns = 8, 32, 8 * lanes
     out.bound(c, 0, COLORS)
     for buffer in out.output_buffers():
         buffer.dim(1).set_stride(COLORS)
@@ -82,7 +82,7 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     row.update().reorder(x, funcs.across.x).vectorize(x, lanes)
     for stage in funcs.stages:
         stage.compute_at(sums, xv).vectorize(x, lanes)
-    _keep_rows(funcs.images.compute_at(out, ys), HALVES * (COLORS + 1), (x, y, c), lanes)
+    _keep_rows(funcs.images.compute_at(out, ys), funcs.image_count, (x, y, c), lanes)
     if funcs.guide is not None:
         _keep_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), lanes)
     for planes, plane_count, guides, guide_count in funcs.sides:
