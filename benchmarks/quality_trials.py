@@ -13,7 +13,7 @@ fast what is reflected changes. Three qualities:
 | quality | what it does |
 | --- | --- |
 | `fast` | The paper's: one pass, weights from guides alone. Any form, radius, upsampling and histories. |
-| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. Diffuse light gets a third, sparse pass. |
+| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. A third, sparse pass over what that gave reaches further where light is diffuse or reflected by rough lobes. |
 | `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
 
 Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
