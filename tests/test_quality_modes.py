@@ -198,6 +198,7 @@ class TestCoverage:
         a, b, both = (Radiance(color * each, dark, color * each) for each in (*noise, noise.mean(axis=0)))
         return frame.with_changes(radiance=both, half_a=a, half_b=b), truth
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("albedos", "lights"), [((0.5, 0.5), (2.0, 0.4)), ((0.8, 0.2), (1.5, 1.5))], ids=["light", "albedo"]
     )
@@ -315,6 +316,7 @@ class TestSettings:
         assert support["beta"] < 0.9 * before
         assert support["tau"] > 1.05 * before
 
+    @pytest.mark.slow
     def test_own_features_count(self):
         frame, _ = make_shadowed(apart=False)
         free = denoise(frame, quality="balanced")

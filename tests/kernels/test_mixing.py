@@ -165,6 +165,7 @@ class TestDefinition:
         # The least that a feature tells is 1e-8.
         np.testing.assert_allclose(variance, expected, rtol=1e-4, atol=1.1e-8)
 
+    @pytest.mark.slow
     def test_the_others_are_compared_with_any_of_them(self):
         pairs, middle, extras, level = make_inputs((6, 9))
         middle += 1
@@ -178,6 +179,7 @@ class TestDefinition:
         np.testing.assert_allclose(found, np.broadcast_to(least, found.shape), atol=LOGARITHM)
         np.testing.assert_array_equal(mix_candidates(black, MIDDLE, found[..., :EXTRAS], 0.0, NETWORK), 0.0)
 
+    @pytest.mark.slow
     def test_two_candidates_and_other_extras(self):
         # As Open Image Denoise and ours are mixed: halves alike, the first in the middle.
         pairs = [(a, a) for a, _ in make_pairs((7, 8), 2)]
