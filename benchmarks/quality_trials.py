@@ -59,8 +59,8 @@ inputs and the difference of both. It was trained on the same scenes (error of t
 
 Two of the goals of error in [quality_results.md](quality_results.md) are: near-mirrors and anisotropic metal no worse than Open Image Denoise at 16 and 64 samples. What was tried, each measured above:
 
-1. What reflections see, compared: as it comes it is noise itself at few samples; averaged over 5x5 pixels by the lobes it gained 6 to 11 % on near-mirrors, and is in `balanced` and `high`.
-2. Narrower and stricter candidates for the network, down to a sigma of 2 pixels, and inputs at two scales: what the network gains on scenes kept aside from training (below) grew at every sample count.
+1. What reflections see, compared: as it comes it is noise itself at few samples; averaged over 5x5 pixels by the lobes it gained 6 to 11 % on near-mirrors, over 3x3 by place alone no less; that is in `balanced` and `high`.
+2. Narrower and stricter candidates for the network, down to a sigma of 2 pixels, and inputs at two scales (what the networks gain on scenes kept aside from training is below).
 3. A pilot guided by the samples themselves, so that a lamp seen in a mirror does not leak into its surroundings: an order of magnitude on `corridor` at 64 samples.
 
 A third goal is `balanced` at 1920x1080 in less time than Open Image Denoise with its `fast` quality. Three attempts: one guide for both halves with smaller pilots and a diffuse similarity without root

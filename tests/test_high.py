@@ -450,7 +450,7 @@ class TestContract:
 
     @pytest.mark.parametrize("quality", QUALITIES)
     def test_radius_zero(self, quality, networks):
-        # No dense pass has a tap but the pixel's own: reflections, with which none is sparse, stay as they are.
+        # No pass has a tap but the pixel's own: reflections stay as they are.
         networks["specular"] = force(networks["specular"], MIDDLE)
         frame, _ = make_shadowed()
         result = denoise(frame, radius=0, quality=quality, similarity="normal")

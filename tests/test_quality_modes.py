@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising.guided import make_noisy_layers, resolve_guided
 from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError
 from lobewise.frame import Frame, Radiance
@@ -84,6 +85,30 @@ class TestNoise:
         image = denoise(lit, quality="balanced").image
         assert image[lamp].min() > 400.0
         assert image[~lamp].max() < 5.0
+
+    def test_the_pilot_compares_single_lobes(self):
+        frame, _ = make_shadowed()
+        for similarity, expected in (("ggx", "sg"), ("asg", "sg"), ("sg", "sg"), ("normal", "normal")):
+            settings = resolve_guided(frame, DenoiseSettings(quality="balanced", similarity=similarity))
+            own = ScreenFeature(1.0)
+            diffuse, specular = make_noisy_layers(frame, settings, [own])
+            assert [feature.name for feature in specular.pilot_features] == [expected, own.name]
+            assert [feature.name for feature in specular.layer.features] == [similarity, own.name]
+            assert diffuse.pilot_features == diffuse.layer.features
+
+    def test_rough_reflections_are_averaged_further_than_sharp_ones(self):
+        # A single bright pixel is spread over what has weight: by the sparse pass four and more pixels further.
+        reach = []
+        for alpha in (0.5, 0.01):
+            flat = make_flat()
+            guides = replace(flat.gbuffer, alpha_u=np.full(SHAPE, alpha), alpha_v=np.full(SHAPE, alpha))
+            lit = np.array(flat.radiance.specular)
+            lit[SHAPE[0] // 2, SHAPE[1] // 2] = 1.2
+            radiance = Radiance(lit, np.zeros_like(lit), lit)
+            frame = flat.with_changes(gbuffer=guides, radiance=radiance, half_a=radiance, half_b=radiance)
+            row = denoise(frame, quality="balanced", similarity="ggx").image[SHAPE[0] // 2, :, 0]
+            reach.append(int(np.count_nonzero(row > 1.0 + 1e-5)))
+        assert reach[0] > 2 * 5 + 1 >= reach[1] > 1
 
     def test_neighbours_serve_as_halves_as_well(self):
         # Either way all samples count once: what is left of the noise is alike.

@@ -58,8 +58,8 @@ METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     (
         "balanced",
         "ggx lobe and noise",
-        "The same lobes, and what half of the samples shows: pixels that differ by more than noise are kept apart in "
-        "the other half. What `lobewise denoise` does if nothing else is said.",
+        "The same lobes, and what two halves of the samples tell: pixels that differ by more than noise are kept "
+        "apart. What `lobewise denoise` does if nothing else is said.",
         {"similarity": "ggx", "quality": "balanced"},
     ),
 )

@@ -51,9 +51,9 @@ def denoise(
         str,
         typer.Option(
             metavar="auto|fast|balanced|high",
-            help="fast weighs by the guides alone, in one pass; balanced weighs each half of the samples by what the "
-            "other shows as well; high does so several times and mixes them pixel by pixel. auto is balanced, or fast "
-            "with another form than full and with --temporal.",
+            help="fast weighs by the guides alone, in one pass; balanced also by what two halves of the samples, "
+            "filtered narrowly, tell of light and noise; high does so in several ways and mixes them pixel by pixel. "
+            "auto is balanced, or fast with another form than full and with --temporal.",
         ),
     ] = "auto",
     with_oidn: Annotated[

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features
+from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
 from lobewise.denoising.noise import find_halves
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.frame import FloatArray, Frame
@@ -37,23 +38,23 @@ class Pass:
         Taps from the centre to the edge of the kernel, at radius 8 of the settings.
     sigma : float
         Standard deviation of the distance on the screen, pixels, and in the scene, pixel footprints, at radius 8.
+    noise : float
+        Variances that a squared difference of the guide is divided by. The first pass is guided by the samples
+        themselves, where every pixel has some in both halves: so weakly that noise is no difference, but that what is
+        far brighter on both (a lamp in a mirror) stays where it is.
     lobes : float
         Exponent of the lobe similarity, over that of the settings.
     lobes_with_seen : float
         The same where the frame tells what reflections see, which then says more than the lobes do.
-    noise : float or None
-        Variances that a squared difference of the guide is divided by; None for no guide. The first pass is guided by
-        the samples themselves, where every pixel has some in both halves: so weakly that noise is no difference, but
-        that what is far brighter on both (a lamp in a mirror) stays where it is.
     step : int
         Pixels from tap to tap, at radius 8. Above 1 the pass averages what the one before gave, else the samples.
     """
 
     radius: int
     sigma: float
+    noise: float
     lobes: float = 1.0
     lobes_with_seen: float = 1.0
-    noise: float | None = None
     step: int = 1
 
 
@@ -66,20 +67,20 @@ class Plan:
 
 
 DIFFUSE = Plan(
-    (Pass(3, 6.0, lobes=4.0, noise=40.0), Pass(6, 30.0, noise=12.0), Pass(3, 30.0, noise=6.0, step=4)),
+    (Pass(3, 6.0, 40.0, lobes=4.0), Pass(6, 30.0, 12.0), Pass(3, 30.0, 6.0, step=4)),
     beta=2.0,
 )
 SPECULAR = Plan(
     (
-        Pass(4, 6.0, lobes=4.0, noise=40.0),
-        Pass(5, 22.0, lobes_with_seen=0.5, noise=6.0),
-        Pass(3, 30.0, lobes=64.0, lobes_with_seen=64.0, noise=6.0, step=4),
+        Pass(4, 6.0, 40.0, lobes=4.0),
+        Pass(5, 22.0, 6.0, lobes_with_seen=0.5),
+        Pass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4),
     ),
     beta=1.0,
 )
-"""Tuned on ``showroom`` and ``parlour`` (docs/quality.md). Diffuse light varies slowly: a second, sparse pass over what
-the first gave reaches as far as a dense kernel of three times the cost. Of reflections only the rough take part in it:
-the axes of sharp lobes are too far apart, 4 pixels on, for so high a power."""
+"""Tuned on the scenes that ``benchmarks/quality.py`` calls train (docs/quality.md). Diffuse light varies slowly: a
+second, sparse pass over what the first gave reaches as far as a dense kernel of three times the cost. Of reflections
+only the rough take part in it: the axes of sharp lobes are too far apart, 4 pixels on, for so high a power."""
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel over which what reflections see is averaged: radius and sigma in pixels."""
@@ -148,23 +149,23 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
     """Return the layers of a frame with both their halves; ``extra`` features count like the lobes."""
     halves = find_halves(frame)
     layers = make_lobe_layers(frame, settings)
-    simple = replace(settings, similarity="sg") if settings.similarity in ("ggx", "asg") else None
-    pilots = make_lobe_layers(frame, simple) if simple is not None else layers
     named = [("diffuse", DIFFUSE), ("specular", SPECULAR)] if len(layers) == 2 else [("color", SPECULAR)]
     found = []
-    for layer, pilot, (name, plan) in zip(layers, pilots, named, strict=True):
+    for layer, (name, plan) in zip(layers, named, strict=True):
         before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
         bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
         compared = replace(layer, features=(*layer.features, *extra))
-        seen = find_seen(frame, compared, settings) if name == "specular" else ()
-        found.append(
-            NoisyLayer(compared, (*pilot.features, *extra), name, seen, bounded, plan, halves.origin == "file")
-        )
+        pilot: Sequence[Feature] = layer.features
+        if name != "diffuse" and settings.similarity in ("ggx", "asg"):
+            simple = replace(settings, similarity="sg")
+            pilot, _ = make_specular_features(frame, simple, layer.mask, len(layers) == 2)
+        seen = find_seen(frame, layer.mask, settings) if name == "specular" else ()
+        found.append(NoisyLayer(compared, (*pilot, *extra), name, seen, bounded, plan, halves.origin == "file"))
     return found
 
 
-def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Feature, ...]:
-    """Return the feature of what the layer's lobes see; nothing where the frame does not tell.
+def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: DenoiseSettings) -> tuple[Feature, ...]:
+    """Return the feature of what lobes see; nothing where the frame does not tell.
 
     What few samples hit is noise like radiance, so it is first averaged over near pixels.
     """
@@ -175,7 +176,7 @@ def find_seen(frame: Frame, layer: Layer, settings: DenoiseSettings) -> tuple[Fe
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
-    (mean,) = run_paired(images, layer.mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
+    (mean,) = run_paired(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
     normal = np.float32(2.0) * mean.b - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
@@ -204,7 +205,6 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
     scale = settings.radius / 8.0
-    guide = make_pass_guide(noisy, before, settings.device) if chosen.noise is not None else None
     seen = noisy.seen if before is not None else ()
     sparse = before is not None and chosen.step > 1
     (found,) = run_paired(
@@ -217,8 +217,8 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
         seen=seen,
         step=max(round(chosen.step * scale), 1),
         albedo=None if sparse else layer.albedo,
-        guide=guide,
-        noise=chosen.noise or 1.0,
+        guide=make_pass_guide(noisy, before, settings.device),
+        noise=chosen.noise,
         # Nothing follows that asks for the noise that is left.
         joined=number == len(noisy.plan.passes) - 1,
         device=settings.device,

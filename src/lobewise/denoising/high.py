@@ -31,7 +31,7 @@ from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.lobes.vectors import LUMINANCE
 
-PILOT = Pass(5, 6.0, lobes=4.0, noise=40.0)
+PILOT = Pass(5, 6.0, 40.0, lobes=4.0)
 NOISE = {"diffuse": 12.0, "specular": 6.0}
 """Variances of the guide by which the dense passes divide squared differences."""
 SIGMA = 30.0
@@ -101,7 +101,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         radius=round(PILOT.radius * scale),
         albedo=layer.albedo,
         guide=make_pass_guide(noisy, None, device),
-        noise=PILOT.noise or 1.0,
+        noise=PILOT.noise,
         device=device,
     )
     place = make_pass_features(frame, settings, SIGMA)

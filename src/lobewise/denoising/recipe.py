@@ -156,7 +156,7 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
 
 
 def filter_guided(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
-    """Filter the halves of every layer, each by what the other half tells as well."""
+    """Filter both halves of every layer by their guides and by what they tell of light and noise."""
     noisy = make_noisy_layers(frame, settings, features)
     extras: list[FloatArray] = []
     clean: list[CleanLayer] = []

@@ -33,9 +33,9 @@ class DenoiseSettings:
     ----------
     quality : {"auto", "fast", "balanced", "high"}
         How the noise enters. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and "high"
-        filter two halves of the samples, each by weights that the other half tells as well; "high" does so several
-        times and mixes what comes out pixel by pixel. "auto" takes "balanced" for the full form and "fast" for the
-        others, which have nothing else; so have upsampling and histories.
+        filter two halves of the samples narrowly, and then widely by what that tells of light and noise; "high" does so
+        in several ways and mixes what comes out pixel by pixel. "auto" takes "balanced" for the full form and "fast"
+        for the others, which have nothing else; so have upsampling and histories.
     similarity : {"auto", "normal", "sg", "sg_mixture", "asg", "ggx"}
         What is compared on specular pixels: shading normals, one spherical Gaussian per lobe, a sum of them, one
         anisotropic spherical Gaussian, or the GGX covariance of the lobe. "auto" takes "ggx" where the frame has

@@ -19,7 +19,7 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.features import Feature, Pixel, dot
+from lobewise.kernels.features import Feature, Pixel, Stage, dot
 from lobewise.lobes.vectors import LUMINANCE
 
 SUM_CHANNELS = 5
@@ -182,6 +182,18 @@ def prepare_planes(
     return values, slices
 
 
+def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
+    """Return what keeps a value at pixel and tap in a function of its own, which it adds to ``stages``."""
+
+    def stage(value: hl.Expr) -> hl.Expr:
+        func = hl.Func(f"stage{len(stages)}")
+        func[tuple(at)] = value
+        stages.append(func)
+        return func[tuple(at)]
+
+    return stage
+
+
 def make_side(
     name: str,
     mask: hl.ImageParam,
@@ -280,12 +292,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
     stages: list[hl.Func] = []
-
-    def stage(value: hl.Expr) -> hl.Expr:
-        func = hl.Func(f"stage{len(stages)}")
-        func[x, y, u, v] = value
-        stages.append(func)
-        return func[x, y, u, v]
+    stage = make_stage(stages, (x, y, u, v))
 
     exponent: hl.Expr = hl.f32(0.0)
     if key.taps is Taps.ATROUS:

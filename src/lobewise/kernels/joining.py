@@ -29,6 +29,7 @@ from lobewise.kernels.cross_filter import (
     demodulate,
     find_luminance,
     make_side,
+    make_stage,
 )
 from lobewise.kernels.features import Feature
 from lobewise.kernels.history import FRAMES, HISTORY_CHANNELS, MOMENT
@@ -135,12 +136,7 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
     shift = place_x + block[0] * factor - x, place_y + block[1] * factor - y
     offset = spacing * hl.f32(u) + hl.f32(shift[0]), spacing * hl.f32(v) + hl.f32(shift[1])
     stages: list[hl.Func] = []
-
-    def stage(value: hl.Expr) -> hl.Expr:
-        func = hl.Func(f"stage{len(stages)}")
-        func[x, y, u, v] = value
-        stages.append(func)
-        return func[x, y, u, v]
+    stage = make_stage(stages, (x, y, u, v))
 
     exponent: hl.Expr = zero
     for feature, part, parameters in zip(features, side.slices, scalars, strict=True):

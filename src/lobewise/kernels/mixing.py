@@ -26,9 +26,8 @@ from lobewise.kernels.engine import _borrow, get_kernel, take_image
 COLORS = 3
 BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
 """Binomial weights over which squares are averaged, in rows and in columns."""
-APART = 3
-"""Pixels from weight to weight where the averages are averaged once more: one is local, the other steady."""
-SCALES = 2
+STEPS = (1, 3)
+"""Pixels from weight to weight of the averages, and of the averages of these: one is local, the other steady."""
 DARKEST = 0.05
 """Squares are relative to that of the local mean, and to this share of the whole mean."""
 LEAST_SQUARE = 1e-8
@@ -57,7 +56,7 @@ class Network(NamedTuple):
 
 def count_features(candidates: int, extras: int) -> int:
     """Return how many inputs a network has for so many candidates and extras."""
-    return SCALES * (2 * candidates + 1) + extras
+    return len(STEPS) * (2 * candidates + 1) + extras
 
 
 class _Funcs:
@@ -104,7 +103,7 @@ class _Funcs:
         sharp[x, c, y] = hl.mux(c, squares)
         blurs: list[tuple[hl.Func, hl.Func]] = []
         source = sharp
-        for step in (1, APART):
+        for step in STEPS:
             taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
             rows, soft = hl.Func(f"rows{step}"), hl.Func(f"soft{step}")
             rows[x, c, y] = sum((weight * source[x + k, c, y] for k, weight in taps), hl.f32(0.0))
@@ -273,7 +272,7 @@ def find_features(
     In this order, all base-2 logarithms: variance of each candidate (a quarter of the squared difference of its
     halves), squared difference of each other candidate to the middle one, squared slope of the middle one, all
     averaged over `BLUR` and relative to the squared local mean; that mean over ``level``; the same of all that averaged
-    once more, over weights `APART` pixels apart; the extras as they are.
+    once more, over weights further apart (`STEPS`); the extras as they are.
 
     Parameters
     ----------

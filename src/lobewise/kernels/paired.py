@@ -9,7 +9,7 @@ apart then tells how noisy they are. Several variants (p, l, r, s) share all tha
 The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means
 Filtering": squared differences less what the noise explains, over the noise. Departs: of pixels, not of patches,
 because the guide is a filtered image already; and one guide for both halves, not each half by the other's: what a pilot
-without a guide averages hardly knows the noise of a single pixel, and it costs half (docs/quality.md).
+averages hardly knows the noise of a single pixel, and one weight is less work than two (docs/quality.md).
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from lobewise.kernels.cross_filter import (
     demodulate,
     find_luminance,
     make_side,
+    make_stage,
 )
 from lobewise.kernels.features import LOG2_E, Feature
 
@@ -131,12 +132,7 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
         for name, features, own in zip(("place", "lobes", "seen"), groups, scalars, strict=True)
     ]
     stages: list[hl.Func] = []
-
-    def stage(value: hl.Expr) -> hl.Expr:
-        func = hl.Func(f"stage{len(stages)}")
-        func[x, y, u, v] = value
-        stages.append(func)
-        return func[x, y, u, v]
+    stage = make_stage(stages, (x, y, u, v))
 
     logs: list[hl.Expr] = []
     for features, side, own in zip(groups, sides, scalars, strict=True):

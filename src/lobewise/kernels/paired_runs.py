@@ -71,7 +71,7 @@ def run_paired(
     joined: bool = False,
     device: str = "cpu",
 ) -> list[Paired]:
-    """Filter two halves of the samples, each by weights of the other; see `lobewise.kernels.paired`.
+    """Filter two halves of the samples, both by the same weights; see `lobewise.kernels.paired`.
 
     Parameters
     ----------
