@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import LobewiseError
-from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance, Result
-from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
     from lobewise.adaptive import find_unsupported, recompute
     from lobewise.denoising import DenoiseSettings, denoise
+    from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance, Result
     from lobewise.io.exr import read_frame, write_frame, write_result
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.kernels.features import Feature
+    from lobewise.lobe_table import LobeTable
     from lobewise.sparse_frame import SparseFrame, make_sparse
     from lobewise.temporal import TemporalFilter, TemporalSettings
     from lobewise.upsampling import upsample
@@ -47,10 +47,17 @@ __all__ = [
     "write_sparse_frame",
 ]
 
-# Halide and OpenEXR load on first use, so that importing the package stays cheap.
+# NumPy, Halide and OpenEXR load on first use, so that importing the package and asking the program for help are cheap.
 _LAZY = {
+    "Camera": "lobewise.frame",
     "DenoiseSettings": "lobewise.denoising",
     "Feature": "lobewise.kernels.features",
+    "Frame": "lobewise.frame",
+    "GBuffer": "lobewise.frame",
+    "LobeKind": "lobewise.frame",
+    "LobeTable": "lobewise.lobe_table",
+    "Radiance": "lobewise.frame",
+    "Result": "lobewise.frame",
     "SparseFrame": "lobewise.sparse_frame",
     "TemporalFilter": "lobewise.temporal",
     "TemporalSettings": "lobewise.temporal",
@@ -75,3 +82,7 @@ def __getattr__(name: str) -> Any:
         globals()[name] = value
         return value
     raise AttributeError(f"module 'lobewise' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -6,13 +6,14 @@ import os
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import FileError, InputError, describe_problem, require_choice
 from lobewise.render.variant import load_mitsuba
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor", "kitchen", "street")
 
@@ -122,6 +123,9 @@ class MovingScene:
 
     def find_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
         """Return, by the id of each moving shape, the matrix that takes its world points at ``time`` to ``before``."""
+        # Not at the top: the scenes' names stand in the help of the program, which does not wait for NumPy.
+        import numpy as np
+
         load_mitsuba()
         module = import_module(f"lobewise.render.scenes.{self.name}")
         now, then = (

@@ -1,0 +1,91 @@
+"""The package and the program's help appear at once: nothing heavy is imported before it is needed."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lobewise
+
+HEAVY = {
+    "numpy",
+    "halide",
+    "scipy",
+    "OpenEXR",
+    "mitsuba",
+    "drjit",
+    "matplotlib",
+    "viser",
+    "PIL",
+    "pyoidn",
+    "flip_evaluator",
+}
+
+# Every help, one after the other in one process: the first that loads something is the one to blame.
+ASK_FOR_HELP = f"""
+import json, sys
+import typer
+from lobewise.cli.commands import app
+from lobewise.cli.main import run
+
+def list_verbs(command, before):
+    yield before
+    for name, child in getattr(command, "commands", {{}}).items():
+        yield from list_verbs(child, [*before, name])
+
+found = []
+for verb in list_verbs(typer.main.get_command(app), []):
+    for word in ("--help", *(["--version"] if not verb else [])):
+        code = run([*verb, word])
+        found.append([[*verb, word], code, sorted(set(sys.modules) & {HEAVY})])
+sys.stderr.write(json.dumps(found))
+"""
+
+
+def ask_python(code: str) -> subprocess.CompletedProcess[str]:
+    """Return what a process of its own printed."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+
+
+def test_no_help_loads_anything_heavy() -> None:
+    done = ask_python(ASK_FOR_HELP)
+    found = json.loads(done.stderr)
+    asked = [words for words, _, _ in found]
+    for expected in (["--help"], ["--version"], ["denoise", "--help"], ["bench", "interactive", "--help"]):
+        assert expected in asked
+    for words, code, loaded in found:
+        assert code == 0, words
+        assert loaded == [], words
+    assert done.stdout.count("Usage: lobewise") == len(asked) - 1
+    assert f"lobewise {lobewise.__version__}" in done.stdout
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = f"import sys, lobewise; dir(lobewise); print(sorted(set(sys.modules) & {HEAVY | {'typer', 'rich'}}))"
+    assert ask_python(code).stdout.strip() == "[]"
+
+
+def test_every_public_name_is_listed_and_loads_alone() -> None:
+    assert set(lobewise.__all__) <= set(dir(lobewise))
+    code = "import lobewise; print(sorted(set(lobewise.__all__) - set(dir(lobewise))), lobewise.Frame.__module__)"
+    assert ask_python(code).stdout.strip() == "[] lobewise.frame"
+    assert ask_python("from lobewise import *; print(denoise.__module__)").stdout.startswith("lobewise.denoising")
+    for name in lobewise.__all__:
+        assert getattr(lobewise, name) is not None
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = lobewise.nothing  # type: ignore[attr-defined]
+
+
+def test_a_type_checker_sees_the_names_where_they_come_from() -> None:
+    tree = ast.parse(Path(lobewise.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    seen = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert seen.keys() == set(lobewise.__all__) - {"LobewiseError", "__version__"}
+    for name, module in seen.items():
+        assert getattr(importlib.import_module(str(module)), name) is getattr(lobewise, name), name
