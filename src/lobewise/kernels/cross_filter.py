@@ -73,6 +73,21 @@ class PassKey:
         return SUM_CHANNELS + self.moment
 
 
+@dataclass(frozen=True)
+class PassInputs:
+    """What a pass reads; a caller may bring its own, to name the arguments or to chain passes in one kernel."""
+
+    source: hl.ImageParam | hl.Func
+    albedo: hl.ImageParam
+    mask: hl.ImageParam
+    arrays: list[hl.ImageParam]
+    """Those of every feature."""
+    step: hl.Expr
+    scalars: list[list[hl.Expr]]
+    """The parameters of every feature."""
+    strictness: hl.ImageParam
+
+
 @dataclass
 class PassFuncs:
     """The Halide functions of one pass, for the schedules."""
@@ -201,11 +216,12 @@ def make_side(
     scalars: Sequence[Sequence[hl.Expr]],
     variables: tuple[hl.Var, hl.Var, hl.Var],
     inside: bool = False,
+    arrays: list[hl.ImageParam] | None = None,
 ) -> _Side:
     """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
     x, y, c = variables
     at = (x, y) if inside else (hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1))
-    arrays = list_inputs(name, features)
+    arrays = list_inputs(name, features) if arrays is None else arrays
     # Guides: the input channels of every feature side by side.
     channels: list[hl.Expr] = []
     for array, count in zip(arrays, count_inputs(features), strict=True):
@@ -223,7 +239,7 @@ def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
 
 
 def demodulate(
-    source: hl.ImageParam,
+    source: hl.ImageParam | hl.Func,
     albedo: hl.ImageParam | None,
     at: tuple[hl.Expr, hl.Expr],
     floor: hl.Expr,
@@ -243,7 +259,23 @@ def demodulate(
     return radiance, good
 
 
-def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
+def make_pass_inputs(features: Sequence[Feature]) -> PassInputs:
+    """Return parameters for all that a pass may read."""
+    return PassInputs(
+        source=hl.ImageParam(hl.Float(32), 3, "source"),
+        albedo=hl.ImageParam(hl.Float(32), 3, "albedo"),
+        mask=hl.ImageParam(hl.UInt(8), 2, "mask"),
+        arrays=list_inputs("tap", features),
+        step=hl.Param(hl.Int(32), "step"),
+        scalars=[
+            [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
+            for number, feature in enumerate(features)
+        ],
+        strictness=hl.ImageParam(hl.Float(32), 2, "strictness"),
+    )
+
+
+def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | None = None) -> PassFuncs:
     """Return the algorithm of one pass.
 
     The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
@@ -251,10 +283,8 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     feature; step (int32); the parameters of every feature; strictness (x, y) where that is asked for.
     """
     x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
-    source = hl.ImageParam(hl.Float(32), 3, "source")
-    mask = hl.ImageParam(hl.UInt(8), 2, "mask")
-    albedo = hl.ImageParam(hl.Float(32), 3, "albedo")
-    step = hl.Param(hl.Int(32), "step")
+    inputs = make_pass_inputs(features) if inputs is None else inputs
+    source, mask, albedo, step, scalars = inputs.source, inputs.mask, inputs.albedo, inputs.step, inputs.scalars
     width, height = mask.width(), mask.height()
     clamped = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -273,11 +303,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     else:
         image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
 
-    scalars = [
-        [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
-        for number, feature in enumerate(features)
-    ]
-    side = make_side("tap", mask, features, scalars, (x, y, c))
+    side = make_side("tap", mask, features, scalars, (x, y, c), arrays=inputs.arrays)
 
     # Taps.
     r = key.radius
@@ -300,9 +326,8 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
     for feature, part, own in zip(features, side.slices, scalars, strict=True):
         i, j = side.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
-    strictness = hl.ImageParam(hl.Float(32), 2, "strictness")
     if key.strict:
-        exponent = exponent * strictness[clamped]
+        exponent = exponent * inputs.strictness[clamped]
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
@@ -339,7 +364,7 @@ def make_pass(key: PassKey, features: Sequence[Feature]) -> PassFuncs:
         step,
         *(p for own in scalars for p in own),
     ]
-    arguments += [strictness] if key.strict else []
+    arguments += [inputs.strictness] if key.strict else []
     return PassFuncs(
         out=out,
         sums=sums,
