@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,7 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
     FileError
         If the pixels are damaged, or the part holds deep samples.
     """
-    import OpenEXR
-
+    OpenEXR = _load_library()
     name = f"input {str(container.path)!r}"
     if part.deep:
         raise FileError(
@@ -109,8 +109,7 @@ def encode_file(
     FileError
         If the library cannot encode the pixels.
     """
-    import OpenEXR
-
+    OpenEXR = _load_library()
     numbers = {name: number for number, (name, _) in COMPRESSIONS.items()}
     full: dict[str, Any] = dict(header)
     full["compression"] = OpenEXR.Compression(numbers[part.compression if part else compression])
@@ -137,6 +136,17 @@ def encode_file(
             describe_problem("output", expected="pixels that can be encoded", got=str(problem), action="report it")
         ) from problem
     return out.getvalue()
+
+
+@lru_cache(maxsize=1)
+def _load_library() -> Any:
+    """Return the library, told to use every core: by itself it uses one, and its older releases know no other way."""
+    import OpenEXR
+
+    if hasattr(OpenEXR, "set_global_thread_count"):
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        OpenEXR.set_global_thread_count(cores if cores > 1 else 0)
+    return OpenEXR
 
 
 def _pair(window: Any) -> tuple[Pixels, Pixels]:
