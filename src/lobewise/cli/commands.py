@@ -102,6 +102,6 @@ def inspect(
 def devices() -> None:
     """List where filters can run, and why one cannot."""
     from lobewise.cli.output import print_devices
-    from lobewise.kernels.engine import list_devices
+    from lobewise.kernels.devices import list_devices
 
     print_devices([(device.name, device.available, device.reason) for device in list_devices()])

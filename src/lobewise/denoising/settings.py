@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.kernels.engine import FORMS, choose_device
+from lobewise.kernels.devices import choose_device
+from lobewise.kernels.engine import FORMS
 from lobewise.lobe_table import MAX_LOBES
 from lobewise.lobes.field import default_tau
 from lobewise.sparse_frame import AnyFrame

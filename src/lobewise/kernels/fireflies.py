@@ -19,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
+from lobewise.kernels.buffers import borrow as _borrow
+from lobewise.kernels.buffers import take_image
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulate, find_luminance
-from lobewise.kernels.engine import _borrow, get_kernel, take_image
+from lobewise.kernels.engine import get_kernel
 from lobewise.kernels.pointwise import LARGEST_FLOAT
 
 REACH = 6

@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
+from lobewise.kernels.buffers import lend, make_output, take_image
 from lobewise.kernels.cross_filter import begin_at_zero, find_luminance
-from lobewise.kernels.engine import _borrow, get_kernel, take_image
+from lobewise.kernels.engine import get_kernel
+from lobewise.kernels.schedules_gpu import keep_planes, spread_channels
 
 COLORS = 3
 BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
@@ -167,6 +169,16 @@ class _Funcs:
             out[c, x, y] = features[x, c, y]
             channels = len(values)
 
+        self.out = out
+        if target.has_gpu_feature():
+            thread = spread_channels(out, channels, (x, y, c))
+            counts = [(light, candidates), (spread, candidates), (sharp, len(squares))]
+            for func, count in (*counts, *((each, len(squares)) for pair in blurs for each in pair)):
+                keep_planes(func, count, (x, y, c))
+            keep_planes(features, len(values), (x, y, c))
+            for func, count, _ in deep[1:]:
+                func.compute_at(out, thread).bound(c, 0, count)
+            return
         ys, yi, xo, xi, tail = hl.Var("ys"), hl.Var("yi"), hl.Var("xo"), hl.Var("xi"), hl.TailStrategy.GuardWithIf
         out.bound(c, 0, channels).reorder(c, x, y).unroll(c).split(y, ys, yi, 16, tail)
         out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, yi, ys).vectorize(xi).parallel(ys).never_partition_all()
@@ -186,7 +198,6 @@ class _Funcs:
             func.compute_at(out, xo).bound(c, 0, count).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
             if inputs is not None:
                 func.update().reorder(x, inputs.x, c, y).vectorize(x, lanes)
-        self.out = out
 
 
 def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
@@ -252,12 +263,12 @@ def _run(
         for weights, bias in zip(network.weights, network.biases, strict=True):
             tail += [weights, bias]
         tail = [np.ascontiguousarray(each, dtype=np.float32) for each in tail]
-    target = np.empty((height, width, channels), dtype=np.float32)
     level = max(level, 1e-30)
-    buffers = [hl.Buffer(_borrow(image)) for image in held]
-    numbers = [hl.Buffer(_borrow(each)) for each in tail]
-    kernel(*buffers, max((DARKEST * level) ** 2, 1e-37), level, *numbers, hl.Buffer(target))
-    return target
+    buffer, mixed = make_output((height, width, channels), device)
+    buffers = [lend(image, device) for image in held]
+    numbers = [lend(each, device) for each in tail]
+    kernel(*buffers, max((DARKEST * level) ** 2, 1e-37), level, *numbers, buffer)
+    return mixed
 
 
 def find_features(

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
+from lobewise.kernels.buffers import borrow as _borrow
+from lobewise.kernels.buffers import take_image
 from lobewise.kernels.cross_filter import begin_at_zero
-from lobewise.kernels.engine import _borrow, get_kernel, take_image
+from lobewise.kernels.engine import get_kernel
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS
 
 BLUR_RADIUS = 3

@@ -10,8 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
+from lobewise.kernels.buffers import (
+    lend,
+    make_output,
+    take_arrays,
+    take_channel,
+    take_image,
+    take_mask,
+    take_parameters,
+)
 from lobewise.kernels.cross_filter import describe_structure
-from lobewise.kernels.engine import _borrow, get_kernel, take_arrays, take_image, take_parameters
+from lobewise.kernels.engine import get_kernel
 from lobewise.kernels.features import Feature
 from lobewise.kernels.paired import (
     COLORS,
@@ -21,7 +30,7 @@ from lobewise.kernels.paired import (
     PairedKey,
     make_paired,
 )
-from lobewise.kernels.schedules import schedule_paired_cpu
+from lobewise.kernels.schedules import schedule_paired
 
 
 class Exponents(NamedTuple):
@@ -116,7 +125,7 @@ def run_paired(
 
     def make(target: hl.Target) -> PairedFuncs:
         funcs = make_paired(key, groups)
-        schedule_paired_cpu(funcs, target)
+        schedule_paired(funcs, target)
         return funcs
 
     kernel = get_kernel(device, key, make)
@@ -124,15 +133,16 @@ def run_paired(
     held: list[NDArray[Any]] = [take_image("half", half, (height, width, COLORS)) for half in halves]
     if albedo is not None:
         held.append(take_image("albedo", albedo, (height, width, COLORS)))
-    held.append(np.ascontiguousarray(mask).view(np.uint8))
+    held.append(take_mask(mask))
     if guide is not None:
         held.append(take_image("guide", guide, (height, width, GUIDE_CHANNELS)))
     held += [array for group in groups for array in take_arrays(group, (height, width))]
-    buffers = [hl.Buffer(_borrow(array)) for array in held]
+    buffers = [lend(array, device) for array in held]
     parameters = [value for group in groups for value in take_parameters(group)]
     powers = [float(power) for each in variants for power in each]
     count = OUTPUTS - 1 if joined else OUTPUTS
-    images = [np.empty((height, width, COLORS), dtype=np.float32) for _ in range(len(variants) * count)]
-    kernel(*buffers, step, float(noise), *parameters, *powers, *(hl.Buffer(image) for image in images))
+    outputs = [make_output((height, width, COLORS), device) for _ in range(len(variants) * count)]
+    kernel(*buffers, step, float(noise), *parameters, *powers, *(buffer for buffer, _ in outputs))
+    images = [image for _, image in outputs]
     parts = [images[count * k : count * (k + 1)] for k in range(len(variants))]
-    return [Paired(part[0], part[-2], part[-1][..., 0], part[-1][..., 1]) for part in parts]
+    return [Paired(part[0], part[-2], *(take_channel(part[-1], k) for k in range(2))) for part in parts]

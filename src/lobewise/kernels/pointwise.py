@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem
-from lobewise.kernels.engine import _borrow
+from lobewise.kernels.buffers import borrow
 
 Vector = Sequence[hl.Expr]
 """The channels of one pixel, or the components of a number."""
@@ -266,7 +266,7 @@ def run_pointwise(
         np.empty((height, width) if channels == 1 else (height, width, channels), kind)
         for channels, kind in compiled.outputs
     )
-    lent = [hl.Buffer(_borrow(image)) for image in held.values()]
+    lent = [hl.Buffer(borrow(image)) for image in held.values()]
     given = [float(value) for vector in vectors.values() for value in vector]
     written = [hl.Buffer(result.view(np.uint8) if result.dtype == np.bool_ else result) for result in results]
     compiled.call(*lent, *given, *written)

@@ -12,20 +12,13 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
+from lobewise.kernels.buffers import lend, make_output, take_arrays, take_image, take_mask, take_parameters
 from lobewise.kernels.cross_filter import WEIGHT, describe_structure
-from lobewise.kernels.engine import (
-    Compilable,
-    FilterOutput,
-    _borrow,
-    get_kernel,
-    take_arrays,
-    take_image,
-    take_parameters,
-)
+from lobewise.kernels.engine import Compilable, FilterOutput, get_kernel
 from lobewise.kernels.features import Feature
 from lobewise.kernels.history import HISTORY_CHANNELS, MOMENT, make_reprojection
 from lobewise.kernels.joining import PLANES, SUMMARY, make_joining
-from lobewise.kernels.schedules import schedule_joining_cpu, schedule_reprojection_cpu
+from lobewise.kernels.schedules import schedule_joining, schedule_reprojection
 
 Image = NDArray[Any]
 
@@ -49,10 +42,22 @@ def _fill(value: float, shape: tuple[int, ...], axis: int = 0) -> FloatArray:
     return np.lib.stride_tricks.as_strided(row, shape, strides)
 
 
-def _make_planes(count: int, size: tuple[int, int]) -> tuple[list[Any], FloatArray]:
-    """Return buffers of planes to be written, and the image of which they are the channels."""
-    planes = np.empty((count, size[0], max(size[1], _count_lanes())), np.float32)
-    return [hl.Buffer(plane) for plane in planes], np.moveaxis(planes[..., : size[1]], 0, -1)
+class _Planes:
+    """Planes that a kernel writes, and the image of which they are the channels."""
+
+    def __init__(self, count: int, size: tuple[int, int], device: str) -> None:
+        self._shape = size[0], max(size[1], _count_lanes())
+        self._width = size[1]
+        # One memory for all of them: who reads the image finds its channels one after the other.
+        self._memory = np.empty((count, *self._shape), np.float32)
+        self._outputs = [make_output(self._shape, device, plane) for plane in self._memory]
+        self.buffers = [buffer for buffer, _ in self._outputs]
+
+    def get_image(self) -> FloatArray:
+        """Return the image (height, width, count), once the kernel has returned."""
+        for _, plane in self._outputs:
+            np.asarray(plane)
+        return np.moveaxis(self._memory[..., : self._width], 0, -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +112,7 @@ class SampleGrid:
         self.shaded = slice(place[0], None, scale), slice(place[1], None, scale)
         self._scale, self._place = scale, place
         tints = [] if albedo is None else [take_image("albedo", albedo, (*self.shape, 3))]
-        whole: list[Image] = [*tints, np.ascontiguousarray(mask).view(np.uint8), *take_arrays(features, self.shape)]
+        whole: list[Image] = [*tints, take_mask(mask), *take_arrays(features, self.shape)]
         self._tinted = bool(tints)
         self._taps = [np.ascontiguousarray(image[self.shaded]) for image in whole] if scale > 1 else whole
         self.size: tuple[int, int] = (self._taps[0].shape[0], self._taps[0].shape[1])
@@ -118,7 +123,7 @@ class SampleGrid:
     def _get_kernel(self) -> Any:
         def make(target: hl.Target) -> Compilable:
             funcs = make_joining(self._features, self._tinted)
-            schedule_joining_cpu(funcs, target)
+            schedule_joining(funcs, target)
             return funcs
 
         key: Hashable = ("joining", self._tinted, *map(describe_structure, self._features))
@@ -160,7 +165,7 @@ class SampleGrid:
         growth : float
             How the kernel narrows as the history grows, 0 (not) to 1.
         own : float
-            What a shaded pixel's own sample counts there, >= 1; a _borrowed one that matches fully counts 1.
+            What a shaded pixel's own sample counts there, >= 1; a borrowed one that matches fully counts 1.
         shaded_only : bool
             Compute the shaded pixels alone; what comes back has the shape of ``samples``.
 
@@ -202,15 +207,16 @@ class SampleGrid:
         held: list[Image] = [np.ascontiguousarray(samples, dtype=np.float32), *taps, bears, *pixels, power]
         past = _fill(0.0, (HISTORY_CHANNELS, *wide), 1) if history is None else _split_history(pick(history), size)
         scale, place = (1, (0, 0)) if shaded_only else (self._scale, self._place)
-        targets, image = _make_planes(PLANES, size)
+        planes = _Planes(PLANES, size, self._device)
         self._get_kernel()(
-            *(hl.Buffer(_borrow(array)) for array in held),
-            hl.Buffer(_borrow(past)),
+            *(lend(array, self._device) for array in held),
+            lend(past, self._device),
             *self._parameters,
             *(radius, -1 if trust is None else trust_radius, scale, place[1], place[0]),
             *(float(self._scale), growth, own, float(modulate)),
-            *targets,
+            *planes.buffers,
         )
+        image = planes.get_image()
         weight_sum, effective, variance = (np.ascontiguousarray(image[..., SUMMARY + k]) for k in (3, 4, 5))
         sums, mean = image[..., :SUMMARY], image[..., SUMMARY : SUMMARY + 3]
         return JoinedOutput(mean, weight_sum, effective, sums=sums, variance=variance)
@@ -330,25 +336,24 @@ def run_reprojection(
 
     def make(target: hl.Target) -> Compilable:
         funcs = make_reprojection(features[1], None if virtual is None else virtual[1])
-        schedule_reprojection_cpu(funcs, target)
+        schedule_reprojection(funcs, target)
         return funcs
 
     kernel = get_kernel(device, key, make)
     sums = _flatten_history(past, size)
     sides: list[list[Image]] = [
-        [np.ascontiguousarray(mask).view(np.uint8), *take_arrays(each, size)]
-        for mask, each in zip(masks, features, strict=True)
+        [take_mask(mask), *take_arrays(each, size)] for mask, each in zip(masks, features, strict=True)
     ]
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
     arrays = [image.reshape(height * width, *image.shape[2:]) for image in sides[0]]
     before: list[Image] = [sums, *(_widen(take_image("places", way, (*size, 2))) for way in ways), *arrays]
     now = [_widen(image) for image in sides[1]]
-    targets, image = _make_planes(HISTORY_CHANNELS + 1, size)
+    planes = _Planes(HISTORY_CHANNELS + 1, size, device)
     kernel(
-        *(hl.Buffer(_borrow(array)) for array in before),
+        *(lend(array, device) for array in before),
         *take_parameters(features[1]),
-        *(hl.Buffer(_borrow(array)) for array in now),
+        *(lend(array, device) for array in now),
         *(memory, width, height),
-        *targets,
+        *planes.buffers,
     )
-    return image
+    return planes.get_image()

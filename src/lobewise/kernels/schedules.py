@@ -1,4 +1,7 @@
-"""How the passes are computed, per device; the algorithms are in `cross_filter`."""
+"""How the passes are computed, per device; the algorithms are in the modules of the passes.
+
+Here the choice, and the processor's schedules; those of graphics cards are in `schedules_gpu`.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,44 @@ from lobewise.kernels.cross_filter import PassFuncs
 from lobewise.kernels.history import ReprojectionFuncs
 from lobewise.kernels.joining import JoiningFuncs
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, PairedFuncs
+from lobewise.kernels.schedules_gpu import (
+    schedule_gpu,
+    schedule_joining_gpu,
+    schedule_paired_gpu,
+    schedule_reprojection_gpu,
+)
+
+
+def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
+    """Schedule a pass of the cross filter for a target."""
+    if target.has_gpu_feature():
+        schedule_gpu(funcs)
+    else:
+        schedule_cpu(funcs, target)
+
+
+def schedule_paired(funcs: PairedFuncs, target: hl.Target) -> None:
+    """Schedule a pass over two halves of the samples for a target."""
+    if target.has_gpu_feature():
+        schedule_paired_gpu(funcs)
+    else:
+        schedule_paired_cpu(funcs, target)
+
+
+def schedule_joining(funcs: JoiningFuncs, target: hl.Target) -> None:
+    """Schedule the pass that brings samples to every pixel for a target."""
+    if target.has_gpu_feature():
+        schedule_joining_gpu(funcs)
+    else:
+        schedule_joining_cpu(funcs, target)
+
+
+def schedule_reprojection(funcs: ReprojectionFuncs, target: hl.Target) -> None:
+    """Schedule the pass that gathers histories for a target."""
+    if target.has_gpu_feature():
+        schedule_reprojection_gpu(funcs)
+    else:
+        schedule_reprojection_cpu(funcs, target)
 
 
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:

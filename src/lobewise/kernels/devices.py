@@ -1,0 +1,252 @@
+"""Where kernels run: which devices there are, what each is called or why it cannot be used, and its target.
+
+Vulkan and CUDA are asked through their own libraries, because Halide tells neither names nor reasons.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import halide as hl
+
+from lobewise.errors import DeviceError, describe_problem, require_choice
+
+DEVICES = ("cpu", "vulkan", "cuda", "metal")
+SOFTWARE_TYPE = 4
+"""VkPhysicalDeviceType of a device that is the processor itself."""
+_GPU_TYPES = (1, 2)
+_FEATURES = {
+    "vulkan": ("Vulkan", "VulkanV13", "VulkanInt8", "VulkanInt16"),
+    "cuda": ("CUDA",),
+    "metal": ("Metal",),
+}
+_CUDA_CAPABILITIES = (30, 32, 35, 50, 61, 70, 75, 80, 86)
+VULKAN_MULTIPLE = 256
+"""Bytes that sizes of allocations are rounded up to."""
+VULKAN_BLOCK = 256
+"""MiB of memory that allocations are parts of. Halide 21 hands out overlapping memory (issues 8868, 9223 and 9224
+there) unless an allocation is smaller than a block or a multiple of `VULKAN_MULTIPLE`."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """A place where kernels run."""
+
+    name: str
+    available: bool
+    reason: str
+    """What it is, or why it cannot be used."""
+    is_software: bool = False
+    """Whether it is the processor in a graphics card's clothes, good for tests alone."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a driver said of the device that Halide will take."""
+
+    name: str
+    is_software: bool = False
+    capability: int = 0
+
+
+class _NoDeviceError(Exception):
+    """Why there is none."""
+
+
+def list_devices() -> list[Device]:
+    """Return every device that this version has schedules for, usable here or not."""
+    target = hl.get_host_target()
+    lanes = target.natural_vector_size(hl.Float(32))
+    described = f"{target.arch.name.lower()}, {lanes} lanes of float32: {target.to_string()}"
+    found = [Device("cpu", True, described)]
+    for name in DEVICES[1:]:
+        try:
+            seen = _find(name)
+            found.append(Device(name, True, seen.name, seen.is_software))
+        except _NoDeviceError as problem:
+            found.append(Device(name, False, str(problem)))
+    return found
+
+
+def choose_device(name: str) -> str:
+    """Return the device for ``name``; "auto" takes a graphics card where there is one, else the processor.
+
+    Raises
+    ------
+    InputError
+        If there is no device of that name.
+    DeviceError
+        If it cannot run here.
+    """
+    require_choice("device", name, ("auto", *DEVICES))
+    if name == "cpu":
+        return name
+    devices = {device.name: device for device in list_devices()}
+    if name == "auto":
+        cards = (each for each in ("cuda", "metal", "vulkan") if devices[each].available)
+        return next((each for each in cards if not devices[each].is_software), "cpu")
+    if not devices[name].available:
+        raise DeviceError(
+            describe_problem(
+                "device", expected="one that runs here", got=name, action=f"{devices[name].reason}; use --device cpu"
+            )
+        )
+    return name
+
+
+def make_target(device: str) -> hl.Target:
+    """Return the target of a device; every buffer is made and checked before a call, so kernels need not ask again."""
+    target = hl.get_host_target()
+    names = ["NoAsserts", "NoBoundsQuery", *_FEATURES.get(device, ())]
+    if device == "cuda":
+        best = max((known for known in _CUDA_CAPABILITIES if known <= _find(device).capability), default=0)
+        names += [f"CUDACapability{best}"] if best else []
+    if device == "vulkan":
+        _start_vulkan()
+    for name in names:
+        target = target.with_feature(getattr(hl.TargetFeature, name))
+    return target
+
+
+@cache
+def _probe(name: str) -> _Found | str:
+    finders: dict[str, Callable[[], _Found]] = {"vulkan": _find_vulkan, "cuda": _find_cuda, "metal": _find_metal}
+    try:
+        return finders[name]()
+    except _NoDeviceError as problem:
+        return str(problem)
+
+
+def _find(name: str) -> _Found:
+    """Return what there is; asked once in a process."""
+    found = _probe(name)
+    if isinstance(found, str):
+        raise _NoDeviceError(found)
+    return found
+
+
+def _load(names: tuple[str, ...], missing: str) -> ctypes.CDLL:
+    for name in names:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    raise _NoDeviceError(missing)
+
+
+class _InstanceInfo(ctypes.Structure):
+    """VkInstanceCreateInfo (Vulkan 1.3, section 4.2)."""
+
+    _fields_ = (
+        ("type", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("flags", ctypes.c_uint32),
+        ("application", ctypes.c_void_p),
+        ("layer_count", ctypes.c_uint32),
+        ("layers", ctypes.c_void_p),
+        ("extension_count", ctypes.c_uint32),
+        ("extensions", ctypes.c_void_p),
+    )
+
+
+class _DeviceProperties(ctypes.Structure):
+    """The beginning of VkPhysicalDeviceProperties (Vulkan 1.3, section 5.1), with room for its limits."""
+
+    _fields_ = (
+        ("api", ctypes.c_uint32),
+        ("driver", ctypes.c_uint32),
+        ("vendor", ctypes.c_uint32),
+        ("device", ctypes.c_uint32),
+        ("kind", ctypes.c_int32),
+        ("name", ctypes.c_char * 256),
+        ("rest", ctypes.c_byte * 2048),
+    )
+
+
+def _find_vulkan() -> _Found:
+    if sys.platform == "darwin":
+        raise _NoDeviceError("not on macOS, which has Metal")
+    names = ("vulkan-1.dll",) if sys.platform == "win32" else ("libvulkan.so.1", "libvulkan.so")
+    library = _load(names, "no Vulkan loader; install the graphics driver (Debian: libvulkan1)")
+    instance = ctypes.c_void_p()
+    info = _InstanceInfo(type=1)
+    if library.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)) != 0:
+        raise _NoDeviceError("no Vulkan driver; install the graphics driver (Debian: mesa-vulkan-drivers)")
+    try:
+        count = ctypes.c_uint32(16)
+        handles = (ctypes.c_void_p * count.value)()
+        library.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+        cards: list[_DeviceProperties] = []
+        for handle in handles[: count.value]:
+            properties = _DeviceProperties()
+            library.vkGetPhysicalDeviceProperties(ctypes.c_void_p(handle), ctypes.byref(properties))
+            cards.append(properties)
+    finally:
+        library.vkDestroyInstance(instance, None)
+    if not cards:
+        raise _NoDeviceError("no Vulkan device; install the graphics driver (Debian: mesa-vulkan-drivers)")
+    # As Halide chooses: the first graphics card, else the first of all.
+    chosen = next((each for each in cards if each.kind in _GPU_TYPES), cards[0])
+    if chosen.api < (1 << 22 | 3 << 12):
+        raise _NoDeviceError("a Vulkan device older than Vulkan 1.3; install a newer driver")
+    name = chosen.name.decode("utf-8", "replace")
+    return _Found(name, is_software=chosen.kind == SOFTWARE_TYPE)
+
+
+def _find_cuda() -> _Found:
+    names = ("nvcuda.dll",) if sys.platform == "win32" else ("libcuda.so.1", "libcuda.so")
+    library = _load(names, "no CUDA driver; it comes with NVIDIA's graphics driver")
+    count, handle = ctypes.c_int(), ctypes.c_int()
+    if library.cuInit(0) != 0 or library.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        raise _NoDeviceError("no CUDA device")
+    # As Halide chooses: the last one, unless its environment variable names another.
+    asked = os.environ.get("HL_GPU_DEVICE", "")
+    library.cuDeviceGet(ctypes.byref(handle), int(asked) if asked.isdigit() else count.value - 1)
+    text = ctypes.create_string_buffer(256)
+    library.cuDeviceGetName(text, len(text), handle)
+    numbers = [ctypes.c_int(), ctypes.c_int()]
+    for number, attribute in zip(numbers, (75, 76), strict=True):  # compute capability, major and minor
+        library.cuDeviceGetAttribute(ctypes.byref(number), attribute, handle)
+    major, minor = (number.value for number in numbers)
+    name = text.value.decode("utf-8", "replace")
+    return _Found(f"{name}, compute capability {major}.{minor}", capability=10 * major + minor)
+
+
+def _find_metal() -> _Found:
+    if sys.platform != "darwin":
+        raise _NoDeviceError("only on macOS")
+    if not hl.host_supports_target_device(hl.get_host_target().with_feature(hl.TargetFeature.Metal)):
+        raise _NoDeviceError("no Metal device")
+    return _Found("the system's default Metal device")
+
+
+@cache
+def _start_vulkan() -> None:
+    """Let Halide start its Vulkan context, whose allocator is told how to hand out memory that does not overlap.
+
+    It prints what it was told; that is kept from the user.
+    """
+    values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
+    os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with open(os.devnull, "wb") as nothing:
+            os.dup2(nothing.fileno(), 1)
+        buffer = hl.Buffer(hl.Float(32), [1])
+        target = hl.get_host_target()
+        for name in _FEATURES["vulkan"]:
+            target = target.with_feature(getattr(hl.TargetFeature, name))
+        buffer.set_host_dirty()
+        buffer.copy_to_device(target)
+    finally:
+        # What C's library still holds belongs to what was kept away.
+        ctypes.CDLL("msvcrt" if sys.platform == "win32" else None).fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
