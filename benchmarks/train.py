@@ -114,7 +114,7 @@ def collect(frame: Frame, scene: Scene) -> Examples:
     features, candidates = {}, {}
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
-        features[noisy.name] = find_features(found.pairs, MIDDLE, found.extras, found.level)
+        features[noisy.name] = find_features(found.pairs, MIDDLE, found.extras, noisy.level)
         candidates[noisy.name] = [
             finish_layer(frame, noisy, (each.a, each.b), each.weight_sum, each.effective_samples).image
             for each in found.found
@@ -129,7 +129,7 @@ def collect_peer(frame: Frame, scene: Scene, networks: dict[str, Network]) -> Ex
     image, extras = find_rest(frame), []
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
-        light = mix_candidates(found.pairs, MIDDLE, found.extras, found.level, networks[noisy.name])
+        light = mix_candidates(found.pairs, MIDDLE, found.extras, noisy.level, networks[noisy.name])
         middle = found.found[MIDDLE]
         image = image + finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples).image
         extras.append(found.extras)

@@ -222,6 +222,7 @@ class Recorder:
         self.gave: list[list[Paired]] = []
         self.guided: list[tuple[FloatArray, FloatArray]] = []
         self.guides: list[FloatArray] = []
+        self.levels: list[float] = []
         self.rng = np.random.default_rng(11)
         monkeypatch.setattr(high, "run_paired", self.run)
         monkeypatch.setattr(high, "make_noise_guide", self.guide)
@@ -237,9 +238,10 @@ class Recorder:
         self.gave.append([Paired(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
         return self.gave[-1]
 
-    def guide(self, a: FloatArray, b: FloatArray, mask: Any, device: str) -> FloatArray:
+    def guide(self, a: FloatArray, b: FloatArray, level: float, device: str) -> FloatArray:
         self.guided.append((a, b))
-        self.guides.append(self.draw(*mask.shape, 4))
+        self.levels.append(level)
+        self.guides.append(self.draw(*a.shape[:2], 4))
         return self.guides[-1]
 
     def find_guide(self, found: Paired) -> FloatArray:
@@ -340,7 +342,7 @@ class TestCandidates:
         albedo[3, 4] = 0.0
         alphas[:, 5, 6] = 0.0
         frame = make_frame(alpha_u=alphas[0], alpha_v=alphas[1], specular_albedo=albedo)
-        _, extras, _ = candidates = find_of(frame, "specular")
+        _, extras = candidates = find_of(frame, "specular")
         assert extras.dtype == np.float32
         (pilot,), *_ = recorder.gave
         clamped = np.maximum(alphas, SMALLEST_ALPHA)
@@ -384,13 +386,19 @@ class TestCandidates:
         guide[4, 7] = bad
         assert np.isfinite(find_of(make_frame(**{channel: guide}), "specular").extras).all()
 
-    def test_the_level_is_that_of_the_surface(self, recorder):
+    def test_all_guides_know_one_level_that_of_the_surface(self, recorder):
         normal = np.zeros((*SHAPE, 3)) + np.array([0.0, 0.6, 0.8])
         depth = np.array(make_frame().gbuffer.depth)
         normal[:15], depth[:15] = 0.0, 0.0
-        found = find_of(make_frame(normal=normal, depth=depth), "specular")
-        expected = list(chain.from_iterable(recorder.gave[1:]))[MIDDLE].mean[15:].astype(np.float64) @ LUMINANCE
-        assert found.level == pytest.approx(expected.mean(), rel=1e-5)
+        albedo = np.full((*SHAPE, 3), 0.25)
+        frame = make_frame(normal=normal, depth=depth, specular_albedo=albedo)
+        (noisy,) = (each for each in make_noisy_layers(frame, resolve(frame), ()) if each.name == "specular")
+        halves = np.stack([noisy.halves[0][15:], noisy.halves[1][15:]]).astype(np.float64) / 0.25
+        expected = np.nanmean(halves, axis=0) @ LUMINANCE
+        assert noisy.level == pytest.approx(expected.mean(), rel=1e-5)
+        find_of(frame, "specular")
+        assert len(recorder.levels) == 3
+        assert set(recorder.levels) == {noisy.level}
 
 
 @pytest.mark.usefixtures("networks")

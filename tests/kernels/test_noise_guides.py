@@ -14,10 +14,14 @@ from scipy.ndimage import gaussian_filter
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 from lobewise.kernels.engine import count_compiled_kernels
-from lobewise.kernels.noise_guides import make_noise_guide
-from tests.kernels.frames import make_mask, make_radiance
+from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
+from tests.kernels.frames import make_radiance
 
 DARKEST = 0.04
+LEVEL = 1.7
+"""How bright the whole image is taken to be; any number will do."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+ALBEDO_FLOOR = 1e-3
 VARIANCE_FLOOR = 5e-4
 # The kernels' log2 is good to 1e-4, of which a natural logarithm has ln 2.
 LOGARITHM = 7e-5
@@ -36,10 +40,10 @@ def make_halves(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     return halves[0], halves[1]
 
 
-def noise_guide_reference(a: FloatArray, b: FloatArray, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def noise_guide_reference(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     """Return the guide from its definition, float64."""
     both = np.stack([a, b]).astype(np.float64)
-    logs = np.log(both + DARKEST * both[:, mask].mean())
+    logs = np.log(both + DARKEST * LEVEL)
     spread = 0.25 * np.mean((logs[0] - logs[1]) ** 2, axis=-1)
     variance = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
     return np.concatenate([logs.mean(axis=0), variance[..., None] + VARIANCE_FLOOR], axis=-1)
@@ -58,7 +62,7 @@ def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
     a, b = make_halves(shape)
-    assert_is_guide(make_noise_guide(a, b, make_mask(shape)), noise_guide_reference(a, b, make_mask(shape)))
+    assert_is_guide(make_noise_guide(a, b, LEVEL), noise_guide_reference(a, b))
 
 
 def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
@@ -66,8 +70,8 @@ def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
     shape, (row, column) = (12, 15), (0, 5)
     a, b = np.ones((*shape, 3), np.float32), np.ones((*shape, 3), np.float32)
     b[row, column, 1] = 3.0
-    guide = make_noise_guide(a, b, make_mask(shape))
-    offset = DARKEST * np.mean([a, b])
+    guide = make_noise_guide(a, b, LEVEL)
+    offset = DARKEST * LEVEL
     spread = np.zeros(shape)
     spread[row, column] = 0.25 / 3.0 * np.log((3.0 + offset) / (1.0 + offset)) ** 2
     expected = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
@@ -77,15 +81,15 @@ def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
 
 def test_alike_halves_have_the_least_variance() -> None:
     a, _ = make_halves((33, 17))
-    guide = make_noise_guide(a, a, make_mask((33, 17)))
+    guide = make_noise_guide(a, a, LEVEL)
     np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
 
 
 @pytest.mark.parametrize("scale", [1e-4, 7.0, 1e5])
 def test_a_brighter_image_shifts_the_logarithms_alone(scale: float) -> None:
     a, b = make_halves((33, 17))
-    guide = make_noise_guide(a, b, make_mask((33, 17)))
-    brighter = make_noise_guide(np.float32(scale) * a, np.float32(scale) * b, make_mask((33, 17)))
+    guide = make_noise_guide(a, b, LEVEL)
+    brighter = make_noise_guide(np.float32(scale) * a, np.float32(scale) * b, scale * LEVEL)
     np.testing.assert_allclose(brighter[..., :3] - guide[..., :3], np.log(scale), atol=2.4 * LOGARITHM)
     d = np.sqrt(4.0 * guide[..., 3].max())
     np.testing.assert_allclose(brighter[..., 3], guide[..., 3], rtol=1e-5, atol=2.4 * LOGARITHM * d)
@@ -93,70 +97,121 @@ def test_a_brighter_image_shifts_the_logarithms_alone(scale: float) -> None:
 
 def test_halves_may_change_places() -> None:
     a, b = make_halves((33, 17))
-    guide, swapped = make_noise_guide(a, b, make_mask((33, 17))), make_noise_guide(b, a, make_mask((33, 17)))
+    guide, swapped = make_noise_guide(a, b, LEVEL), make_noise_guide(b, a, LEVEL)
     np.testing.assert_array_equal(swapped, guide)
 
 
-def test_what_is_masked_does_not_count_in_the_mean() -> None:
-    shape = (33, 17)
-    a, b = make_halves(shape)
-    mask = np.random.default_rng(1).random(shape) > 0.4
-    # As a pass leaves it: 0. Whatever lies there, the mean is that of the others.
-    expected = noise_guide_reference(a, b, mask)
-    assert_is_guide(make_noise_guide(a, b, mask), expected)
-    for value in (0.0, 1e6):
-        c, d = (np.where(mask[..., None], half, np.float32(value)) for half in (a, b))
-        changed, guide = make_noise_guide(c, d, mask), make_noise_guide(a, b, mask)
-        np.testing.assert_array_equal(changed[mask][:, :3], guide[mask][:, :3])
-
-
-@pytest.mark.parametrize("masked", [False, True])
-def test_a_black_image_has_a_guide(masked: bool) -> None:
-    black, mask = np.zeros((5, 7, 3), np.float32), np.full((5, 7), not masked)
-    guide = make_noise_guide(black, black, mask)
+def test_a_black_image_has_a_guide() -> None:
+    black = np.zeros((5, 7, 3), np.float32)
+    guide = make_noise_guide(black, black, 0.0)
     assert np.isfinite(guide).all()
     np.testing.assert_allclose(guide[..., :3], np.log(1e-30), rtol=1e-5)
     np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
 
 
+def make_samples(shape: tuple[int, int]) -> tuple[tuple[FloatArray, FloatArray], FloatArray, NDArray[np.bool_]]:
+    """Return halves with bad pixels, an albedo that is black and bad at some, and a mask."""
+    rng = np.random.default_rng(8)
+    a, b = make_halves(shape)
+    albedo = rng.uniform(0.0, 1.0, (*shape, 3)).astype(np.float32)
+    for image in (a, b, albedo):
+        image[rng.random(shape) < 0.1] = np.nan
+        image[rng.random(shape) < 0.05, 1] = -1.0
+        image[rng.random(shape) < 0.05, 2] = np.inf
+    albedo[rng.random(shape) < 0.1] = 0.5 * ALBEDO_FLOOR
+    return (a, b), albedo, rng.random(shape) > 0.3
+
+
+def light_reference(
+    halves: tuple[FloatArray, FloatArray], albedo: FloatArray | None, mask: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return the light of every pixel from its definition, float64, 0 where nothing has meaning."""
+    tint = np.ones((*mask.shape, 3)) if albedo is None else albedo.astype(np.float64)
+    told = (np.isfinite(tint) & (tint >= 0.0)).all(axis=-1) & (tint > ALBEDO_FLOOR).any(axis=-1)
+    light = np.zeros((2, *mask.shape))
+    good = np.zeros((2, *mask.shape), bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for k, half in enumerate(halves):
+            good[k] = (np.isfinite(half) & (half >= 0.0)).all(axis=-1) & told & mask
+            light[k] = np.where(good[k], (half / np.maximum(tint, ALBEDO_FLOOR)) @ LUMINANCE, 0.0)
+    return np.asarray(light.sum(axis=0) / np.maximum(good.sum(axis=0), 1))
+
+
+@pytest.mark.parametrize("tinted", [False, True], ids=["plain", "albedo"])
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_light_is_measured_as_defined(shape: tuple[int, int], tinted: bool) -> None:
+    halves, albedo, mask = make_samples(shape)
+    tint = albedo if tinted else None
+    rows = measure_light(halves, tint, mask)
+    expected = light_reference(halves, tint, mask)
+    np.testing.assert_allclose(rows[:, 0], expected.sum(axis=1), rtol=1e-5, atol=1e-30)
+    np.testing.assert_array_equal(rows[:, 1], mask.sum(axis=1))
+    if mask.any():
+        assert find_level(rows) == pytest.approx(expected[mask].mean(), rel=1e-5, abs=1e-30)
+
+
+def test_the_level_of_an_image_is_that_of_its_bands() -> None:
+    halves, albedo, mask = make_samples((70, 65))
+    whole = measure_light(halves, albedo, mask)
+    for height in (1, 2, 7, 32, 69):
+        cuts = [slice(top, top + height) for top in range(0, 70, height)]
+        bands = [measure_light((halves[0][cut], halves[1][cut]), albedo[cut], mask[cut]) for cut in cuts]
+        np.testing.assert_array_equal(np.concatenate(bands), whole)
+
+
+def test_nothing_is_as_bright_as_nothing() -> None:
+    halves, albedo, mask = make_samples((9, 9))
+    assert find_level(measure_light(halves, albedo, np.zeros_like(mask))) == 0.0
+    assert find_level(measure_light(halves, np.zeros_like(albedo), mask)) == 0.0
+    huge = np.full((9, 9, 3), 3e38, np.float32)
+    assert find_level(measure_light((huge, huge), np.full_like(huge, 0.01), mask)) == 0.0
+
+
 def test_any_layout_of_the_arrays_will_do() -> None:
     a, b = make_halves((33, 17))
-    mask = np.random.default_rng(1).random((33, 17)) > 0.2
-    expected = make_noise_guide(a, b, mask)
+    expected = make_noise_guide(a, b, LEVEL)
     frozen = a.copy()
     frozen.flags.writeable = False
-    np.testing.assert_array_equal(make_noise_guide(frozen, np.asfortranarray(b), mask[::-1][::-1]), expected)
+    np.testing.assert_array_equal(make_noise_guide(frozen, np.asfortranarray(b), LEVEL), expected)
     # What lies before and behind an image is none of the kernel's business.
     flat = np.full(a.size + 512, np.nan, np.float32)
     flat[256:-256] = a.ravel()
-    np.testing.assert_array_equal(make_noise_guide(flat[256:-256].reshape(a.shape), b, mask), expected)
+    np.testing.assert_array_equal(make_noise_guide(flat[256:-256].reshape(a.shape), b, LEVEL), expected)
 
 
 def test_every_size_has_one_kernel() -> None:
-    make_noise_guide(*make_halves((3, 4)), make_mask((3, 4)))
+    make_noise_guide(*make_halves((3, 4)), LEVEL)
+    measure_light(*make_samples((3, 4)))
     before = count_compiled_kernels()
-    make_noise_guide(*make_halves((40, 3)), make_mask((40, 3)))
+    make_noise_guide(*make_halves((40, 3)), LEVEL)
+    measure_light(*make_samples((40, 3)))
     assert count_compiled_kernels() == before
 
 
 def test_images_of_another_size_are_refused() -> None:
     a, b = make_halves((8, 9))
     with pytest.raises(InputError, match="shape"):
-        make_noise_guide(a, b[:, :8], make_mask((8, 9)))
+        make_noise_guide(a, b[:, :8], LEVEL)
     with pytest.raises(InputError, match="shape"):
-        make_noise_guide(a[..., :2], b, make_mask((8, 9)))
+        make_noise_guide(a[..., :2], b, LEVEL)
+    with pytest.raises(InputError, match="shape"):
+        measure_light((a, b[:7]), None, np.ones((8, 9), bool))
+    with pytest.raises(InputError, match="shape"):
+        measure_light((a, b), a[..., 0], np.ones((8, 9), bool))
 
 
 PROGRAM = """
 import sys
 from tests.kernels.test_noise_guides import *
-sys.stdout.buffer.write(make_noise_guide(*make_halves((131, 67)), make_mask((131, 67))).tobytes())
+light = measure_light(*make_samples((131, 67)))
+sys.stdout.buffer.write(make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() + light.tobytes())
 """
 
 
 def test_threads_and_another_run_change_nothing() -> None:
-    expected = make_noise_guide(*make_halves((131, 67)), make_mask((131, 67))).tobytes()
-    assert make_noise_guide(*make_halves((131, 67)), make_mask((131, 67))).tobytes() == expected
+    expected = make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes()
+    assert make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() == expected
+    expected += measure_light(*make_samples((131, 67))).tobytes()
     alone = {**os.environ, "HL_NUM_THREADS": "1"}
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
     assert done.stdout == expected

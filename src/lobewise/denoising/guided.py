@@ -21,7 +21,7 @@ from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import BoundedHalves, bound_fireflies
-from lobewise.kernels.noise_guides import make_noise_guide
+from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.kernels.resolving import resolve_light
 from lobewise.kernels.seen_features import SeenFeature
@@ -109,16 +109,13 @@ def resolve_guided(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
 
 
 @dataclass(frozen=True)
-class NoisyLayer:
-    """One radiance in two halves, fireflies bounded, with what it is compared by and how far it is averaged."""
+class BoundedLayer:
+    """One radiance in two halves, fireflies bounded."""
 
     layer: Layer
-    pilot_features: tuple[Feature, ...]
-    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
     name: str
-    seen: tuple[Feature, ...]
-    bounded: BoundedHalves
     plan: Plan
+    bounded: BoundedHalves
     is_whole: bool
     """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
 
@@ -126,6 +123,17 @@ class NoisyLayer:
     def halves(self) -> tuple[FloatArray, FloatArray]:
         """Both halves, (height, width, 3) each."""
         return self.bounded.a, self.bounded.b
+
+
+@dataclass(frozen=True)
+class NoisyLayer(BoundedLayer):
+    """The same with what it is compared by."""
+
+    pilot_features: tuple[Feature, ...]
+    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
+    seen: tuple[Feature, ...]
+    level: float
+    """Mean light of the whole image's samples, radiance over albedo, which says what is dark."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +153,8 @@ class CleanLayer:
     effective_samples: FloatArray
 
 
-def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature]) -> list[NoisyLayer]:
-    """Return the layers of a frame with both their halves; ``extra`` features count like the lobes."""
+def make_bounded_layers(frame: Frame, settings: DenoiseSettings) -> list[BoundedLayer]:
+    """Return the layers of a frame with both their halves."""
     halves = find_halves(frame)
     layers = make_lobe_layers(frame, settings)
     named = [("diffuse", DIFFUSE), ("specular", SPECULAR)] if len(layers) == 2 else [("color", SPECULAR)]
@@ -154,13 +162,41 @@ def make_noisy_layers(frame: Frame, settings: DenoiseSettings, extra: Sequence[F
     for layer, (name, plan) in zip(layers, named, strict=True):
         before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
         bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
-        compared = replace(layer, features=(*layer.features, *extra))
-        pilot: Sequence[Feature] = layer.features
-        if name != "diffuse" and settings.similarity in ("ggx", "asg"):
+        found.append(BoundedLayer(layer, name, plan, bounded, halves.origin == "file"))
+    return found
+
+
+def measure_layer(layer: BoundedLayer, settings: DenoiseSettings) -> NDArray[np.float64]:
+    """Return what the rows of a layer add to its level; see `measure_light`."""
+    return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
+
+
+def make_noisy_layers(
+    frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
+) -> list[NoisyLayer]:
+    """Return the layers of a frame with what they are compared by; ``extra`` features count like the lobes.
+
+    ``levels`` are those of the layers of the whole image, where the frame is a part of it.
+    """
+    found = []
+    bounded = make_bounded_layers(frame, settings)
+    for number, each in enumerate(bounded):
+        pilot: Sequence[Feature] = each.layer.features
+        if each.name != "diffuse" and settings.similarity in ("ggx", "asg"):
             simple = replace(settings, similarity="sg")
-            pilot, _ = make_specular_features(frame, simple, layer.mask, len(layers) == 2)
-        seen = find_seen(frame, layer.mask, settings) if name == "specular" else ()
-        found.append(NoisyLayer(compared, (*pilot, *extra), name, seen, bounded, plan, halves.origin == "file"))
+            pilot, _ = make_specular_features(frame, simple, each.layer.mask, len(bounded) == 2)
+        found.append(
+            NoisyLayer(
+                replace(each.layer, features=(*each.layer.features, *extra)),
+                each.name,
+                each.plan,
+                each.bounded,
+                each.is_whole,
+                (*pilot, *extra),
+                find_seen(frame, each.layer.mask, settings) if each.name == "specular" else (),
+                levels[number] if levels is not None else find_level(measure_layer(each, settings)),
+            )
+        )
     return found
 
 
@@ -192,13 +228,12 @@ def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) ->
 
 def make_pass_guide(noisy: NoisyLayer, before: Paired | None, device: str) -> FloatArray | None:
     """Return the guide of a pass: what the one ``before`` gave, or else the samples; None where they tell no noise."""
-    mask = noisy.layer.mask
     if before is None:
         if not noisy.is_whole:
             return None
-        itself = [Exponents(0.0, 0.0)]
-        (before,) = run_paired(noisy.halves, mask, (), (), itself, radius=0, albedo=noisy.layer.albedo, device=device)
-    return make_noise_guide(before.a, before.b, mask, device)
+        layer, itself = noisy.layer, [Exponents(0.0, 0.0)]
+        (before,) = run_paired(noisy.halves, layer.mask, (), (), itself, radius=0, albedo=layer.albedo, device=device)
+    return make_noise_guide(before.a, before.b, noisy.level, device)
 
 
 def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None, settings: DenoiseSettings) -> Paired:

@@ -68,13 +68,10 @@ class Candidates(NamedTuple):
         Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
         and of the wide candidate's guide, the albedo's luminance, the geometric mean of the alphas and their ratio (0
         both in a diffuse layer).
-    level : float
-        Mean luminance of the middle candidate where the layer has meaning.
     """
 
     found: list[Paired]
     extras: FloatArray
-    level: float
 
     @property
     def pairs(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -90,7 +87,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     radius = settings.radius
 
     def guide(found: Paired) -> FloatArray:
-        return make_noise_guide(found.a, found.b, layer.mask, device)
+        return make_noise_guide(found.a, found.b, noisy.level, device)
 
     (pilot,) = run_paired(
         noisy.halves,
@@ -142,10 +139,8 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         found += sparse
         source = sparse[0]
     middle = found[MIDDLE]
-    luminance = np.asarray(middle.mean @ np.array(LUMINANCE, dtype=np.float32))
-    level = float(np.sum(luminance, where=layer.mask, dtype=np.float64)) / max(int(np.count_nonzero(layer.mask)), 1)
     extras = [found[NARROW].effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
-    return Candidates(found, _take_logarithms(frame, noisy, extras, kind), level)
+    return Candidates(found, _take_logarithms(frame, noisy, extras, kind))
 
 
 def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], kind: str) -> FloatArray:
@@ -154,7 +149,10 @@ def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], 
     roughness: FloatArray = one
     ratio: FloatArray = one
     with np.errstate(invalid="ignore"):
-        tint: FloatArray = one if albedo is None else albedo @ np.array(LUMINANCE, dtype=np.float32)
+        tint: FloatArray = one
+        if albedo is not None:
+            # No matrix product: its library may add up in another order where rows are few.
+            tint = np.sum([np.float32(share) * albedo[..., k] for k, share in enumerate(LUMINANCE)], axis=0)
         if kind == "specular" and guides.alpha_u is not None:
             alpha_u = np.maximum(guides.alpha_u, SMALLEST_ALPHA)
             alpha_v = alpha_u if guides.alpha_v is None else np.maximum(guides.alpha_v, SMALLEST_ALPHA)
@@ -193,7 +191,7 @@ def mix_layer(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> tup
     candidates = find_candidates(frame, noisy, settings)
     kind = "diffuse" if noisy.name == "diffuse" else "specular"
     light = mix_candidates(
-        candidates.pairs, MIDDLE, candidates.extras, candidates.level, load_networks()[kind], settings.device
+        candidates.pairs, MIDDLE, candidates.extras, noisy.level, load_networks()[kind], settings.device
     )
     middle = candidates.found[MIDDLE]
     clean = finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples)

@@ -20,6 +20,7 @@ from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.kernels.fireflies import find_energy_lost
 from lobewise.peers import require_oidn
 
 
@@ -167,8 +168,7 @@ def filter_guided(frame: Frame, settings: DenoiseSettings, features: Sequence[Fe
         else:
             found = filter_balanced(frame, each, settings)
         clean.append(found)
-    light = sum(each.bounded.light for each in noisy)
-    lost = sum(each.bounded.energy_lost * each.bounded.light for each in noisy) / light if light > 0.0 else 0.0
+    lost = find_energy_lost([each.bounded.tally for each in noisy])
     return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost, extras)
 
 

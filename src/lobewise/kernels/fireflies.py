@@ -45,16 +45,18 @@ class BoundedHalves(NamedTuple):
     ----------
     a, b : (height, width, 3)
         The two halves, nowhere brighter than they were.
-    energy_lost : float
-        Share of the luminance that was taken, of all good pixels of both, in [0, 1].
-    light : float
-        That luminance, summed, before.
+    tally : (height, 2)
+        By row, of all good pixels of both: their luminance before, and what was taken of it.
     """
 
     a: FloatArray
     b: FloatArray
-    energy_lost: float
-    light: float
+    tally: NDArray[np.float64]
+
+    @property
+    def energy_lost(self) -> float:
+        """Share of the luminance that was taken, in [0, 1]."""
+        return find_energy_lost([self.tally])
 
 
 @dataclass
@@ -116,9 +118,13 @@ def bound_fireflies(
     a, b = (np.empty((height, width, 3), np.float32) for _ in range(2))
     seen, taken = (np.empty((height, lanes), np.float32) for _ in range(2))
     kernel(*(hl.Buffer(_borrow(array)) for array in held), *(hl.Buffer(array) for array in (a, b, seen, taken)))
-    before = float(seen.sum(dtype=np.float64))
-    lost = min(float(taken.sum(dtype=np.float64)) / before, 1.0) if before > 0.0 else 0.0
-    return BoundedHalves(a, b, lost, before)
+    return BoundedHalves(a, b, np.stack([rows.sum(axis=1, dtype=np.float64) for rows in (seen, taken)], axis=1))
+
+
+def find_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:
+    """Return which share of the light of some layers was taken, in [0, 1], from the tally of each."""
+    before, taken = (sum(float(tally[:, k].sum()) for tally in tallies) for k in range(2))
+    return min(taken / before, 1.0) if before > 0.0 else 0.0
 
 
 Crowd = Sequence[hl.Expr]

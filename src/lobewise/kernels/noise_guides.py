@@ -13,9 +13,10 @@ from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
 from lobewise.kernels.buffers import borrow as _borrow
 from lobewise.kernels.buffers import take_image
-from lobewise.kernels.cross_filter import begin_at_zero
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulate, find_luminance
 from lobewise.kernels.engine import get_kernel
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS
+from lobewise.kernels.pointwise import LARGEST_FLOAT
 
 BLUR_RADIUS = 3
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
@@ -24,7 +25,7 @@ BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 VARIANCE_FLOOR = 5e-4
 """Least variance of the mean: relative differences below some 4 % are never told apart."""
 DARKEST = 0.04
-"""What is added under the logarithm, as a share of the mean luminance."""
+"""What is added under the logarithm, as a share of the whole image's mean light."""
 
 
 class _Funcs:
@@ -72,57 +73,98 @@ class _Funcs:
 
 
 class _Sums:
-    """The scheduled functions of the sum of two images over a mask, row by row in so many parts as a vector has."""
+    """The scheduled functions of `measure_light`, row by row in so many parts as a vector has."""
 
-    def __init__(self, target: hl.Target) -> None:
+    def __init__(self, target: hl.Target, tinted: bool) -> None:
         lane, y = hl.Var("lane"), hl.Var("y")
         lanes = target.natural_vector_size(hl.Float(32))
         halves = [hl.ImageParam(hl.Float(32), 3, f"half{number}") for number in range(2)]
+        albedo = hl.ImageParam(hl.Float(32), 3, "albedo")
         mask = hl.ImageParam(hl.UInt(8), 2, "mask")
-        for half in halves:
-            half.dim(1).set_stride(COLORS)
-        for image in (*halves, mask):
+        for image in (*halves, albedo):
+            image.dim(1).set_stride(COLORS)
+        for image in (*halves, albedo, mask):
             begin_at_zero(image)
         width = mask.width()
         steps = hl.RDom([(0, (width + lanes - 1) // lanes)], "steps")
         x = steps.x * lanes + lane
-        at = hl.min(x, width - 1)
-        light = sum((half[k, at, y] for half in halves for k in range(COLORS)), hl.f32(0.0))
+        at = hl.min(x, width - 1), y
+        total, count = hl.f32(0.0), hl.f32(0.0)
+        for half in halves:
+            radiance, good = demodulate(half, albedo if tinted else None, at, hl.f32(ALBEDO_FLOOR))
+            light = find_luminance(radiance)
+            # Three large channels may add up to infinity.
+            good = good & (light < hl.f32(LARGEST_FLOAT))
+            total = total + hl.select(good, light, hl.f32(0.0))
+            count = count + hl.select(good, hl.f32(1.0), hl.f32(0.0))
+        mean = total / hl.max(count, hl.f32(1.0))
         out = hl.Func("out")
         out[lane, y] = hl.f32(0.0)
-        out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at, y] != 0), light, hl.f32(0.0))
+        out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
         out.bound(lane, 0, lanes).vectorize(lane).parallel(y)
         out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
         self.out = out
-        self.arguments: list[Any] = [*halves, mask]
+        self.arguments: list[Any] = [*halves, *([albedo] if tinted else []), mask]
 
 
-def make_noise_guide(a: FloatArray, b: FloatArray, mask: NDArray[np.bool_], device: str = "cpu") -> FloatArray:
+def measure_light(
+    halves: tuple[FloatArray, FloatArray], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
+) -> NDArray[np.float64]:
+    """Return for every row the luminance of radiance over albedo, summed in ``mask``, and its pixels: (height, 2).
+
+    A pixel counts by the mean of its halves, or by the one that it has; where the albedo tells nothing it is dark.
+    Rows add up to the same bits however an image was cut into bands of them.
+
+    Parameters
+    ----------
+    halves : pair of array, shape (height, width, 3)
+        Radiance. NaN, infinite and negative pixels of a half do not count.
+    albedo : array, shape (height, width, 3) or None
+        What it is divided by.
+    mask : bool array, shape (height, width)
+        Where it has meaning.
+    device : str
+        A name from `list_devices`.
+    """
+    height, width = mask.shape
+    # Every array is held in a local name until the call has returned: Halide keeps no reference.
+    held: list[NDArray[Any]] = [take_image("half", half, (height, width, COLORS)) for half in halves]
+    held += [] if albedo is None else [take_image("albedo", albedo, (height, width, COLORS))]
+    held.append(np.ascontiguousarray(mask).view(np.uint8))
+    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
+    # Rows in a fixed number of parts, so that the order in which they are added never changes.
+    sums = np.empty((height, lanes), dtype=np.float32)
+    kernel = get_kernel(device, (measure_light, albedo is not None), lambda target: _Sums(target, albedo is not None))
+    kernel(*(hl.Buffer(_borrow(image)) for image in held), hl.Buffer(sums))
+    return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+
+
+def find_level(rows: NDArray[np.float64]) -> float:
+    """Return the mean light of the rows that `measure_light` gave; 0 where nothing has meaning."""
+    light, count = rows.sum(axis=0)
+    return float(light / max(count, 1.0))
+
+
+def make_noise_guide(a: FloatArray, b: FloatArray, level: float, device: str = "cpu") -> FloatArray:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
-    ``d`` is `DARKEST` of the mean radiance in ``mask``, so that the guide of a brighter image is the same but for a
-    constant. The variance is a quarter of the squared difference of both, averaged over the colours and over `BLUR`.
+    ``d`` is `DARKEST` of ``level``, so that the guide of a brighter image is the same but for a constant. The variance
+    is a quarter of the squared difference of both, averaged over the colours and over `BLUR`.
 
     Parameters
     ----------
     a, b : array, shape (height, width, 3)
         Two filtered halves, finite, >= 0.
-    mask : bool array, shape (height, width)
-        Where they have meaning.
+    level : float
+        How bright the whole image is, >= 0: the mean light of its samples (`find_level`), which no filter need have run
+        for, and which is the same for every part of an image.
     device : str
         A name from `list_devices`.
     """
-    height, width = mask.shape
+    height, width = a.shape[0], a.shape[1]
     images = [take_image("half", image, (height, width, COLORS)) for image in (a, b)]
-    covered = np.ascontiguousarray(mask).view(np.uint8)
-    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
-    # Rows in a fixed number of parts, so that the order in which they are added never changes.
-    sums = np.empty((height, lanes), dtype=np.float32)
-    held: list[NDArray[Any]] = [*images, covered]
-    get_kernel(device, "noise guide sums", _Sums)(*(hl.Buffer(_borrow(image)) for image in held), hl.Buffer(sums))
-    mean = float(sums.sum(dtype=np.float64)) / (2.0 * COLORS * max(int(np.count_nonzero(mask)), 1))
     kernel = get_kernel(device, "noise guide", _Funcs)
     target = np.empty((height, width, GUIDE_CHANNELS), dtype=np.float32)
     buffers = [hl.Buffer(_borrow(image)) for image in images]
-    kernel(*buffers, max(DARKEST * mean, 1e-30), hl.Buffer(target))
+    kernel(*buffers, max(DARKEST * level, 1e-30), hl.Buffer(target))
     return target
