@@ -13,15 +13,8 @@ from typing import Any
 
 import lobewise
 from common import describe_machine, write_json
-from filters import bench_kernels, make_frame
-
-SIZE = 1024
-RADII = (8, 16)
-PAPER_MILLISECONDS = {
-    8: {"normal": 2.43, "sg": 3.29, "sg_mixture, 3 lobes": 15.2, "asg": 17.7},
-    16: {"normal": 4.56, "sg": 6.03, "sg_mixture, 3 lobes": 27.6, "asg": 30.8},
-}
-"""Tokuyoshi 2015, slide "Denoising Performance": AMD Radeon HD 6990."""
+from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE, time_kernels
+from lobewise.bench.plane import make_frame
 
 
 def main() -> None:
@@ -30,11 +23,11 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path(__file__).parent / "results" / "paper_table.json")
     parser.add_argument("--seconds", type=float, default=6.0, help="least time per group")
     arguments = parser.parse_args()
-    frame = make_frame(SIZE, SIZE)
+    frame = make_frame(PAPER_SIZE, PAPER_SIZE)
     rows: list[dict[str, Any]] = []
     for form in ("separable", "full"):
-        for radius in RADII:
-            result = bench_kernels(frame, radius, form, arguments.seconds)
+        for radius in PAPER_RADII:
+            result = time_kernels(frame, radius, form, arguments.seconds)
             paper = PAPER_MILLISECONDS[radius]
             for name, cell in result.items():
                 if name in paper:

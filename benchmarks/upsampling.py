@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 import lobewise
 from common import describe_machine, fetch_frame, write_json
-from filters import time_best
 from lobewise import TemporalFilter
 from lobewise.adaptive import find_unsupported, recompute
+from lobewise.bench.timing import time_best
 from lobewise.denoising import denoise
 from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image

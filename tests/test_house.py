@@ -27,6 +27,7 @@ ROOMS = [
     "sequence",
     "render",
     "display",
+    "plotting",
     "fit_plot",
     "report",
     "demo",
@@ -44,7 +45,7 @@ OWNERS = {
     "rich": "cli",
     "flip_evaluator": "metrics",
     "scipy": "lobes",
-    "matplotlib": "fit_plot",
+    "matplotlib": "plotting",
     "viser": "viewer",
     "PIL": "viewer",
 }

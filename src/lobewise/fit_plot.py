@@ -1,44 +1,22 @@
-"""A picture of how near fitted lobes are to the data: cuts in the plane of incidence. The only user of Matplotlib."""
+"""A picture of how near fitted lobes are to the data: cuts in the plane of incidence."""
 
 from __future__ import annotations
 
-import io
 import math
 from typing import Any
 
 import numpy as np
 
-from lobewise.errors import MissingDependencyError, describe_problem
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.fit import Evaluate
 from lobewise.lobes.table import TableLobes, evaluate_lobes, evaluate_table
 from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.plotting import encode_figure, make_figure, require_matplotlib
 
 VIEWS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)
 """n.v of the cuts; each is drawn at the nearest view of the table."""
 DECADES = 5.0
 """Height of the logarithmic axis."""
-
-
-def require_matplotlib() -> None:
-    """Find out whether a plot can be drawn.
-
-    Raises
-    ------
-    MissingDependencyError
-        If Matplotlib is not installed.
-    """
-    try:
-        import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is there
-    except ImportError as problem:
-        raise MissingDependencyError(
-            describe_problem(
-                "the plot of a fit",
-                expected="the package matplotlib",
-                got=str(problem),
-                action="install it with `pip install 'lobewise[fit]'` or leave the plot out",
-            )
-        ) from problem
 
 
 def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
@@ -56,13 +34,9 @@ def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
     MissingDependencyError
         If Matplotlib is not installed.
     """
-    require_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    require_matplotlib("the plot of a fit")
     rows = sorted({int(np.argmin(np.abs(table.cosine - cosine))) for cosine in VIEWS}, reverse=True)
-    figure = Figure(figsize=(11.0, 3.4 * math.ceil(len(rows) / 3) + 0.5), dpi=110, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    figure = make_figure(11.0, 3.4 * math.ceil(len(rows) / 3) + 0.5)
     panels = figure.subplots(math.ceil(len(rows) / 3), min(3, len(rows)), squeeze=False).ravel()
     for panel in panels[len(rows) :]:
         panel.set_axis_off()
@@ -74,9 +48,7 @@ def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
     lobes = f"{table.lobe_count} {table.kind.upper()} lobe{'s' if table.lobe_count > 1 else ''}"
     # A dollar sign in a name would start a formula.
     figure.suptitle(f"{table.name.replace('$', '') or 'material'}: {lobes} against the data, in the plane of incidence")
-    out = io.BytesIO()
-    canvas.print_png(out)  # type: ignore[no-untyped-call]
-    return out.getvalue()
+    return encode_figure(figure)
 
 
 def _draw_cut(panel: Any, table: LobeTable, row: int, evaluate: Evaluate) -> None:

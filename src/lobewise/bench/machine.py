@@ -13,16 +13,25 @@ import lobewise
 
 def describe_machine() -> dict[str, Any]:
     """Return processor, cores, threads used by Halide, Python, version, and in a checkout the commit."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     found = {
         "processor": _find_processor(),
-        "cores": cores,
-        "threads": int(os.environ.get("HL_NUM_THREADS", cores or 1)),
+        "cores": count_cores(),
+        "threads": count_threads(),
         "python": platform.python_version(),
         "version": lobewise.__version__,
     }
     commit = _find_commit()
     return {**found, "commit": commit} if commit else found
+
+
+def count_cores() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def count_threads() -> int:
+    """Return how many threads kernels use: one for each core, unless HL_NUM_THREADS says otherwise."""
+    return int(os.environ.get("HL_NUM_THREADS", count_cores()))
 
 
 def _find_processor() -> str:

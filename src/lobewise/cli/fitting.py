@@ -79,8 +79,8 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
     MissingDependencyError
         If a plot is wanted and Matplotlib is not installed.
     """
-    from lobewise.fit_plot import require_matplotlib
     from lobewise.io.files import require_writable
+    from lobewise.plotting import require_matplotlib
 
     target = require_writable(output)
     if not wanted:
@@ -98,7 +98,7 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
                 "--plot", expected="another file than the output", got=f"{str(picture)!r}", action="rename one of them"
             )
         )
-    require_matplotlib()
+    require_matplotlib("the plot of a fit")
     return picture
 
 

@@ -1,0 +1,138 @@
+"""`lobewise bench`: how long everything takes on this machine, as a flat list of times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from multiprocessing import get_context
+from typing import Any
+
+from lobewise.bench.machine import describe_machine
+from lobewise.bench.plan import (
+    FULL,
+    RADIUS,
+    WHAT,
+    Extent,
+    Size,
+    describe_size,
+    limit_threads,
+    list_jobs,
+    list_threads,
+    make_core_calls,
+)
+from lobewise.bench.timing import time_best
+from lobewise.errors import LobewiseError
+from lobewise.kernels.devices import choose_device, list_devices
+from lobewise.peers import has_oidn
+
+TURNS = 2
+"""How often every number of threads has its turn."""
+
+Progress = Callable[[int, int], None]
+
+
+def measure_filters(
+    devices: Sequence[str] | None = None,
+    *,
+    extent: Extent = FULL,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return the times of filters, upsampler and recipes on this machine, and of Open Image Denoise beside them.
+
+    Parameters
+    ----------
+    devices : sequence of str, optional
+        Names from `lobewise.kernels.devices.list_devices`; by default all that run here and are no software.
+    extent : Extent
+        How much is measured.
+    progress : callable, optional
+        Called with (done, total), in tenths of a second of the time that everything takes on two cores.
+
+    Returns
+    -------
+    dict
+        ``machine``, ``devices`` (what each is), ``what`` (what a time of each part is), ``skipped`` (sentences),
+        ``seconds`` (of it all) and ``rows``. A row has ``part``, ``device``, ``name``, ``milliseconds`` (the best), and
+        what its part varies or needs: ``width``, ``height``, ``form``, ``radius``, ``lobes``, ``scale``, ``threads``.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If a device is unknown or cannot run here.
+    """
+    start = time.perf_counter()
+    found = {device.name: device for device in list_devices()}
+    if devices:
+        names = [choose_device(name) for name in dict.fromkeys(devices)]
+    else:
+        names = [name for name, device in found.items() if device.available and not device.is_software]
+    jobs = [job for name in names for job in list_jobs(extent, name)]
+    threads = list_threads() if "cpu" in names else []
+    each = 4.0 + extent.seconds
+    total = sum(job.effort for job in jobs) + each * len(threads)
+    done = 0.0
+
+    def advance(effort: float) -> None:
+        nonlocal done
+        done += effort
+        if progress is not None:
+            progress(round(10.0 * done), round(10.0 * total))
+
+    advance(0.0)
+    rows: list[dict[str, Any]] = []
+    skipped = [] if has_oidn() else ["Open Image Denoise is not installed: pip install 'lobewise[compare]'."]
+    if threads:
+        rows += _time_threads(threads, extent)
+        advance(each * len(threads))
+    for job in jobs:
+        try:
+            best = time_best(job.make(), extent.seconds, rounds=job.rounds)
+            rows += [_make_row(job.part, name, value, job.facts) for name, value in best.items()]
+        except LobewiseError as problem:
+            # A device that cannot do one thing can do others.
+            skipped.append(f"{job.part} on {job.facts['device']}: {problem}")
+        advance(job.effort)
+    order = list(WHAT)
+    return {
+        "machine": describe_machine(),
+        "devices": {name: found[name].reason for name in names},
+        "what": WHAT,
+        "skipped": skipped,
+        "seconds": round(time.perf_counter() - start, 1),
+        "rows": sorted(rows, key=lambda row: order.index(row["part"])),
+    }
+
+
+def _time_threads(counts: Sequence[int], extent: Extent) -> list[dict[str, Any]]:
+    """Return the times with each number of threads, which a process cannot change: each has one of its own."""
+    seconds = extent.seconds / TURNS
+    best: dict[int, dict[str, float]] = {}
+    with ExitStack() as stack:
+        context = get_context("spawn")
+        pools = {
+            count: stack.enter_context(
+                ProcessPoolExecutor(1, mp_context=context, initializer=limit_threads, initargs=(count,))
+            )
+            for count in counts
+        }
+        for _ in range(TURNS):
+            for count, pool in pools.items():
+                times = pool.submit(_time_core, extent.size, seconds, extent.rounds).result()
+                known = best.get(count, times)
+                best[count] = {name: min(value, known[name]) for name, value in times.items()}
+    facts = {"device": "cpu", **describe_size(extent.size), "form": "separable", "radius": RADIUS}
+    return [
+        _make_row("threads", name, value, {**facts, "threads": count})
+        for count, times in best.items()
+        for name, value in times.items()
+    ]
+
+
+def _time_core(size: Size, seconds: float, rounds: int) -> dict[str, float]:
+    return time_best(make_core_calls(size), seconds, rounds=rounds)
+
+
+def _make_row(part: str, name: str, seconds: float, facts: dict[str, Any]) -> dict[str, Any]:
+    return {"part": part, "name": name, **facts, "milliseconds": round(1e3 * seconds, 3)}

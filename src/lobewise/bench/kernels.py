@@ -1,0 +1,76 @@
+"""Times of the filter kernels beside each other, beside the paper's, and beside Open Image Denoise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lobewise.bench.plane import SIMILARITIES, make_features
+from lobewise.bench.timing import time_best
+from lobewise.frame import Frame
+from lobewise.kernels.engine import ATROUS_LEVELS, run_filter
+from lobewise.kernels.features import Feature
+
+Calls = dict[str, Callable[[], Any]]
+
+PAPER_SIZE = 1024
+PAPER_RADII = (8, 16)
+PAPER_MILLISECONDS = {
+    8: {"normal": 2.43, "sg": 3.29, "sg_mixture, 3 lobes": 15.2, "asg": 17.7},
+    16: {"normal": 4.56, "sg": 6.03, "sg_mixture, 3 lobes": 27.6, "asg": 30.8},
+}
+"""Tokuyoshi 2015, slide "Denoising Performance": AMD Radeon HD 6990, images of `PAPER_SIZE` squared."""
+
+
+def count_taps(form: str, radius: int) -> int:
+    """Return the taps of one pixel over all passes."""
+    side = 2 * radius + 1
+    return {"full": side * side, "separable": 2 * side, "atrous": 25 * ATROUS_LEVELS}[form]
+
+
+def make_kernel_calls(
+    frame: Frame, features: dict[str, list[Feature]], radius: int, form: str, device: str = "cpu"
+) -> Calls:
+    """Return what runs each list of features once over one image, as Open Image Denoise is given one image."""
+    mask = np.ones(frame.shape, dtype=bool)
+
+    def make_call(chosen: list[Feature]) -> Callable[[], Any]:
+        return lambda: run_filter(frame.radiance.color, mask, chosen, form=form, radius=radius, device=device)
+
+    return {name: make_call(chosen) for name, chosen in features.items()}
+
+
+def time_kernels(
+    frame: Frame,
+    radius: int,
+    form: str,
+    seconds: float,
+    *,
+    names: tuple[str, ...] = SIMILARITIES,
+    device: str = "cpu",
+) -> dict[str, dict[str, float]]:
+    """Return times of the similarities for one size, radius and form, and their ratios to ``normal``.
+
+    Parameters
+    ----------
+    frame : Frame
+        See `lobewise.bench.plane.make_frame`.
+    radius, form, device
+        See `lobewise.kernels.engine.run_filter`.
+    seconds : float
+        See `lobewise.bench.timing.time_best`.
+    names : tuple of str
+        Among `lobewise.bench.plane.SIMILARITIES`; with "normal".
+    """
+    best = time_best(make_kernel_calls(frame, make_features(frame, names), radius, form, device), seconds)
+    taps = count_taps(form, radius) * frame.width * frame.height
+    return {
+        name: {
+            "milliseconds": round(1e3 * value, 3),
+            "ns_per_tap_and_pixel": round(1e9 * value / taps, 4),
+            "ratio_to_normal": round(value / best["normal"], 3),
+        }
+        for name, value in best.items()
+    }

@@ -1,0 +1,253 @@
+"""What `lobewise bench` measures: every job, and how much of it there is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from lobewise.bench.kernels import PAPER_RADII, PAPER_SIZE, Calls, make_kernel_calls
+from lobewise.bench.machine import count_threads
+from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture, make_place
+from lobewise.denoising import denoise
+from lobewise.frame import Frame, Radiance
+from lobewise.kernels.engine import FORMS
+from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.sparse_frame import make_sparse
+from lobewise.upsampling import DEFAULT_RADIUS, upsample
+
+Size = tuple[int, int]
+
+CORE = ("normal", "sg", "ggx")
+"""Similarities of the plots that would take long with all of them."""
+RADIUS = 8
+"""Of every job that is not about the radius."""
+OIDN = "Open Image Denoise"
+OIDN_LABELS = {"fast": f"{OIDN}, fast", "balanced": f"{OIDN}, balanced", "high": f"{OIDN}, default"}
+"""By quality of `lobewise.peers.denoise_oidn`; "high" is its default."""
+WHAT = {
+    "forms": "one kernel run over one image, radius 8",
+    "radius": "one kernel run over one image, separable; radii 8 and 16 are the paper's table",
+    "lobes": "one kernel run over one image, separable, radius 8, mixtures of spherical Gaussians",
+    "pixels": "one kernel run over one image, separable, radius 8; Open Image Denoise beside it in the same turns",
+    "threads": "one kernel run over one image, separable, radius 8, in a process for each number of threads",
+    "upsampling": "lobewise.upsample, one of scale x scale pixels shaded",
+    "denoising": "lobewise.denoise, diffuse and specular apart, radius 8; Open Image Denoise in the same turns",
+}
+"""Parts of a measurement, in order, and what one time of each is."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is measured.
+
+    Parameters
+    ----------
+    size : (int, int)
+        Columns and rows of "forms", "lobes" and "threads"; that of "radius" is the paper's.
+    sizes : tuple of (int, int)
+        Those of "pixels".
+    recipe_size : (int, int)
+        That of "upsampling" and "denoising".
+    radii, lobes, scales : tuple of int
+        Those of "radius", "lobes" and "upsampling".
+    forms, qualities : tuple of str
+        Those of "forms" and "denoising".
+    seconds : float
+        Least time of each job's rounds.
+    rounds, recipe_rounds : int
+        Least number of rounds of kernels, and of whole recipes.
+    """
+
+    size: Size = (1024, 1024)
+    sizes: tuple[Size, ...] = ((512, 512), (1024, 1024), (1920, 1080), (2560, 1440), (3840, 2160))
+    recipe_size: Size = (1920, 1080)
+    radius_size: Size = (PAPER_SIZE, PAPER_SIZE)
+    radii: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
+    lobes: tuple[int, ...] = (1, 2, 3, 4)
+    scales: tuple[int, ...] = (2, 4)
+    forms: tuple[str, ...] = FORMS
+    qualities: tuple[str, ...] = ("fast", "balanced", "high")
+    seconds: float = 3.0
+    rounds: int = 5
+    recipe_rounds: int = 3
+
+
+FULL = Extent()
+QUICK = Extent(
+    size=(512, 512),
+    sizes=((256, 256), (512, 512), (768, 768)),
+    recipe_size=(512, 512),
+    radii=(4, 8, 16),
+    lobes=(1, 3),
+    scales=(4,),
+    forms=("separable", "full"),
+    qualities=("fast", "balanced"),
+    seconds=0.3,
+    rounds=3,
+    recipe_rounds=2,
+)
+"""Under a minute on two cores; its figures waver more."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Candidates that run in turn.
+
+    Parameters
+    ----------
+    part : str
+        One of `WHAT`.
+    facts : dict
+        What they have in common: ``device``, ``width``, ``height``, ``form``, ``radius`` and the like.
+    make : callable
+        Returns the candidates by name, when they are about to run, so that no two jobs' images are held at once.
+    rounds : int
+        Least number of rounds.
+    effort : float
+        About how many seconds it takes on two cores, for the progress alone.
+    """
+
+    part: str
+    facts: dict[str, Any]
+    make: Callable[[], Calls]
+    rounds: int
+    effort: float = field(default=3.0)
+
+
+@lru_cache(maxsize=1)
+def fetch_frame(size: Size) -> Frame:
+    """Return the plane at this size; the last one is kept, because jobs of one size follow each other."""
+    return make_frame(*size)
+
+
+def list_jobs(extent: Extent, device: str) -> Iterator[Job]:
+    """Yield everything that is measured on one device, but the threads."""
+    for form in extent.forms:
+        yield _plan_kernels("forms", extent.size, RADIUS, form, device, extent, SIMILARITIES)
+    for lobes in extent.lobes:
+        yield _plan_lobes(lobes, device, extent)
+    for radius in extent.radii:
+        names = SIMILARITIES if radius in PAPER_RADII else CORE
+        yield _plan_kernels("radius", extent.radius_size, radius, "separable", device, extent, names)
+    for size in extent.sizes:
+        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, CORE, peers=("fast", "high"))
+    for scale in extent.scales:
+        yield _plan_upsampling(scale, device, extent)
+    yield _plan_denoising(device, extent)
+
+
+def list_threads() -> list[int]:
+    """Return the numbers of threads to measure: powers of two up to what this process may use, and that itself."""
+    most = count_threads()
+    return sorted({most, *(2**k for k in range(most.bit_length()) if 2**k <= most)})
+
+
+def make_core_calls(size: Size) -> Calls:
+    """Return what "threads" runs."""
+    frame = fetch_frame(size)
+    return make_kernel_calls(frame, make_features(frame, CORE), RADIUS, "separable")
+
+
+def limit_threads(count: int) -> None:
+    """Make this process, which has run no kernel yet, use so many threads."""
+    os.environ["HL_NUM_THREADS"] = str(count)
+
+
+def describe_size(size: Size) -> dict[str, int]:
+    """Return the facts of a size."""
+    return {"width": size[0], "height": size[1]}
+
+
+def _plan_kernels(
+    part: str,
+    size: Size,
+    radius: int,
+    form: str,
+    device: str,
+    extent: Extent,
+    names: tuple[str, ...],
+    peers: tuple[str, ...] = (),
+) -> Job:
+    def make() -> Calls:
+        frame = fetch_frame(size)
+        calls = make_kernel_calls(frame, make_features(frame, names), radius, form, device)
+        return {**calls, **_make_peer_calls(frame, peers)}
+
+    facts = {"device": device, **describe_size(size), "form": form, "radius": radius}
+    megapixels = size[0] * size[1] / 1e6
+    effort = extent.seconds + len(names) + 5.0 * megapixels * (bool(peers) + (form == "full"))
+    return Job(part, facts, make, extent.rounds, effort)
+
+
+def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
+    def make() -> Calls:
+        frame = fetch_frame(extent.size)
+        place = make_place(frame)
+        kinds = {"own axes": False, "one axis": True}
+        features = {
+            name: [*place, make_mixture(frame, lobes, coaxial=coaxial)]
+            for name, coaxial in kinds.items()
+            # A single lobe is both.
+            if lobes > 1 or coaxial
+        }
+        return make_kernel_calls(frame, features, RADIUS, "separable", device)
+
+    facts = {"device": device, **describe_size(extent.size), "form": "separable", "radius": RADIUS, "lobes": lobes}
+    return Job("lobes", facts, make, extent.rounds, extent.seconds + 2.0)
+
+
+def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
+    def make() -> Calls:
+        sparse = make_sparse(fetch_frame(extent.recipe_size), scale)
+
+        def make_call(**settings: Any) -> Callable[[], Any]:
+            return lambda: upsample(sparse, device=device, **settings)
+
+        return {"bilinear": make_call(bilinear=True), **{name: make_call(similarity=name) for name in CORE}}
+
+    facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
+    return Job("upsampling", facts, make, extent.recipe_rounds, 8.0 + extent.seconds)
+
+
+def _plan_denoising(device: str, extent: Extent) -> Job:
+    def make() -> Calls:
+        frame = add_halves(fetch_frame(extent.recipe_size))
+
+        def make_call(**settings: Any) -> Callable[[], Any]:
+            return lambda: denoise(frame, radius=RADIUS, device=device, **settings)
+
+        calls: Calls = {}
+        for similarity in ("sg", "ggx"):
+            for form in ("separable", "full"):
+                calls[f"fast, {similarity}, {form}"] = make_call(quality="fast", similarity=similarity, form=form)
+        calls |= {quality: make_call(quality=quality) for quality in extent.qualities if quality != "fast"}
+        return {**calls, **_make_peer_calls(frame, tuple(OIDN_LABELS))}
+
+    facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
+    megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
+    return Job("denoising", facts, make, extent.recipe_rounds, 20.0 + 60.0 * megapixels)
+
+
+def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:
+    """Return Open Image Denoise at these qualities, where it is installed, given guides that need no filter."""
+
+    def make_call(quality: str) -> Callable[[], Any]:
+        return lambda: denoise_oidn(frame, quality=quality, guides="centre")
+
+    return {OIDN_LABELS[quality]: make_call(quality) for quality in qualities} if has_oidn() else {}
+
+
+def add_halves(frame: Frame) -> Frame:
+    """Return the frame with what two halves of its samples gave, which the better qualities look at."""
+    share = np.random.default_rng(1).random(frame.shape, dtype=np.float32)[..., None]
+
+    def scale(weight: Any) -> Radiance:
+        parts = {name: getattr(frame.radiance, name) for name in ("color", "diffuse", "specular")}
+        return Radiance(**{name: 2.0 * weight * image for name, image in parts.items()})
+
+    return frame.with_changes(half_a=scale(share), half_b=scale(1.0 - share))

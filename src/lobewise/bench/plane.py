@@ -1,0 +1,101 @@
+"""The frame that filters are timed on: made of formulas, at any size, the same on every machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance
+from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.kernels.lobe_features import AsgFeature, GgxFeature, SgFeature
+from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.lobes.mixture_field import build_mixture_field
+
+BETA = 8.0
+"""Power of every lobe's weight; it changes no time."""
+SIMILARITIES = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", "ggx")
+"""Names of `make_features`. Coaxial lobes share an axis, as those do that stand for GGX; lobes of measured materials
+have an axis each."""
+
+
+def make_frame(width: int, height: int) -> Frame:
+    """Return a plane of patches whose roughness and normal vary, seen in perspective, with noise on it."""
+    rng = np.random.default_rng(0)
+    camera = Camera(
+        position=np.array([0.0, 2.0, 6.0]),
+        forward=np.array([0.0, -0.4, -1.0]),
+        up=np.array([0.0, 1.0, 0.0]),
+        fov_y=0.7,
+    )
+    rays = camera.make_ray_directions(width, height).astype(np.float64)
+    depth = 2.0 / np.maximum(-rays[..., 1], 0.05)
+    position = camera.position + rays * depth[..., None]
+    normal = np.stack(
+        [0.1 * np.sin(5.0 * position[..., 0]), np.ones_like(depth), 0.1 * np.sin(4.0 * position[..., 2])], axis=-1
+    )
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    patch = (np.floor(2.0 * position[..., 0]) + np.floor(2.0 * position[..., 2])) % 5.0
+    alpha = (0.03 + 0.12 * patch).astype(np.float32)
+    albedo = np.full((height, width, 3), 0.4, dtype=np.float32)
+    color = rng.exponential(1.0, (height, width, 3)).astype(np.float32)
+    half = np.float32(0.5) * color
+    return Frame(
+        radiance=Radiance(color=color, diffuse=half, specular=half),
+        gbuffer=GBuffer(
+            depth=depth.astype(np.float32),
+            position=position.astype(np.float32),
+            normal=normal.astype(np.float32),
+            alpha_u=alpha,
+            alpha_v=alpha,
+            lobe_kind=np.full(depth.shape, float(LobeKind.GGX), dtype=np.float32),
+            diffuse_albedo=albedo,
+            specular_albedo=albedo,
+        ),
+        camera=camera,
+        spp=4,
+    )
+
+
+def make_place(frame: Frame) -> list[Feature]:
+    """Return what all similarities have in common: distance on the screen and from the tangent plane."""
+    guides, camera = frame.gbuffer, frame.camera
+    assert camera is not None and guides.position is not None and guides.depth is not None
+    pixel_angle = camera.get_pixel_angle(frame.height)
+    return [ScreenFeature(5.0), PositionFeature(guides.position, guides.depth, pixel_angle=pixel_angle, sigma=16.0)]
+
+
+def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[str, list[Feature]]:
+    """Return the features of each of these similarities; position and screen distance are the same in all."""
+    guides, camera = frame.gbuffer, frame.camera
+    assert camera is not None and guides.normal is not None
+    place = make_place(frame)
+    found: dict[str, list[Feature]] = {}
+    if "normal" in names:
+        found["normal"] = [*place, NormalFeature(guides.normal, 64.0)]
+    lobes = build_lobe_field(guides, camera)
+    if "sg" in names:
+        assert lobes.axis is not None and lobes.sharpness is not None
+        found["sg"] = [*place, SgFeature(lobes.axis, lobes.sharpness, BETA)]
+    if any(name.startswith("sg_mixture") for name in names):
+        found["sg_mixture, 3 lobes"] = [*place, make_mixture(frame, 3, coaxial=False)]
+        found["sg_mixture, 3 coaxial"] = [*place, make_mixture(frame, 3, coaxial=True)]
+    if "asg" in names:
+        gaussian = build_lobe_field(guides, camera, representation="asg")
+        assert gaussian.tangent_axis is not None and gaussian.covariance is not None
+        assert gaussian.determinant is not None
+        found["asg"] = [*place, AsgFeature(gaussian.tangent_axis, gaussian.covariance, gaussian.determinant, BETA)]
+    if "ggx" in names:
+        assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
+        found["ggx"] = [*place, GgxFeature(lobes.tangent_axis, lobes.covariance, lobes.determinant, BETA)]
+    return {name: found[name] for name in names}
+
+
+def make_mixture(frame: Frame, lobes: int, *, coaxial: bool) -> Feature:
+    """Return the mixture of so many Gaussians that stands for GGX, 1 to 4.
+
+    Where it is not ``coaxial`` every lobe has an axis of its own, which happens to be the same: kernels cannot know.
+    """
+    assert frame.camera is not None
+    field = build_mixture_field(frame.gbuffer, frame.camera, tau=default_tau(frame.camera, frame.height), lobes=lobes)
+    axis = field.axis if coaxial else np.tile(field.axis, (1, 1, lobes))
+    return SgMixtureFeature(axis, field.sharpness, field.amplitude, BETA)

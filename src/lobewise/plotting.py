@@ -1,0 +1,48 @@
+"""Figures as PNG bytes; the only user of Matplotlib."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from lobewise.errors import MissingDependencyError, describe_problem
+
+DOTS = 110
+"""Per inch."""
+
+
+def require_matplotlib(what: str) -> None:
+    """Find out whether ``what`` can be drawn.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Matplotlib is not installed.
+    """
+    try:
+        import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is there
+    except ImportError as problem:
+        raise MissingDependencyError(
+            describe_problem(
+                what,
+                expected="the package matplotlib",
+                got=str(problem),
+                action="install it with `pip install 'lobewise[fit]'` or leave the plot out",
+            )
+        ) from problem
+
+
+def make_figure(width: float, height: float) -> Any:
+    """Return an empty figure of this size, inches, that `encode_figure` takes."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=DOTS, layout="constrained")
+
+
+def encode_figure(figure: Any) -> bytes:
+    """Return a figure as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    out = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(out)  # type: ignore[no-untyped-call]
+    return out.getvalue()
