@@ -31,6 +31,7 @@ ROOMS = [
     "fit_plot",
     "report",
     "demo",
+    "exporting",
     "viewer",
     "bench",
     "cli",

@@ -1,0 +1,93 @@
+"""A folder of files that appears whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from lobewise.errors import FileError, describe_problem
+from lobewise.io.files import PathLike
+
+MARK = "lobewise-export.json"
+"""The file by which a folder is known to be an earlier export."""
+
+
+def require_folder(path: PathLike, *, force: bool) -> Path:
+    """Return the real path of a folder that may be made, or replaced; nothing is created or changed.
+
+    Raises
+    ------
+    FileError
+        If it is a file, its parent cannot be written, or it holds something; with ``force`` only if that is no export.
+    """
+    target = Path(os.path.realpath(path))
+    parent = target.parent
+    got = ""
+    if target.exists() and not target.is_dir():
+        got, action = "a file", "choose another name"
+    elif not parent.is_dir():
+        got, action = f"no folder {str(parent)!r}", "create it first"
+    elif not os.access(parent, os.W_OK | os.X_OK):
+        got, action = f"the folder {str(parent)!r}, which is read-only", "choose another folder"
+    elif target.is_dir() and not os.access(target, os.R_OK | os.W_OK | os.X_OK):
+        got, action = "one that may not be changed", "choose another folder"
+    elif target.is_dir() and any(target.iterdir()):
+        if force and (target / MARK).is_file():
+            return target
+        got = "one that holds other things than an export" if force else "one that is not empty"
+        action = "choose another folder" if force else "choose another, or replace an earlier export with --force"
+    if got:
+        raise FileError(
+            describe_problem(f"output {str(path)!r}", expected="a new or empty folder", got=got, action=action)
+        )
+    return target
+
+
+@contextmanager
+def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[str], Path]]:
+    """Give the paths of files in a temporary folder; on success it takes the place of ``path``, else it is removed.
+
+    Raises
+    ------
+    FileError
+        See `require_folder`; or if the disk refuses.
+    """
+    target = require_folder(path, force=force)
+    made: list[Path] = []
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent))
+        made.append(temporary)
+        yield lambda name: temporary / name
+        # A temporary folder is its owner's alone.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o777 & ~mask)
+        if target.is_dir() and any(target.iterdir()):
+            aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
+            os.replace(target, aside)
+            try:
+                os.replace(temporary, target)
+            except OSError:
+                os.replace(aside, target)
+                raise
+            made[:] = [aside]
+        else:
+            os.replace(temporary, target)
+            made.clear()
+    except OSError as problem:
+        raise FileError(
+            describe_problem(
+                f"output {str(path)!r}",
+                expected="a folder that can be written",
+                got=(problem.strerror or str(problem)).lower(),
+                action="choose another or make room",
+            )
+        ) from problem
+    finally:
+        for folder in made:
+            with suppress(OSError):
+                shutil.rmtree(folder)

@@ -1,0 +1,146 @@
+"""A small frame that an export brings along, with what Python makes of it: the example compares with that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.frame import Camera, FloatArray, Frame, GBuffer
+from lobewise.io import read_frame
+from lobewise.kernels.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
+from lobewise.kernels.engine import run_filter
+from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.kernels.guides import find_places
+from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_fields import make_lobe_field
+from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.kernels.pointwise import run_pointwise
+from lobewise.lobes.field import default_tau
+
+FRAME = "showroom-4spp.exr"
+ROWS, COLUMNS = slice(256, 320), slice(304, 400)
+"""Part of the frame: spheres and floor of many roughnesses, some pixels without a specular lobe."""
+POSITION_SIGMA, NORMAL_EXPONENT = 16.0, 64.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Inputs and constants by the names of arguments, and the filtered frame."""
+
+    images: Mapping[str, NDArray[np.generic]]
+    """Each (height, width) or (height, width, channels); float32 or uint8."""
+    numbers: Mapping[str, float]
+    """Rounded to float32."""
+    expected: FloatArray
+    """What `lobewise.kernels.engine.run_filter` gives, (height, width, 5)."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width)."""
+        return int(self.expected.shape[0]), int(self.expected.shape[1])
+
+
+def make_sample(plan: FilterPlan) -> Sample:
+    """Return part of the frame inside the package, filtered by the kernels of this process."""
+    with as_file(files("lobewise") / "data" / FRAME) as path:
+        frame = read_frame(path)
+    return filter_sample(plan, frame, (ROWS, COLUMNS))
+
+
+def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> Sample:
+    """Return a part of a frame, which has camera, depth, normals, alphas and both radiances, filtered."""
+    guides, radiance, camera = frame.gbuffer, frame.radiance, frame.camera
+    assert camera is not None and guides.normal is not None and guides.alpha_u is not None
+    assert radiance.specular is not None and radiance.diffuse is not None
+    images: dict[str, NDArray[np.generic]] = {}
+    place, depth = find_places(guides, camera)
+    images["position"], images["depth"] = place[part], depth[part].copy()
+    images["normal"], alpha = guides.normal[part], guides.alpha_u[part]
+    if plan.makes_lobes:
+        color, albedo = radiance.specular, guides.specular_albedo
+        if guides.lobe_kind is not None:
+            # The exported function takes every surface to have a lobe.
+            images["depth"][guides.lobe_kind[part] == 0] = 0.0
+    else:
+        color, albedo = radiance.diffuse, guides.diffuse_albedo
+    assert albedo is not None
+    images["radiance"], images["albedo"] = color[part], albedo[part]
+    images["alpha"] = images["alpha_u"] = alpha
+    # The frame has no brushed surface: it is given one.
+    images["alpha_v"] = np.asarray(0.5 * alpha, np.float32)
+    images["tangent"] = np.cross(images["normal"], np.array([0.3, 0.9, 0.1])).astype(np.float32)
+
+    spp = float(frame.spp or 4)
+    pixel_angle = camera.get_pixel_angle(frame.height)
+    numbers = {
+        "screen_sigma": choose_screen_sigma(spp, plan.radius),
+        "position_sigma": POSITION_SIGMA,
+        "pixel_angle": pixel_angle,
+        "normal_exponent": NORMAL_EXPONENT,
+        "beta": choose_beta(spp),
+        "tau": choose_tau(spp, default_tau(camera, frame.height)),
+        **{f"eye_{axis}": value for axis, value in zip("xyz", camera.position, strict=True)},
+    }
+    numbers = {name: float(np.float32(value)) for name, value in numbers.items()}
+    features, mask = _make_features(plan, images, numbers, camera)
+    images["mask"] = mask.astype(np.uint8)
+    done = run_filter(
+        color[part],
+        mask,
+        features,
+        form=plan.form,
+        radius=plan.radius,
+        albedo=albedo[part] if plan.albedo else None,
+    )
+    expected = np.dstack([done.image, done.weight_sum, done.effective_samples]).astype(np.float32)
+    arguments = [*list_filter_arguments(plan), *list_lobe_arguments(plan)]
+    names = {argument.name for argument in arguments}
+    return Sample(
+        {name: np.ascontiguousarray(image) for name, image in images.items() if name in names},
+        {name: value for name, value in numbers.items() if name in names},
+        expected,
+    )
+
+
+def _make_features(
+    plan: FilterPlan, images: Mapping[str, NDArray[np.generic]], numbers: Mapping[str, float], camera: Camera
+) -> tuple[list[Feature], NDArray[np.bool_]]:
+    """Return the features of a plan and the pixels that have a lobe, or a surface where none is needed."""
+    arrays = {name: np.asarray(image, np.float32) for name, image in images.items()}
+    shared: list[Feature] = [] if plan.form == "atrous" else [ScreenFeature(numbers["screen_sigma"])]
+    angle, sigma = numbers["pixel_angle"], numbers["position_sigma"]
+    shared.append(PositionFeature(arrays["position"], arrays["depth"], pixel_angle=angle, sigma=sigma))
+    beta, surface = numbers["beta"], arrays["depth"] > 0.0
+    if plan.similarity == "normal":
+        return [*shared, NormalFeature(arrays["normal"], numbers["normal_exponent"])], surface
+    if plan.similarity == "diffuse":
+        return [*shared, DiffuseFeature(arrays["normal"], beta)], surface
+    gbuffer = GBuffer(
+        depth=arrays["depth"],
+        position=arrays["position"],
+        normal=arrays["normal"],
+        alpha_u=arrays["alpha"],
+        alpha_v=arrays["alpha_v"] if plan.anisotropic else None,
+        tangent=arrays["tangent"] if plan.anisotropic else None,
+    )
+    tau = numbers["tau"]
+    if plan.similarity == "sg_mixture":
+        guides = {"normal": arrays["normal"], "position": arrays["position"], "depth": arrays["depth"]}
+        eye, noise = camera.position.astype(np.float32), np.float32(tau) * np.float32(tau)
+        given = {**guides, "alpha_u": arrays["alpha"]}, {"eye": eye, "noise": noise}
+        valid, axis, sharpness, amplitude = run_pointwise(define_mixture, *given, plan.lobes)
+        if plan.lobes == 1:
+            sharpness, amplitude = sharpness[..., None], amplitude[..., None]
+        return [*shared, SgMixtureFeature(axis, sharpness, amplitude, beta)], valid
+    lobes = make_lobe_field(gbuffer, camera, tau=tau, representation=plan.similarity, diffuse_fallback=False)
+    if plan.similarity == "sg":
+        assert lobes.axis is not None and lobes.sharpness is not None
+        return [*shared, SgFeature(lobes.axis, lobes.sharpness, beta)], lobes.valid
+    assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
+    kind = AsgFeature if plan.similarity == "asg" else GgxFeature
+    return [*shared, kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, beta)], lobes.valid

@@ -1,0 +1,114 @@
+"""Names of machines that kernels are compiled for ahead of time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import halide as hl
+
+from lobewise.errors import DeviceError, InputError, describe_problem
+
+TARGETS = (
+    "host",
+    "x86-64-linux",
+    "x86-64-linux-avx2-fma",
+    "x86-64-linux-avx512_skylake",
+    "x86-64-osx-avx2-fma",
+    "x86-64-windows-avx2-fma",
+    "arm-64-linux",
+    "arm-64-osx",
+    "arm-64-ios",
+    "arm-64-android",
+    "arm-64-windows",
+    "wasm-32-wasmrt-wasm_simd128",
+    "x86-64-linux-avx2-fma-cuda",
+    "x86-64-windows-avx2-fma-cuda",
+    "x86-64-linux-avx2-fma-vulkan",
+    "x86-64-windows-avx2-fma-vulkan",
+    "arm-64-android-vulkan",
+    "x86-64-linux-avx2-fma-opencl",
+    "x86-64-windows-avx2-fma-d3d12compute",
+    "arm-64-osx-metal",
+    "arm-64-ios-metal",
+    "wasm-32-wasmrt-wasm_simd128-webgpu",
+    "x86-64-linux-avx2-fma-webgpu",
+)
+"""Targets that a test compiles for. Others of these processors and systems are tried as well."""
+
+PROCESSORS = ("x86-32", "x86-64", "arm-32", "arm-64", "wasm-32", "riscv-64")
+# What the kernels need of a Vulkan device: the mask is one byte per pixel.
+VULKAN_FEATURES = ("vk_v13", "vk_int8", "vk_int16")
+GPU_APIS = {
+    "cuda": "Cuda",
+    "vulkan": "Vulkan",
+    "opencl": "OpenCL",
+    "d3d12compute": "D3D12Compute",
+    "metal": "Metal",
+    "webgpu": "WebGPU",
+}
+"""Words of a target that stand for a graphics API, with the name that Halide's headers have for it."""
+
+
+def parse_target(text: str) -> hl.Target:
+    """Return the target of a name such as ``x86-64-linux-avx2-fma``; "host" is this machine.
+
+    A Vulkan target gets what its mask of bytes needs of the device.
+
+    Raises
+    ------
+    InputError
+        If it names none.
+    DeviceError
+        If it is one that this Halide cannot compile for.
+    """
+    words = text.split("-")
+    if text != "host" and "-".join(words[:2]) not in PROCESSORS and words[0] != "host":
+        raise InputError(
+            describe_problem(
+                "target",
+                expected=f"host, or processor-bits-system and features, with one of {', '.join(PROCESSORS)} first",
+                got=repr(text),
+                action="such as x86-64-linux-avx2-fma; see lobewise export --help",
+            )
+        )
+    if "vulkan" in words:
+        text = "-".join([text, *(word for word in VULKAN_FEATURES if word not in words)])
+    try:
+        target = hl.Target(text)
+    except hl.HalideError:
+        raise InputError(
+            describe_problem(
+                "target",
+                expected="names of processor, system and features that Halide knows",
+                got=repr(text),
+                action="such as x86-64-linux-avx2-fma; see lobewise export --help",
+            )
+        ) from None
+    if not target.supported():
+        raise refuse_target(text, "no compiler for it inside this Halide")
+    return target
+
+
+def refuse_target(text: str, reason: str) -> DeviceError:
+    """Return the error for a target that the kernels cannot be compiled for."""
+    return DeviceError(
+        describe_problem(
+            f"target {text!r}",
+            expected="one that this Halide compiles the kernels for",
+            got=reason,
+            action="choose one of those that lobewise export --help lists",
+        )
+    )
+
+
+def get_gpu_api(target: str) -> str | None:
+    """Return the graphics API of a target's name, as in `GPU_APIS`; None for a processor alone."""
+    return next((word for word in target.split("-") if word in GPU_APIS), None)
+
+
+def get_runtime_headers(target: str) -> list[Path]:
+    """Return the C headers of Halide's runtime that a program for ``target`` includes."""
+    folder = Path(hl.__file__).parent / "include"
+    api = get_gpu_api(target)
+    names = ["HalideRuntime.h", *([f"HalideRuntime{GPU_APIS[api]}.h"] if api else [])]
+    return [folder / name for name in names]
