@@ -86,3 +86,19 @@ def test_impossible_cameras_are_refused(changes: dict[str, Any], message: str) -
 def test_wrong_images_are_named(make: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("fov_x", [None, 1.1])
+def test_a_band_is_seen_as_the_rows_of_the_whole_image(fov_x: float | None) -> None:
+    camera = Camera((1.0, 2.0, 3.0), (0.3, -0.5, 1.0), (0.1, 1.0, 0.0), fov_y=0.9, fov_x=fov_x)
+    rays = camera.make_ray_directions(17, 30)
+    assert camera.get_rows(30) == (0, 30)
+    for first, stop in ((0, 30), (3, 4), (11, 30)):
+        band = camera.crop_rows(first, 30)
+        assert band.get_rows(stop - first) == (first, 30)
+        np.testing.assert_array_equal(band.make_ray_directions(17, stop - first), rays[first:stop])
+        assert band.get_pixel_angle(stop - first) == camera.get_pixel_angle(30)
+        assert band.get_half_extent(17, stop - first) == camera.get_half_extent(17, 30)
+        # The vectors are not normalised once more, which would change bits.
+        np.testing.assert_array_equal(band.forward, camera.forward)
+        np.testing.assert_array_equal(band.up, camera.up)

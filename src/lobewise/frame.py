@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any
@@ -131,6 +132,8 @@ class Camera:
     up: NDArray[np.float64]
     fov_y: float
     fov_x: float | None = None
+    band: tuple[int, int] | None = field(default=None, init=False, repr=False, compare=False)
+    """First row and whole height, where the images are but some rows of a taller one; see `crop_rows`."""
 
     def __post_init__(self) -> None:
         position = _as_vector("camera position", self.position)
@@ -164,21 +167,41 @@ class Camera:
         """Direction of increasing column in the image, shape (3,), unit length."""
         return np.cross(self.forward, self.up)
 
+    def crop_rows(self, first: int, height: int) -> Camera:
+        """Return the same camera for images that are some rows, from ``first`` on, of one of ``height`` rows.
+
+        Every ray and angle is that of the whole image, to the bit.
+        """
+        camera = copy(self)
+        object.__setattr__(camera, "band", (first, height))
+        return camera
+
+    def get_rows(self, height: int) -> tuple[int, int]:
+        """Return which row of the whole image the first of ``height`` rows is, and how many the whole image has."""
+        return (0, height) if self.band is None else self.band
+
     def get_half_extent(self, width: int, height: int) -> tuple[float, float]:
         """Return the half width and half height of the image plane at distance 1."""
+        _, rows = self.get_rows(height)
         half_height = float(np.tan(0.5 * self.fov_y))
-        half_width = half_height * width / height if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
+        half_width = half_height * width / rows if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
         return half_width, half_height
 
     def get_pixel_angle(self, height: int) -> float:
         """Return the angle that one pixel at the image centre subtends vertically, radians."""
-        return float(2.0 * np.tan(0.5 * self.fov_y) / height)
+        return float(2.0 * np.tan(0.5 * self.fov_y) / self.get_rows(height)[1])
+
+    def get_plane(self, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where pixel centres are on the image plane at distance 1: columns to the right, rows upwards."""
+        first, rows = self.get_rows(height)
+        half_width, half_height = self.get_half_extent(width, height)
+        x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
+        y = (1.0 - (np.arange(first, first + height) + 0.5) / rows * 2.0) * half_height
+        return x, y
 
     def make_ray_directions(self, width: int, height: int) -> FloatArray:
         """Return the unit directions through the pixel centres, shape (height, width, 3), row 0 on top."""
-        half_width, half_height = self.get_half_extent(width, height)
-        x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
-        y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * half_height
+        x, y = self.get_plane(width, height)
         rays = self.forward + x[None, :, None] * self.right + y[:, None, None] * self.up
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         return rays.astype(np.float32)

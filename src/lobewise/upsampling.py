@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import refill
+from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import Frame, Result
@@ -96,7 +96,7 @@ def upsample(
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
     holes = ~supported | ~find_good(image)
     if holes.any():
-        image = refill(image, holes, chosen)
+        image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
     return Result(
         image=image,
         diffuse=outputs[0].image if apart else None,

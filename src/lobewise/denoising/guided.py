@@ -20,9 +20,12 @@ from lobewise.denoising.noise import find_halves
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.features import Feature
+from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
 from lobewise.kernels.fireflies import BoundedHalves, bound_fireflies
+from lobewise.kernels.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
+from lobewise.kernels.resolving import REACH as COVERAGE_REACH
 from lobewise.kernels.resolving import resolve_light
 from lobewise.kernels.seen_features import SeenFeature
 from lobewise.lobes.field import default_tau
@@ -56,6 +59,16 @@ class Pass:
     lobes: float = 1.0
     lobes_with_seen: float = 1.0
     step: int = 1
+
+    def get_kernel(self, radius: int, *, follows: bool) -> tuple[int, int]:
+        """Return the radius in taps and the step in pixels at ``radius`` of the settings.
+
+        ``follows`` tells whether a pass came before; one that is sparse averages what that gave.
+        """
+        scale = radius / 8.0
+        if self.step == 1:
+            return round(self.radius * scale), 1
+        return min(self.radius, radius) if follows else round(self.radius * scale), max(round(self.step * scale), 1)
 
 
 @dataclass(frozen=True)
@@ -239,7 +252,7 @@ def make_pass_guide(noisy: NoisyLayer, before: Paired | None, device: str) -> Fl
 def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None, settings: DenoiseSettings) -> Paired:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
-    scale = settings.radius / 8.0
+    radius, step = chosen.get_kernel(settings.radius, follows=before is not None)
     seen = noisy.seen if before is not None else ()
     sparse = before is not None and chosen.step > 1
     (found,) = run_paired(
@@ -248,9 +261,9 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
         make_pass_features(frame, settings, chosen.sigma),
         noisy.pilot_features if before is None else layer.features,
         [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
-        radius=min(chosen.radius, settings.radius) if sparse else round(chosen.radius * scale),
+        radius=radius,
         seen=seen,
-        step=max(round(chosen.step * scale), 1),
+        step=step,
         albedo=None if sparse else layer.albedo,
         guide=make_pass_guide(noisy, before, settings.device),
         noise=chosen.noise,
@@ -259,6 +272,21 @@ def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None
         device=settings.device,
     )
     return found
+
+
+def find_balanced_reach(settings: DenoiseSettings) -> int:
+    """Return from how many pixels away `filter_balanced` and `finish_layer` can be told anything."""
+    return max(_find_plan_reach(plan, settings.radius) for plan in (DIFFUSE, SPECULAR)) + COVERAGE_REACH
+
+
+def _find_plan_reach(plan: Plan, radius: int) -> int:
+    reach = FIREFLY_REACH
+    for number, chosen in enumerate(plan.passes):
+        taps, step = chosen.get_kernel(radius, follows=number > 0)
+        # A tap reads what the pass before gave, through the blurred variance of its guide. What reflections see comes
+        # from nearer by.
+        reach += taps * step + GUIDE_REACH
+    return reach
 
 
 def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> CleanLayer:

@@ -26,9 +26,13 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR
+from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
+from lobewise.kernels.mixing import REACH as MIXING_REACH
 from lobewise.kernels.mixing import Network, mix_candidates
+from lobewise.kernels.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
+from lobewise.kernels.resolving import REACH as COVERAGE_REACH
 from lobewise.lobes.vectors import LUMINANCE
 
 PILOT = Pass(5, 6.0, 40.0, lobes=4.0)
@@ -79,12 +83,24 @@ class Candidates(NamedTuple):
         return [(each.a, each.b) for each in self.found]
 
 
+def list_sparse(radius: int) -> list[tuple[int, int]]:
+    """Return radius in taps and step of each sparse pass at ``radius`` of the settings."""
+    return [(min(SPARSE_RADIUS, radius), max(round(step * radius / 8.0), 1)) for step in SPARSE_STEPS]
+
+
+def find_high_reach(settings: DenoiseSettings) -> int:
+    """Return from how many pixels away `mix_layer` can be told anything."""
+    kernels = [PILOT.get_kernel(settings.radius, follows=False), (settings.radius, 1), *list_sparse(settings.radius)]
+    # Every pass reads the one before through the blurred variance of its guide.
+    passes = sum(taps * step + GUIDE_REACH for taps, step in kernels)
+    return FIREFLY_REACH + passes + MIXING_REACH + COVERAGE_REACH
+
+
 def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> Candidates:
     """Run every filter of a layer."""
     layer = noisy.layer
     kind = "diffuse" if noisy.name == "diffuse" else "specular"
-    scale, device = settings.radius / 8.0, settings.device
-    radius = settings.radius
+    radius, device = settings.radius, settings.device
 
     def guide(found: Paired) -> FloatArray:
         return make_noise_guide(found.a, found.b, noisy.level, device)
@@ -95,7 +111,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         make_pass_features(frame, settings, PILOT.sigma),
         noisy.pilot_features,
         [Exponents(1.0, PILOT.lobes, 1.0)],
-        radius=round(PILOT.radius * scale),
+        radius=PILOT.get_kernel(radius, follows=False)[0],
         albedo=layer.albedo,
         guide=make_pass_guide(noisy, None, device),
         noise=PILOT.noise,
@@ -120,7 +136,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
         )
     source = found[WIDE]
     guides = [guide(source)]
-    for step in SPARSE_STEPS:
+    for taps, step in list_sparse(radius):
         if source is not found[WIDE]:
             guides.append(guide(source))
         sparse = run_paired(
@@ -129,9 +145,9 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             place,
             layer.features,
             SPARSE,
-            radius=min(SPARSE_RADIUS, radius),
+            radius=taps,
             seen=noisy.seen,
-            step=max(round(step * scale), 1),
+            step=step,
             guide=guides[-1],
             noise=SPARSE_NOISE,
             device=device,

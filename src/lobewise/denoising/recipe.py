@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -12,30 +12,23 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
-from lobewise.denoising.guided import CleanLayer, filter_balanced, make_noisy_layers, resolve_guided
-from lobewise.denoising.high import mix_layer
+from lobewise.denoising.guided import (
+    CleanLayer,
+    filter_balanced,
+    find_balanced_reach,
+    make_noisy_layers,
+    resolve_guided,
+)
+from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
+from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.kernels.engine import FilterOutput, run_filter
-from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.kernels.engine import ATROUS_REACH, FilterOutput, run_filter
+from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import find_energy_lost
 from lobewise.peers import require_oidn
-
-
-def refill(image: FloatArray, holes: NDArray[np.bool_], settings: DenoiseSettings) -> FloatArray:
-    """Return ``image`` with the pixels of ``holes`` replaced by the mean of the nearest others on the screen."""
-    everywhere = np.ones(holes.shape, dtype=bool)
-    source = np.where(holes[..., None], np.float32(np.nan), image)
-    for features in ([ScreenFeature(1.0)], [ScreenFeature(16.0)], []):
-        filled = run_filter(source, everywhere, features, form="atrous", radius=0, device=settings.device)
-        reached = holes & (filled.weight_sum > 0.0)
-        source = np.where(reached[..., None], filled.image, source)
-        holes = holes & ~reached
-        if not holes.any():
-            return source
-    return np.where(holes[..., None], np.nanmean(source.reshape(-1, 3), axis=0).astype(np.float32), source)
 
 
 def denoise(
@@ -85,22 +78,16 @@ def denoise(
     >>> clean = lobewise.denoise(frame, radius=12).image  # doctest: +SKIP
     """
     start = time.perf_counter()
-    for name in changes:
-        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
-    asked = replace(settings or DenoiseSettings(), **changes)
-    quality = choose_quality(asked)
-    resolve = resolve_settings if quality == "fast" else resolve_guided
-    chosen = resolve(frame, replace(asked, quality=quality))
+    chosen = resolve_all(frame, ask(settings, changes))
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(bad, "pixel")
-    found = filter_plain(frame, chosen, features) if quality == "fast" else filter_guided(frame, chosen, features)
-    image = compose(frame, found.parts)
-    holes = ~find_good(image) | (bad & found.untouched)
+    found = filter_frame(frame, chosen, features)
+    image, parts = found.image, found.parts
+    holes = found.find_holes(bad)
     if holes.any():
-        image = refill(image, holes, chosen)
-    parts = found.parts
+        image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
     if chosen.with_oidn:
         before, image = image, combine_with_peer(frame, image, found.extras, chosen.device)
         parts = share_out(image, before, parts)
@@ -115,8 +102,27 @@ def denoise(
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        energy_lost=found.energy_lost,
+        energy_lost=find_energy_lost(found.tallies),
     )
+
+
+def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any]) -> DenoiseSettings:
+    """Return ``settings`` with single parameters replaced and their quality chosen.
+
+    Raises
+    ------
+    InputError
+        If a parameter is unknown or out of range.
+    """
+    for name in changes:
+        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
+    asked = replace(settings or DenoiseSettings(), **changes)
+    return replace(asked, quality=choose_quality(asked))
+
+
+def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> DenoiseSettings:
+    """Return settings of a chosen quality with every "auto" replaced; for ``spp`` see `resolve_settings`."""
+    return resolve_settings(frame, asked, spp=spp) if asked.quality == "fast" else resolve_guided(frame, asked)
 
 
 @dataclass(frozen=True)
@@ -126,15 +132,39 @@ class Filtered:
     layers: Sequence[Layer]
     parts: Sequence[FloatArray]
     supports: Sequence[Support]
-    energy_lost: float = 0.0
+    image: FloatArray
+    """All parts and what is in none of them, (height, width, 3); see `compose`."""
+    tallies: Sequence[NDArray[np.float64]] = ()
+    """What fireflies took of every layer, row by row."""
     extras: Sequence[FloatArray] = ()
     """What a network sees of every layer, with the quality "high"."""
 
-    @property
-    def untouched(self) -> NDArray[np.bool_]:
-        """Where no layer gathered anything, (height, width)."""
-        nothing: NDArray[np.bool_] = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
-        return nothing
+    def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return where the image is none, (height, width): not finite, or bad and reached by no layer."""
+        untouched = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
+        holes: NDArray[np.bool_] = ~find_good(self.image) | (bad & untouched)
+        return holes
+
+
+def filter_frame(
+    frame: Frame, settings: DenoiseSettings, features: Sequence[Feature] = (), levels: Sequence[float] | None = None
+) -> Filtered:
+    """Filter a frame by settings without "auto"; ``levels`` as in `make_noisy_layers`."""
+    if settings.quality == "fast":
+        return filter_plain(frame, settings, features)
+    return filter_guided(frame, settings, features, levels)
+
+
+def find_reach(settings: DenoiseSettings) -> int:
+    """Return from how many pixels away anything can tell on a pixel that `filter_frame` gives.
+
+    Of frames without halves of their samples the pilot has no guide, so they are told of less.
+    """
+    if settings.quality == "high":
+        return find_high_reach(settings)
+    if settings.quality == "balanced":
+        return find_balanced_reach(settings)
+    return ATROUS_REACH if settings.form == "atrous" else settings.radius
 
 
 def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
@@ -153,12 +183,14 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
         for layer in layers
     ]
     parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
-    return Filtered(layers, parts, outputs)
+    return Filtered(layers, parts, outputs, compose(frame, parts))
 
 
-def filter_guided(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
+def filter_guided(
+    frame: Frame, settings: DenoiseSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
+) -> Filtered:
     """Filter both halves of every layer by their guides and by what they tell of light and noise."""
-    noisy = make_noisy_layers(frame, settings, features)
+    noisy = make_noisy_layers(frame, settings, features, levels)
     extras: list[FloatArray] = []
     clean: list[CleanLayer] = []
     for each in noisy:
@@ -168,8 +200,9 @@ def filter_guided(frame: Frame, settings: DenoiseSettings, features: Sequence[Fe
         else:
             found = filter_balanced(frame, each, settings)
         clean.append(found)
-    lost = find_energy_lost([each.bounded.tally for each in noisy])
-    return Filtered([each.layer for each in noisy], [each.image for each in clean], clean, lost, extras)
+    parts = [each.image for each in clean]
+    tallies = [each.bounded.tally for each in noisy]
+    return Filtered([each.layer for each in noisy], parts, clean, compose(frame, parts), tallies, extras)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.kernels.devices import choose_device
@@ -180,22 +181,41 @@ def choose_similarity(frame: AnyFrame, similarity: str) -> str:
 
 
 def estimate_spp(frame: AnyFrame) -> float:
+    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0; see `judge_noise`."""
+    return judge_noise(list_relative_variances(frame), frame.spp)
+
+
+def list_relative_variances(frame: AnyFrame) -> NDArray[np.float64]:
+    """Return the variance of the mean over its square at every lit pixel, (count,); none without variance."""
+    if frame.variance is None:
+        return np.empty(0)
+    # The square of a very dim mean underflows in float32.
+    mean, variance = (
+        (image[..., 0].astype(np.float64) + image[..., 1] + image[..., 2]) / 3.0
+        for image in (frame.radiance.color, frame.variance.color)
+    )
+    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
+    return np.asarray(variance[lit] / mean[lit] ** 2)
+
+
+def judge_noise(variances: NDArray[np.float64], spp: int | None) -> float:
     """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
 
     Where the frame has its variance, the median relative variance of the mean is compared with what the built-in
     ``showroom`` has at the same sample count, ``0.0825 (4/spp)^0.56`` (it falls more slowly than 1/spp because few
     samples hide the tail). A dim, indirectly lit room is then worth fewer samples than it took. Without variance it is
     the sample count itself, and without that 4.
+
+    Parameters
+    ----------
+    variances : (count,)
+        What `list_relative_variances` gives.
+    spp : int or None
+        Samples that the frame took.
     """
-    spp = float(frame.spp) if frame.spp is not None else None
-    if frame.variance is None:
-        return spp or 4.0
-    # The square of a very dim mean underflows in float32.
-    mean, variance = (image.color.mean(axis=-1, dtype=np.float64) for image in (frame.radiance, frame.variance))
-    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
-    if not lit.any():
-        return spp or 4.0
-    noise = max(float(np.median(variance[lit] / mean[lit] ** 2)), 1e-9)
+    if not variances.size:
+        return float(spp or 4.0)
+    noise = max(float(np.median(variances)), 1e-9)
     if spp is None:
         return float(np.clip(4.0 * math.pow(0.0825 / noise, 1.0 / 0.56), 0.25, 4096.0))
     excess = noise / (0.0825 * math.pow(4.0 / spp, 0.56))
@@ -235,17 +255,25 @@ def can_use_hits(frame: AnyFrame) -> bool:
     return guides.hit_distance is not None and placed and frame.camera is not None
 
 
-def resolve_settings(frame: AnyFrame, settings: DenoiseSettings, scale: int = 1) -> DenoiseSettings:
+def needs_spp(settings: DenoiseSettings) -> bool:
+    """Return whether what "auto" stands for depends on the noise, for the quality "fast"."""
+    return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
+
+
+def resolve_settings(
+    frame: AnyFrame, settings: DenoiseSettings, scale: int = 1, *, spp: float | None = None
+) -> DenoiseSettings:
     """Return ``settings`` with every "auto" replaced by what it stands for on this frame, for the quality "fast".
 
     With one of ``scale`` times ``scale`` pixels shaded there are fewer samples for the same area, so the screen sigma
     and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
     samples of another material are as near as those of the own one (fitted on the built-in scenes at scale 4).
+    ``spp`` is what `estimate_spp` says of the whole image, where the frame is a part of it.
     """
     sigma, tau = settings.screen_sigma, settings.tau
-    asked = (sigma, tau, settings.beta, settings.diffuse_beta)
-    # It looks at every pixel, so only where it is asked for.
-    spp = estimate_spp(frame) if "auto" in asked else 1.0
+    if spp is None:
+        # It looks at every pixel, so only where it is asked for.
+        spp = estimate_spp(frame) if needs_spp(settings) else 1.0
     density = 1.0 / scale**2
     beta = choose_beta(spp) * math.pow(density, -0.15)
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0

@@ -106,6 +106,17 @@ class Part:
     display_window: Window
     levels: int
     chunks: tuple[Chunk, ...]
+    tiles_above: int = 0
+    """Rows of tiles that lie above, where this is cut from a taller part."""
+
+    @property
+    def rows_per_chunk(self) -> int:
+        """Rows that a chunk has, the last ones perhaps less."""
+        if not self.tiled:
+            return next(rows for name, rows in COMPRESSIONS.values() if name == self.compression)
+        tiles = self.get("tiles")
+        assert tiles is not None  # checked when the header was read
+        return int.from_bytes(tiles.value[4:8], "little")
 
     @property
     def name(self) -> str:
@@ -389,6 +400,32 @@ def _locate_chunks(reader: _Reader, part: Part, table: tuple[int, ...], *, multi
 
 def _with_chunks(part: Part, chunks: tuple[Chunk, ...]) -> Part:
     return replace(part, chunks=chunks)
+
+
+def crop_part(part: Part, first: int, stop: int) -> Part:
+    """Return the rows from ``first`` to before ``stop`` as a part of its own, of one resolution.
+
+    ``first`` counts from the top of the data window and is a multiple of `Part.rows_per_chunk`; so is ``stop``, or it
+    is the height.
+    """
+    window, rows, tiles = part.data_window, part.rows_per_chunk, part.get("tiles")
+    above, below, across = first // rows, -(-stop // rows), 1
+    cut = replace(window, y_min=window.y_min + first, y_max=window.y_min + stop - 1)
+    changed = {"dataWindow": struct.pack("<4i", cut.x_min, cut.y_min, cut.x_max, cut.y_max)}
+    if part.tiled and tiles is not None:
+        across = -(-window.width // int.from_bytes(tiles.value[:4], "little"))
+        # The mode in the last byte: one level. That of the whole image comes first in the table.
+        changed["tiles"] = tiles.value[:8] + b"\0"
+    return replace(
+        part,
+        attributes=tuple(replace(item, value=changed.get(item.name, item.value)) for item in part.attributes),
+        data_window=cut,
+        levels=1,
+        chunks=tuple(
+            replace(chunk, index=chunk.index - above * across) for chunk in part.chunks[above * across : below * across]
+        ),
+        tiles_above=above if part.tiled else 0,
+    )
 
 
 def show_name(name: str) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -62,16 +63,21 @@ def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None
         If the camera in the header makes no sense, or a pixel names a lobe table that is not there.
     """
     container = read_container(path)
+    require_shaded(container)
+    return read_whole(path, container, lobe_tables)
+
+
+def require_shaded(container: Container) -> None:
+    """Raise InputError if a file holds a frame that was shaded sparsely, MissingChannelError if it holds none."""
     if require_beauty(container).get(SPARSE) is not None:
         raise InputError(
             describe_problem(
-                f"input {str(path)!r}",
+                f"input {str(container.path)!r}",
                 expected="radiance at every pixel",
                 got="a frame that was shaded sparsely",
                 action="upsample it (lobewise upsample)",
             )
         )
-    return read_whole(path, container, lobe_tables)
 
 
 def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
@@ -79,16 +85,26 @@ def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeT
     beauty = require_beauty(container)
     images: dict[tuple[str, str], FloatArray] = {}
     for part, slots in plan_reading(container, beauty):
-        pixels = decode_part(container, part)
-        for slot in slots:
-            image = _join([pixels[name] for name in slot.channels])
-            images[slot.owner, slot.field] = image[..., 0] if slot.kind == "geometry" and image.shape[2] == 1 else image
-    for owner in ("half_a", "half_b", "variance"):
-        if (owner, "color") not in images and any(who == owner for who, _ in images):
-            raise MissingChannelError(_say_incomplete(path, f"{owner}.R/G/B", "none of them beside its other images"))
-    try:
+        images |= make_images(slots, decode_part(container, part))
+    with name_file(path):
         tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
         return build_frame(dict(images), read_camera(beauty), read_spp(beauty), tables)
+
+
+def make_images(slots: Iterable[Slot], pixels: Mapping[str, Pixels]) -> dict[tuple[str, str], FloatArray]:
+    """Return the images of some slots by owner and field, from channels in the types that they were stored in."""
+    images = {}
+    for slot in slots:
+        image = _join([pixels[name] for name in slot.channels])
+        images[slot.owner, slot.field] = image[..., 0] if slot.kind == "geometry" and image.shape[2] == 1 else image
+    return images
+
+
+@contextmanager
+def name_file(path: PathLike) -> Iterator[None]:
+    """Put the name of the file that was read before whatever is wrong with what it holds."""
+    try:
+        yield
     except LobewiseError as problem:
         raise type(problem)(f"input {str(path)!r}: {problem}") from None
 
@@ -194,38 +210,60 @@ def write_result(path: PathLike, result: Result, *, source: PathLike) -> None:
     container = read_container(source)
     beauty = require_beauty(container)
     window = beauty.data_window
-    images: dict[str, FloatArray | None] = {"color": result.image}
-    if find_foreign(container.parts) is None:
-        images |= {"diffuse": result.diffuse, "specular": result.specular}
-    touched: dict[int, dict[str, Pixels]] = {}
-    for slot in SLOTS:
-        image = images.get(slot.field) if slot.owner == "radiance" else None
-        if image is None:
-            continue
-        if image.shape != (window.height, window.width, 3):
-            raise InputError(
-                describe_problem(
-                    f"result.{'image' if slot.field == 'color' else slot.field}",
-                    expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
-                    got=f"an array of shape {image.shape}",
-                    action="denoise that file",
+    given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
+    images = {field: image for field, image in given.items() if image is not None}
+    chunks = {}
+    for part, slots in plan_writing(container, beauty, images):
+        for field in (slot.field for slot in slots):
+            if images[field].shape != (window.height, window.width, 3):
+                raise InputError(
+                    describe_problem(
+                        f"result.{'image' if field == 'color' else field}",
+                        expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
+                        got=f"an array of shape {images[field].shape}",
+                        action="denoise that file",
+                    )
                 )
-            )
+        chunks[part.index] = encode_part(container, part, put_images(slots, images, decode_part(container, part)))
+    with container.path.open("rb") as stream, open_atomic(path) as out:
+        write_container(out, container, stream, make_headers(container, beauty, result.settings), chunks)
+
+
+def plan_writing(container: Container, beauty: Part, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
+    """Return which of a result's images, by their fields, replace what in which part; those that none has are left out.
+
+    In a file of another renderer only the total is replaced.
+    """
+    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
+    plan: dict[int, list[Slot]] = {}
+    for slot in known:
+        if slot.owner != "radiance" or slot.field not in fields:
+            continue
         for part in _list_readable(container, beauty):
             if {channel.name for channel in part.channels}.issuperset(slot.channels):
-                if part.index not in touched:
-                    touched[part.index] = decode_part(container, part)
-                for index, name in enumerate(slot.channels):
-                    old = touched[part.index][name]
-                    touched[part.index][name] = _convert(image[..., index], old.dtype)
+                plan.setdefault(part.index, []).append(slot)
                 break
+    return [(container.parts[index], slots) for index, slots in plan.items()]
+
+
+def put_images(
+    slots: Iterable[Slot], images: Mapping[str, FloatArray], pixels: Mapping[str, Pixels]
+) -> dict[str, Pixels]:
+    """Return the channels of a part with those of some slots replaced, in the types that they were stored in."""
+    changed = dict(pixels)
+    for slot in slots:
+        for index, name in enumerate(slot.channels):
+            changed[name] = _convert(images[slot.field][..., index], pixels[name].dtype)
+    return changed
+
+
+def make_headers(container: Container, beauty: Part, settings: Mapping[str, Any]) -> list[list[Attribute]]:
+    """Return the attributes of every part of a denoised copy: as they were, and the settings."""
     headers = [list(part.attributes) for part in container.parts]
-    note = json.dumps(result.settings, sort_keys=True, default=str).encode("utf-8")
+    note = json.dumps(settings, sort_keys=True, default=str).encode("utf-8")
     headers[beauty.index] = [item for item in headers[beauty.index] if item.name != DENOISED]
     headers[beauty.index].append(Attribute(DENOISED, "string", note))
-    chunks = {index: encode_part(container, container.parts[index], pixels) for index, pixels in touched.items()}
-    with container.path.open("rb") as stream, open_atomic(path) as out:
-        write_container(out, container, stream, headers, chunks)
+    return headers
 
 
 def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Slot]]]:
@@ -236,9 +274,9 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
     MissingChannelError
         If an image has only some of its channels.
     """
-    slots = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
+    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
     plan: dict[int, list[Slot]] = {}
-    for slot in slots:
+    for slot in known:
         best: list[str] = []
         for part in _list_readable(container, beauty):
             names = {channel.name for channel in part.channels}
@@ -250,7 +288,12 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
             best = max(best, have, key=len)
         if best:
             raise MissingChannelError(_say_incomplete(container.path, slot.label, "only " + ", ".join(best)))
-    return [(container.parts[index], found) for index, found in sorted(plan.items())]
+    found = {(slot.owner, slot.field) for slots in plan.values() for slot in slots}
+    for owner in ("half_a", "half_b", "variance"):
+        if (owner, "color") not in found and any(who == owner for who, _ in found):
+            got = "none of them beside its other images"
+            raise MissingChannelError(_say_incomplete(container.path, f"{owner}.R/G/B", got))
+    return [(container.parts[index], slots) for index, slots in sorted(plan.items())]
 
 
 def read_camera(part: Part) -> Camera | None:

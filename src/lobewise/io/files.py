@@ -118,18 +118,39 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
         temporary = None
         _sync_folder(target.parent)
     except OSError as problem:
-        raise FileError(
-            describe_problem(
-                name,
-                expected="a path that can be written",
-                got=_say_reason(problem),
-                action="choose another path or make room",
-            )
-        ) from problem
+        raise _refuse(name, problem) from problem
     finally:
         if temporary is not None:
             with suppress(OSError):
                 os.unlink(temporary)
+
+
+@contextmanager
+def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
+    """Open a file without a name, on the disk that ``path`` is on, for what an output is made of; it leaves no trace.
+
+    Raises
+    ------
+    FileError
+        As `open_atomic`.
+    """
+    target = require_writable(path, what=what)
+    try:
+        with tempfile.TemporaryFile(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent) as stream:
+            yield stream
+    except OSError as problem:
+        raise _refuse(f"{what} {str(path)!r}", problem) from problem
+
+
+def _refuse(name: str, problem: OSError) -> FileError:
+    return FileError(
+        describe_problem(
+            name,
+            expected="a path that can be written",
+            got=_say_reason(problem),
+            action="choose another path or make room",
+        )
+    )
 
 
 def write_text(path: PathLike, text: str, *, what: str = "output") -> None:

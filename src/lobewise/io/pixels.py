@@ -79,8 +79,19 @@ def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) 
     Raises
     ------
     FileError
-        If the part is of a kind that cannot be written: several resolution levels, or subsampled channels.
+        As `require_encodable`.
     """
+    require_encodable(container, part)
+    header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
+    header["lineOrder"] = (part.get("lineOrder") or _missing("lineOrder")).value[0]
+    data = encode_file(header, pixels, part=part)
+    made = parse_bytes(data).parts[0]
+    ordered = sorted(made.chunks, key=lambda chunk: chunk.offset)
+    return [(chunk.index, data[chunk.offset : chunk.offset + chunk.size]) for chunk in ordered]
+
+
+def require_encodable(container: Container, part: Part) -> None:
+    """Raise FileError if a part is of a kind that cannot be written: with resolution levels or subsampled channels."""
     odd = [show_name(channel.name) for channel in part.channels if (channel.x_sampling, channel.y_sampling) != (1, 1)]
     if part.levels > 1 or odd:
         raise FileError(
@@ -91,12 +102,6 @@ def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) 
                 action="convert it to a plain scanline file first",
             )
         )
-    header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
-    header["lineOrder"] = (part.get("lineOrder") or _missing("lineOrder")).value[0]
-    data = encode_file(header, pixels, part=part)
-    made = parse_bytes(data).parts[0]
-    ordered = sorted(made.chunks, key=lambda chunk: chunk.offset)
-    return [(chunk.index, data[chunk.offset : chunk.offset + chunk.size]) for chunk in ordered]
 
 
 def encode_file(

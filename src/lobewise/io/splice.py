@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
 from lobewise.errors import FileError, describe_problem
@@ -23,7 +24,10 @@ def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
     kept = [item for item in part.attributes if item.name in needed]
     version = 2 | (TILED if part.tiled else 0) | (container.version & LONG_NAMES)
     header = MAGIC + struct.pack("<I", version) + b"".join(item.pack() for item in kept) + b"\0"
-    chunks = [(chunk.index, read_chunk(stream, chunk)) for chunk in sorted(part.chunks, key=lambda one: one.offset)]
+    chunks = [
+        (chunk.index, shift_tiles(read_chunk(stream, chunk), -part.tiles_above))
+        for chunk in sorted(part.chunks, key=lambda one: one.offset)
+    ]
     return header + _pack_chunks(chunks, start=len(header), prefix=b"")
 
 
@@ -43,12 +47,19 @@ def read_chunk(stream: BinaryIO, chunk: Chunk) -> bytes:
     return data
 
 
+def shift_tiles(chunk: bytes, rows: int) -> bytes:
+    """Return the bytes of a tile's chunk ``rows`` of tiles further down; with 0 of any chunk."""
+    return (
+        chunk if rows == 0 else chunk[:4] + struct.pack("<i", struct.unpack_from("<i", chunk, 4)[0] + rows) + chunk[8:]
+    )
+
+
 def write_container(
     out: BinaryIO,
     container: Container,
     source: BinaryIO,
     headers: list[list[Attribute]],
-    new: dict[int, list[tuple[int, bytes]]],
+    new: Mapping[int, Iterable[tuple[int, bytes]]],
 ) -> None:
     """Write a file with the given headers; parts in ``new`` get these chunks, the others keep theirs, byte for byte.
 
@@ -63,8 +74,9 @@ def write_container(
     out.write(b"\0" * (position - len(head)))
     for part in container.parts:
         prefix = struct.pack("<i", part.index) if container.multipart else b""
-        pending: list[Chunk] | list[tuple[int, bytes]]
-        pending = new[part.index] if part.index in new else sorted(part.chunks, key=lambda one: one.offset)
+        pending: Iterable[Chunk] | Iterable[tuple[int, bytes]]
+        kept = sorted(part.chunks, key=lambda one: one.offset)
+        pending = new.get(part.index, kept)
         for item in pending:
             index, data = (item.index, read_chunk(source, item)) if isinstance(item, Chunk) else item
             tables[part.index][index] = position

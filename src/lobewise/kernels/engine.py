@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import lend, make_output, take_arrays, take_image, take_mask, take_parameters
-from lobewise.kernels.cross_filter import PassKey, Taps, describe_structure, make_pass
+from lobewise.kernels.cross_filter import ATROUS_RADIUS, PassKey, Taps, describe_structure, make_pass
 from lobewise.kernels.devices import make_target
 from lobewise.kernels.features import Feature
 from lobewise.kernels.schedules import schedule_pass
 
 FORMS = ("full", "separable", "atrous")
 ATROUS_LEVELS = 5
+ATROUS_REACH = ATROUS_RADIUS * (2**ATROUS_LEVELS - 1)
+"""Pixels to each side from which the form "atrous" takes, all levels together."""
 
 
 class Compilable(Protocol):

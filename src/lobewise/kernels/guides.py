@@ -24,15 +24,17 @@ def is_surface_depth(depth: hl.Expr) -> hl.Expr:
 def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
     """Return what `make_ray` reads: the ray through the first pixel's centre, and its steps to the right and down."""
     height, width = size
+    first_row, rows = camera.get_rows(height)
     half_width, half_height = camera.get_half_extent(width, height)
-    right, down = 2.0 * half_width / width * camera.right, -2.0 * half_height / height * camera.up
+    right, down = 2.0 * half_width / width * camera.right, -2.0 * half_height / rows * camera.up
     corner = camera.forward - half_width * camera.right + half_height * camera.up
-    return {"first_ray": corner + 0.5 * (right + down), "ray_right": right, "ray_down": down}
+    first_ray = corner + 0.5 * (right + down)
+    return {"first_ray": first_ray, "ray_right": right, "ray_down": down, "first_row": np.array([float(first_row)])}
 
 
 def make_ray(grid: Grid, kind: hl.Type) -> list[hl.Expr]:
     """Return the direction in which a pixel looks, 1 deep along the camera's axis."""
-    x, y = hl.cast(hl.Float(64), grid.x), hl.cast(hl.Float(64), grid.y)
+    x, y = hl.cast(hl.Float(64), grid.x), hl.cast(hl.Float(64), grid.y) + grid.get("first_row")[0]
     parts = zip(grid.get("first_ray"), grid.get("ray_right"), grid.get("ray_down"), strict=True)
     return [hl.cast(kind, first + x * right + y * down) for first, right, down in parts]
 
@@ -161,7 +163,8 @@ def put_backdrop(
     if camera is not None:
         rays = get_ray_numbers(camera, size)
     else:
-        rays = {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": np.zeros(3), "ray_down": np.zeros(3)}
+        still = np.zeros(3)
+        rays = {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": still, "ray_down": still, "first_row": still[:1]}
     eye = np.zeros(3) if camera is None else camera.position
     images = {"surface": surface, "normal": normal, "position": position}
     numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}

@@ -30,6 +30,8 @@ BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
 """Binomial weights over which squares are averaged, in rows and in columns."""
 STEPS = (1, 3)
 """Pixels from weight to weight of the averages, and of the averages of these: one is local, the other steady."""
+REACH = len(BLUR) // 2 * sum(STEPS) + 1
+"""Pixels to each side from which a pixel's proportions are read: the averages of averages of a slope."""
 DARKEST = 0.05
 """Squares are relative to that of the local mean, and to this share of the whole mean."""
 LEAST_SQUARE = 1e-8

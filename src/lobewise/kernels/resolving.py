@@ -19,6 +19,8 @@ from lobewise.kernels.pointwise import Grid, Vector, run_pointwise, select_or_na
 SMALLEST_SHARE = 1e-6
 """Sum of shares times albedos below which a pixel keeps the light at its own centre."""
 COLORS = 3
+REACH = 1
+"""Pixels to each side whose light may fall on a pixel's area."""
 
 
 def resolve_light(

@@ -178,9 +178,7 @@ class _Builder:
         height, width = gbuffer.normal.shape[:2]
 
         self.eye = camera.position.astype(np.float32)
-        half_width, half_height = camera.get_half_extent(width, height)
-        x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
-        y = (1.0 - (np.arange(height) + 0.5) / height * 2.0) * half_height
+        x, y = camera.get_plane(width, height)
         # the ray through a pixel is a part of its column and a part of its row
         self.ray_columns = (x[None, :] * camera.right[:, None]).astype(np.float32)
         self.ray_rows = (camera.forward[:, None] + y[None, :] * camera.up[:, None]).astype(np.float32)

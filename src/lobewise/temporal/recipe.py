@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from lobewise.chunks import map_chunks
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import compose, keep_unfiltered, refill
+from lobewise.denoising.recipe import compose, keep_unfiltered
+from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Result
@@ -257,7 +258,7 @@ class TemporalFilter:
         if not good.all():
             parts = {name: blacken_bad(part) for name, part in parts.items()}
         if holes.any():
-            image = refill(image, holes, chosen)
+            image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
         lobes = [name for name in layers if name != "rest"]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
