@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from lobewise.denoising import denoise
-from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
-from lobewise.io.files import PathLike, write_text
+from lobewise.io.files import PathLike, make_folder, write_text
 from lobewise.metrics import find_specular_pixels
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.report import Picture, Report, make_page
@@ -115,7 +115,7 @@ def make_demo(
                 action="add --live, which needs Mitsuba",
             )
         )
-    page = _make_folder(folder) / "report.html"
+    page = make_folder(folder) / "report.html"
     if live:
         frame, reference, samples = _render(scene, spp, reference_spp, size, say)
     else:
@@ -240,23 +240,6 @@ def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) 
         progress=lambda done, total: say("Rendering the reference", done, total),
     )
     return frame, reference.radiance.color, reference_spp
-
-
-def _make_folder(folder: PathLike) -> Path:
-    path = Path(folder)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as problem:
-        reason = getattr(problem, "strerror", None) or str(problem)
-        raise FileError(
-            describe_problem(
-                f"output {str(folder)!r}",
-                expected="a folder that can be made",
-                got=reason[:1].lower() + reason[1:],
-                action="choose another folder",
-            )
-        ) from None
-    return path
 
 
 def _list_facts() -> dict[str, str]:

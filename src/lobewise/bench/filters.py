@@ -15,7 +15,6 @@ from lobewise.bench.plan import (
     RADIUS,
     WHAT,
     Extent,
-    Size,
     describe_size,
     limit_threads,
     list_jobs,
@@ -119,7 +118,7 @@ def _time_threads(counts: Sequence[int], extent: Extent) -> list[dict[str, Any]]
         }
         for _ in range(TURNS):
             for count, pool in pools.items():
-                times = pool.submit(_time_core, extent.size, seconds, extent.rounds).result()
+                times = pool.submit(_time_core, extent, seconds).result()
                 known = best.get(count, times)
                 best[count] = {name: min(value, known[name]) for name, value in times.items()}
     facts = {"device": "cpu", **describe_size(extent.size), "form": "separable", "radius": RADIUS}
@@ -130,8 +129,8 @@ def _time_threads(counts: Sequence[int], extent: Extent) -> list[dict[str, Any]]
     ]
 
 
-def _time_core(size: Size, seconds: float, rounds: int) -> dict[str, float]:
-    return time_best(make_core_calls(size), seconds, rounds=rounds)
+def _time_core(extent: Extent, seconds: float) -> dict[str, float]:
+    return time_best(make_core_calls(extent), seconds, rounds=extent.rounds)
 
 
 def _make_row(part: str, name: str, seconds: float, facts: dict[str, Any]) -> dict[str, Any]:

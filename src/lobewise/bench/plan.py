@@ -57,10 +57,14 @@ class Extent:
         Those of "radius", "lobes" and "upsampling".
     forms, qualities : tuple of str
         Those of "forms" and "denoising".
+    similarities, core : tuple of str
+        Those of "forms" and of the paper's radii, and those of everything else; both with "normal".
     seconds : float
         Least time of each job's rounds.
     rounds, recipe_rounds : int
-        Least number of rounds of kernels, and of whole recipes.
+        Least number of rounds of kernels, and of whole recipes and what Open Image Denoise takes part in.
+    peer_pixels : int
+        Larger images are not given to it: it would take most of the time.
     """
 
     size: Size = (1024, 1024)
@@ -72,9 +76,12 @@ class Extent:
     scales: tuple[int, ...] = (2, 4)
     forms: tuple[str, ...] = FORMS
     qualities: tuple[str, ...] = ("fast", "balanced", "high")
+    similarities: tuple[str, ...] = SIMILARITIES
+    core: tuple[str, ...] = CORE
     seconds: float = 3.0
     rounds: int = 5
-    recipe_rounds: int = 3
+    recipe_rounds: int = 2
+    peer_pixels: int = 1920 * 1080
 
 
 FULL = Extent()
@@ -128,14 +135,15 @@ def fetch_frame(size: Size) -> Frame:
 def list_jobs(extent: Extent, device: str) -> Iterator[Job]:
     """Yield everything that is measured on one device, but the threads."""
     for form in extent.forms:
-        yield _plan_kernels("forms", extent.size, RADIUS, form, device, extent, SIMILARITIES)
+        yield _plan_kernels("forms", extent.size, RADIUS, form, device, extent, extent.similarities)
     for lobes in extent.lobes:
         yield _plan_lobes(lobes, device, extent)
     for radius in extent.radii:
-        names = SIMILARITIES if radius in PAPER_RADII else CORE
+        names = extent.similarities if radius in PAPER_RADII else extent.core
         yield _plan_kernels("radius", extent.radius_size, radius, "separable", device, extent, names)
     for size in extent.sizes:
-        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, CORE, peers=("fast", "high"))
+        peers = ("fast", "high") if size[0] * size[1] <= extent.peer_pixels and has_oidn() else ()
+        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, extent.core, peers)
     for scale in extent.scales:
         yield _plan_upsampling(scale, device, extent)
     yield _plan_denoising(device, extent)
@@ -147,10 +155,10 @@ def list_threads() -> list[int]:
     return sorted({most, *(2**k for k in range(most.bit_length()) if 2**k <= most)})
 
 
-def make_core_calls(size: Size) -> Calls:
+def make_core_calls(extent: Extent) -> Calls:
     """Return what "threads" runs."""
-    frame = fetch_frame(size)
-    return make_kernel_calls(frame, make_features(frame, CORE), RADIUS, "separable")
+    frame = fetch_frame(extent.size)
+    return make_kernel_calls(frame, make_features(frame, extent.core), RADIUS, "separable")
 
 
 def limit_threads(count: int) -> None:
@@ -179,9 +187,10 @@ def _plan_kernels(
         return {**calls, **_make_peer_calls(frame, peers)}
 
     facts = {"device": device, **describe_size(size), "form": form, "radius": radius}
+    rounds = extent.recipe_rounds if peers else extent.rounds
     megapixels = size[0] * size[1] / 1e6
-    effort = extent.seconds + len(names) + 5.0 * megapixels * (bool(peers) + (form == "full"))
-    return Job(part, facts, make, extent.rounds, effort)
+    effort = extent.seconds + len(names) + (1.0 + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
+    return Job(part, facts, make, rounds, effort)
 
 
 def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
@@ -208,7 +217,7 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
         def make_call(**settings: Any) -> Callable[[], Any]:
             return lambda: upsample(sparse, device=device, **settings)
 
-        return {"bilinear": make_call(bilinear=True), **{name: make_call(similarity=name) for name in CORE}}
+        return {"bilinear": make_call(bilinear=True), **{name: make_call(similarity=name) for name in extent.core}}
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
     return Job("upsampling", facts, make, extent.recipe_rounds, 8.0 + extent.seconds)
@@ -222,7 +231,7 @@ def _plan_denoising(device: str, extent: Extent) -> Job:
             return lambda: denoise(frame, radius=RADIUS, device=device, **settings)
 
         calls: Calls = {}
-        for similarity in ("sg", "ggx"):
+        for similarity in (name for name in extent.core if name != "normal"):
             for form in ("separable", "full"):
                 calls[f"fast, {similarity}, {form}"] = make_call(quality="fast", similarity=similarity, form=form)
         calls |= {quality: make_call(quality=quality) for quality in extent.qualities if quality != "fast"}
@@ -230,7 +239,7 @@ def _plan_denoising(device: str, extent: Extent) -> Job:
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
     megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
-    return Job("denoising", facts, make, extent.recipe_rounds, 20.0 + 60.0 * megapixels)
+    return Job("denoising", facts, make, extent.recipe_rounds, 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels)
 
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:

@@ -8,16 +8,82 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import parse_size, show_progress
+from lobewise.errors import InputError, MissingDependencyError, describe_problem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-bench = typer.Typer(help="Measure how fast this machine is.", no_args_is_help=True)
+bench = typer.Typer(help="Measure how fast this machine is.", invoke_without_command=True)
+
+DEFAULT_FOLDER = Path("lobewise-bench")
 
 
 @bench.callback()
-def root() -> None:
-    """Measure how fast this machine is."""
+def filters(
+    context: typer.Context,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Where page, plots and JSON go.", show_default=str(DEFAULT_FOLDER)
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Small images and few rounds: about a minute.")] = False,
+    device: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="See `lobewise devices`; may be repeated.",
+            show_default="all there are",
+        ),
+    ] = None,
+) -> None:
+    """Measure how fast this machine is: filters, upsampling, whole frames, and Open Image Denoise beside them.
+
+    Takes up to ten minutes, of which nothing else should run. `interactive` measures the chain of the viewer instead.
+    """
+    if context.invoked_subcommand is not None:
+        if output is not None or quick or device:
+            raise InputError(
+                describe_problem(
+                    "bench",
+                    expected=f"its options behind `{context.invoked_subcommand}`",
+                    got="some before it",
+                    action="move or remove them",
+                )
+            )
+        return
+    from lobewise.bench.filters import measure_filters
+    from lobewise.bench.page import make_bench_page
+    from lobewise.bench.plan import FULL, QUICK
+    from lobewise.bench.plots import draw_plots
+    from lobewise.bench.summary import describe_machine_in_words, make_sections
+    from lobewise.cli.output import print_line, print_note, print_table, to_json
+    from lobewise.io.files import make_folder, open_atomic, write_text
+
+    folder = make_folder(output or DEFAULT_FOLDER)
+    with show_progress() as progress:
+        found = measure_filters(
+            device, extent=QUICK if quick else FULL, progress=lambda done, total: progress("Measuring", done, total)
+        )
+    for section in make_sections(found):
+        print_table(
+            section.title, [name.replace(" faster than ", "\nfaster than ") for name in section.header], section.rows
+        )
+    print_line(describe_machine_in_words(found))
+    for sentence in found["skipped"]:
+        print_note(f"Left out: {sentence}")
+    try:
+        plots = draw_plots(found)
+    except MissingDependencyError as problem:
+        plots = {}
+        print_note(str(problem))
+    for name, png in plots.items():
+        with open_atomic(folder / f"{name}.png", what="plot") as stream:
+            stream.write(png)
+    write_text(folder / "bench.json", to_json(found))
+    command = "lobewise bench" + " --quick" * quick + "".join(f" --device {name}" for name in device or ())
+    write_text(folder / "index.html", make_bench_page(found, plots, command))
+    print_line(f"Wrote {folder / 'index.html'}: open it in a browser; figures and plots lie beside it.")
 
 
 @bench.command()

@@ -93,6 +93,30 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
     raise FileError(describe_problem(name, expected="a path that can be written", got=got, action=action))
 
 
+def make_folder(path: PathLike, *, what: str = "output") -> Path:
+    """Return the folder ``path``, made now if there is none, in which files can be written.
+
+    Raises
+    ------
+    FileError
+        If it cannot be made, or may not be written to.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as problem:
+        raise FileError(
+            describe_problem(
+                f"{what} {str(path)!r}",
+                expected="a folder that can be made",
+                got=_say_reason(problem),
+                action="choose another folder",
+            )
+        ) from None
+    require_writable(folder / "file", what=what)
+    return folder
+
+
 @contextmanager
 def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path``; on success it replaces ``path`` in one step, on failure it is removed.

@@ -1,0 +1,120 @@
+"""Plots of time over pixels, radius, lobes and threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lobewise.bench.summary import Row, is_peer, name_series, pick
+from lobewise.plotting import encode_figure, make_figure
+
+PIXELS, RADIUS, LOBES, THREADS = PLOTS = ("pixels", "radius", "lobes", "threads")
+COLORS = {
+    "normal": "0.35",
+    "sg": "tab:blue",
+    "ggx": "tab:orange",
+    "asg": "tab:green",
+    "sg_mixture, 3 lobes": "tab:red",
+    "sg_mixture, 3 coaxial": "tab:purple",
+    "own axes": "tab:red",
+    "one axis": "tab:purple",
+    "Open Image Denoise, fast": "tab:olive",
+    "Open Image Denoise, default": "tab:brown",
+}
+MARKS = {"cpu": "o", "cuda": "s", "vulkan": "^", "metal": "D"}
+
+
+def draw_plots(data: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return a PNG of every plot that there are rows for, by its name.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Matplotlib is not installed.
+    """
+    rows = data["rows"]
+    found = {name: pick(rows, name) for name in PLOTS}
+    drawn = {}
+    if found[PIXELS]:
+        drawn[PIXELS] = _draw(
+            found[PIXELS],
+            lambda row: 1e-6 * row["width"] * row["height"],
+            lambda row: 1e6 * row["milliseconds"] / (row["width"] * row["height"]),
+            ("megapixels", "nanoseconds a pixel"),
+            log="xy",
+        )
+    if found[RADIUS]:
+        drawn[RADIUS] = _draw(
+            found[RADIUS],
+            lambda row: row["radius"],
+            lambda row: row["milliseconds"],
+            ("radius, pixels", "milliseconds"),
+        )
+    if found[LOBES]:
+        drawn[LOBES] = _draw(
+            found[LOBES],
+            lambda row: row["lobes"],
+            lambda row: row["milliseconds"],
+            ("Gaussians of a pixel", "milliseconds"),
+        )
+    if len({row["threads"] for row in found[THREADS]}) > 1:
+        single = {row["name"]: row["milliseconds"] for row in found[THREADS] if row["threads"] == 1}
+        drawn[THREADS] = _draw(
+            found[THREADS],
+            lambda row: row["threads"],
+            lambda row: single[row["name"]] / row["milliseconds"],
+            ("threads", "times faster than one thread"),
+            diagonal=True,
+        )
+    return drawn
+
+
+def _draw(
+    rows: list[Row],
+    across: Callable[[Row], float],
+    up: Callable[[Row], float],
+    labels: tuple[str, str],
+    *,
+    log: str = "",
+    diagonal: bool = False,
+) -> bytes:
+    """Return a plot with a line for each series; ``diagonal`` adds what would be ideal."""
+    figure = make_figure(6.4, 4.0)
+    panel = figure.subplots()
+    name = name_series(rows)
+    series: dict[str, list[Row]] = {}
+    for row in rows:
+        series.setdefault(name(row), []).append(row)
+    places = sorted({across(row) for row in rows})
+    if diagonal:
+        panel.plot(places, places, color="0.8", lw=1.0, label="ideal")
+    for label, points in series.items():
+        # What was measured here and there only is in the tables; as a line it would mislead.
+        if 2 * len(points) < len(places):
+            continue
+        points = sorted(points, key=across)
+        panel.plot(
+            [across(point) for point in points],
+            [up(point) for point in points],
+            color=COLORS.get(points[0]["name"]),
+            marker=MARKS.get(points[0]["device"], "x"),
+            markersize=4.0,
+            ls="--" if is_peer(points[0]) else "-",
+            lw=1.4,
+            label=label,
+        )
+    if "x" in log:
+        panel.set_xscale("log")
+    if "y" in log:
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
+    else:
+        panel.set_ylim(bottom=0.0)
+    panel.set_xticks(places, [f"{place:.2g}" for place in places])
+    panel.minorticks_off()
+    panel.set_xlabel(labels[0])
+    panel.set_ylabel(labels[1])
+    panel.grid(color="0.92")
+    panel.set_axisbelow(True)
+    panel.legend(frameon=False, fontsize="small")
+    return encode_figure(figure)

@@ -1,0 +1,240 @@
+"""What was measured, as tables that a terminal, a page or a document can show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE
+from lobewise.bench.plan import OIDN, OIDN_LABELS
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of figures.
+
+    Parameters
+    ----------
+    key : str
+        Short name; that of the plot beside it, where there is one.
+    title, note : str
+        Its head, and how to read it.
+    header : list of str
+        Names of the columns; the first column is text, the others are figures.
+    rows : list of list of str
+        Its cells.
+    """
+
+    key: str
+    title: str
+    note: str
+    header: list[str]
+    rows: list[list[str]]
+
+
+def make_sections(data: Mapping[str, Any]) -> list[Section]:
+    """Return the tables of what `lobewise.bench.filters.measure_filters` found; those without rows are left out."""
+    rows = data["rows"]
+    made = [
+        _make_denoising(rows),
+        _make_paper(rows),
+        _make_forms(rows),
+        _make_pivot(
+            rows,
+            "pixels",
+            "Time over pixels",
+            "Milliseconds of one image, radius 8, separable. The plot shows the time of a pixel: it should be flat.",
+            lambda row: f"{row['width']}x{row['height']}",
+            "size",
+        ),
+        _make_pivot(
+            rows,
+            "radius",
+            "Time over radius",
+            "Milliseconds of one image, separable: both passes have 2r + 1 taps.",
+            lambda row: str(row["radius"]),
+            "radius",
+        ),
+        _make_pivot(
+            rows,
+            "lobes",
+            "Time over lobes",
+            "Milliseconds of one image, radius 8, separable. Each lobe of a pixel is compared with each of the "
+            "other's; those that stand for GGX share an axis, which is cheaper, those of measured materials do not.",
+            lambda row: str(row["lobes"]),
+            "lobes",
+        ),
+        _make_threads(rows),
+        _make_upsampling(rows),
+    ]
+    return [section for section in made if section.rows]
+
+
+def describe_machine_in_words(data: Mapping[str, Any]) -> str:
+    """Return processor, threads, devices, version and commit of a measurement, in a sentence."""
+    machine = data["machine"]
+    others = [f"{name}: {told}" for name, told in data["devices"].items() if name != "cpu"]
+    version = f"lobewise {machine['version']}" + (f", commit {machine['commit']}" if "commit" in machine else "")
+    parts = [f"{machine['processor']}, {machine['threads']} threads", *others, version]
+    return "; ".join(parts) + f"; measured in {data['seconds'] / 60.0:.1f} minutes."
+
+
+def name_series(rows: Sequence[Row]) -> Callable[[Row], str]:
+    """Return what tells the series of some rows apart: their names, with the device where there are several."""
+    several = len({row["device"] for row in rows}) > 1
+    return lambda row: f"{row['name']}, {row['device']}" if several and not is_peer(row) else str(row["name"])
+
+
+def is_peer(row: Row) -> bool:
+    """Return whether it is a time of Open Image Denoise."""
+    return str(row["name"]).startswith(OIDN)
+
+
+def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
+    """Return the rows of a part that have these facts; of Open Image Denoise, which has no device, one for each."""
+    found: dict[Any, Row] = {}
+    for row in rows:
+        if row["part"] == part and all(row.get(name) == value for name, value in facts.items()):
+            rest = tuple((name, value) for name, value in row.items() if name not in ("milliseconds", "device"))
+            found.setdefault(rest if is_peer(row) else (rest, row["device"]), row)
+    return list(found.values())
+
+
+def _make_pivot(
+    rows: Sequence[Row], part: str, title: str, note: str, column: Callable[[Row], str], name: str
+) -> Section:
+    """Return a table of times: a line for each series, a column for each value of what is varied."""
+    chosen = pick(rows, part)
+    series = name_series(chosen)
+    columns = list(dict.fromkeys(map(column, chosen)))
+    cells = {(series(row), column(row)): format_time(row["milliseconds"]) for row in chosen}
+    lines = list(dict.fromkeys(map(series, chosen)))
+    return Section(
+        part,
+        title,
+        note,
+        [name, *columns],
+        [[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
+    )
+
+
+def _make_paper(rows: Sequence[Row]) -> Section:
+    """Return our times and ratios beside the paper's."""
+    lines = []
+    chosen = [
+        row
+        for radius in PAPER_RADII
+        for row in pick(rows, "radius", radius=radius, width=PAPER_SIZE, height=PAPER_SIZE, form="separable")
+    ]
+    series = name_series(chosen)
+    normal = {(row["device"], row["radius"]): row["milliseconds"] for row in chosen if row["name"] == "normal"}
+    for row in chosen:
+        theirs = PAPER_MILLISECONDS[row["radius"]]
+        told = f"{theirs[row['name']] / theirs['normal']:.2f}" if row["name"] in theirs else ""
+        ratio = row["milliseconds"] / normal[row["device"], row["radius"]]
+        lines.append([series(row), str(row["radius"]), format_time(row["milliseconds"]), f"{ratio:.2f}", told])
+    return Section(
+        "paper",
+        "The paper's table",
+        f"{PAPER_SIZE}x{PAPER_SIZE} pixels, separable; the paper's ratios are those of a Radeon HD 6990.",
+        ["similarity", "radius", "ms", "ratio to normal", "the paper's"],
+        lines,
+    )
+
+
+def _make_forms(rows: Sequence[Row]) -> Section:
+    chosen = pick(rows, "forms")
+    series = name_series(chosen)
+    forms = list(dict.fromkeys(row["form"] for row in chosen))
+    normal = {(row["device"], row["form"]): row["milliseconds"] for row in chosen if row["name"] == "normal"}
+    cells = {
+        (series(row), row["form"]): (
+            format_time(row["milliseconds"]),
+            f"{row['milliseconds'] / normal[row['device'], row['form']]:.2f}",
+        )
+        for row in chosen
+    }
+    lines = list(dict.fromkeys(map(series, chosen)))
+    return Section(
+        "forms",
+        f"Forms and similarities, {_tell_size(chosen)}",
+        "Radius 8 (atrous: five 5x5 passes); milliseconds of one image, and the ratio to normal.",
+        ["similarity", *(word for form in forms for word in (f"{form}, ms", "ratio"))],
+        [[line, *(word for form in forms for word in cells[line, form])] for line in lines],
+    )
+
+
+def _make_threads(rows: Sequence[Row]) -> Section:
+    chosen = pick(rows, "threads")
+    counts = list(dict.fromkeys(row["threads"] for row in chosen))
+    times = {(row["name"], row["threads"]): row["milliseconds"] for row in chosen}
+    names = list(dict.fromkeys(row["name"] for row in chosen))
+    lines = [
+        [
+            name,
+            *(format_time(times[name, count]) for count in counts),
+            f"{times[name, counts[0]] / times[name, counts[-1]]:.2f}",
+        ]
+        for name in names
+    ]
+    return Section(
+        "threads",
+        f"Time over threads, {_tell_size(chosen)}",
+        "Milliseconds of one image, radius 8, separable, and how many times faster all threads are than one.",
+        ["threads", *map(str, counts), "gain"],
+        lines,
+    )
+
+
+def _make_upsampling(rows: Sequence[Row]) -> Section:
+    chosen = pick(rows, "upsampling")
+    series = name_series(chosen)
+    scales = list(dict.fromkeys(row["scale"] for row in chosen))
+    cells = {(series(row), row["scale"]): format_time(row["milliseconds"]) for row in chosen}
+    names = list(dict.fromkeys(map(series, chosen)))
+    return Section(
+        "upsampling",
+        f"Upsampling to {_tell_size(chosen)}",
+        "Milliseconds of lobewise.upsample, diffuse and specular, one pixel shaded of every 2x2 or 4x4.",
+        ["similarity", *(f"{scale}x{scale}, ms" for scale in scales)],
+        [[name, *(cells[name, scale] for scale in scales)] for name in names],
+    )
+
+
+def _make_denoising(rows: Sequence[Row]) -> Section:
+    """Return the times of whole frames, and how many times faster each is than the peer's two qualities."""
+    chosen = pick(rows, "denoising")
+    series = name_series(chosen)
+    peers = {row["name"]: row["milliseconds"] for row in chosen if is_peer(row)}
+    against = [OIDN_LABELS[quality] for quality in ("high", "fast") if OIDN_LABELS[quality] in peers]
+    lines = [
+        [
+            series(row),
+            format_time(row["milliseconds"]),
+            *(f"{peers[name] / row['milliseconds']:.2f}" for name in against),
+        ]
+        for row in chosen
+    ]
+    short = [f"vs OIDN {name.rsplit(' ', 1)[1]}" for name in against]
+    return Section(
+        "denoising",
+        f"Whole frames, {_tell_size(chosen)}",
+        "Milliseconds of lobewise.denoise, diffuse and specular apart, radius 8, and how many times faster it is than "
+        "Open Image Denoise (OIDN), which filters one image with clean guides; its default is its best quality.",
+        ["method", "ms", *short],
+        lines,
+    )
+
+
+def _tell_size(rows: Sequence[Row]) -> str:
+    return f"{rows[0]['width']}x{rows[0]['height']}" if rows else ""
+
+
+def format_time(milliseconds: float) -> str:
+    """Return a time with three figures or more."""
+    if milliseconds >= 100.0:
+        return f"{milliseconds:.0f}"
+    return f"{milliseconds:.1f}" if milliseconds >= 10.0 else f"{milliseconds:.2f}"
