@@ -10,6 +10,7 @@ import typer
 import lobewise
 from lobewise.cli.benching import bench
 from lobewise.cli.comparing import compare
+from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
 from lobewise.cli.rendering import render
@@ -72,7 +73,7 @@ def demo(
     print_line(f"Wrote {page}: open it in a browser.")
 
 
-for verb in (render, view, denoise, upsample, fit, compare):
+for verb in (render, view, denoise, upsample, fit, compare, export):
     app.command()(verb)
 
 

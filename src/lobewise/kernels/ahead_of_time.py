@@ -205,7 +205,7 @@ def _refusing(target: str) -> Iterator[None]:
         yield
     except hl.HalideError as problem:
         reason = re.sub(r"\s+", " ", str(problem).removeprefix("Error: ")).strip().rstrip(".!")
-        raise refuse_target(target, reason[:200]) from problem
+        raise refuse_target(target, reason[:1].lower() + reason[1:200]) from problem
 
 
 def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, header: Path) -> None:

@@ -8,33 +8,6 @@ import halide as hl
 
 from lobewise.errors import DeviceError, InputError, describe_problem
 
-TARGETS = (
-    "host",
-    "x86-64-linux",
-    "x86-64-linux-avx2-fma",
-    "x86-64-linux-avx512_skylake",
-    "x86-64-osx-avx2-fma",
-    "x86-64-windows-avx2-fma",
-    "arm-64-linux",
-    "arm-64-osx",
-    "arm-64-ios",
-    "arm-64-android",
-    "arm-64-windows",
-    "wasm-32-wasmrt-wasm_simd128",
-    "x86-64-linux-avx2-fma-cuda",
-    "x86-64-windows-avx2-fma-cuda",
-    "x86-64-linux-avx2-fma-vulkan",
-    "x86-64-windows-avx2-fma-vulkan",
-    "arm-64-android-vulkan",
-    "x86-64-linux-avx2-fma-opencl",
-    "x86-64-windows-avx2-fma-d3d12compute",
-    "arm-64-osx-metal",
-    "arm-64-ios-metal",
-    "wasm-32-wasmrt-wasm_simd128-webgpu",
-    "x86-64-linux-avx2-fma-webgpu",
-)
-"""Targets that a test compiles for. Others of these processors and systems are tried as well."""
-
 PROCESSORS = ("x86-32", "x86-64", "arm-32", "arm-64", "wasm-32", "riscv-64")
 # What the kernels need of a Vulkan device: the mask is one byte per pixel.
 VULKAN_FEATURES = ("vk_v13", "vk_int8", "vk_int16")
@@ -47,6 +20,7 @@ GPU_APIS = {
     "webgpu": "WebGPU",
 }
 """Words of a target that stand for a graphics API, with the name that Halide's headers have for it."""
+_SYSTEMS = {"metal": ("osx", "ios"), "d3d12compute": ("windows",)}
 
 
 def parse_target(text: str) -> hl.Target:
@@ -84,6 +58,11 @@ def parse_target(text: str) -> hl.Target:
                 action="such as x86-64-linux-avx2-fma; see lobewise export --help",
             )
         ) from None
+    apis = [word for word in words if word in GPU_APIS]
+    if len(apis) > 1:
+        raise refuse_target(text, f"{' and '.join(apis)} at once")
+    if apis and not any(system in words for system in _SYSTEMS.get(apis[0], words)):
+        raise refuse_target(text, f"{apis[0]} on another system than {' or '.join(_SYSTEMS[apis[0]])}")
     if not target.supported():
         raise refuse_target(text, "no compiler for it inside this Halide")
     return target

@@ -1,0 +1,163 @@
+"""The weights as shader functions: one text, `weights.shader`, in the words of three languages.
+
+That text is C-like: ``let`` begins a value that does not change and ``var`` one that does, types stand before names,
+and vectors are called as in GLSL. What the three languages share (operators, functions, comments) is left as it is.
+"""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+from string import Template
+
+from lobewise.errors import require_choice
+from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.names import SHADER_LANGUAGES
+from lobewise.io.files import PathLike
+from lobewise.kernels.lobe_features import LAMBERT_COEFFICIENTS
+from lobewise.lobes.brdf import MIN_WARP_COSINE
+from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE
+from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
+from lobewise.lobes.tangent import GGX_LIMIT
+from lobewise.lobes.tangent import MIN_COSINE as MIN_VIEW_COSINE
+
+_TYPES = {
+    "glsl": {},
+    "hlsl": {"vec2": "float2", "vec3": "float3", "vec4": "float4"},
+    "wgsl": {"float": "f32", "vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>"},
+}
+_WORD = re.compile(r"\b(float|vec2|vec3|vec4)\b")
+_FUNCTION = re.compile(r"^(\w+) (\w+)\((.*)\) \{$")
+_CONSTANT = re.compile(r"^const (\w+) (\w+) = (.*);$")
+_MEMBER = re.compile(r"^    (\w+) (\w+);(.*)$")
+_VALUE = re.compile(r"^(\s+)(let|var) (\w+) (\w+)(?: = (.*))?;$")
+
+
+def make_shader(language: str) -> str:
+    """Return the functions in "hlsl", "glsl" or "wgsl".
+
+    Raises
+    ------
+    InputError
+        If there is no such language.
+    """
+    require_choice("shader language", language, SHADER_LANGUAGES)
+    text = Template((files("lobewise") / "exporting" / "weights.shader").read_text(encoding="utf-8"))
+    lines, inside = [], False
+    for line in text.substitute(_list_constants()).splitlines():
+        if line.startswith("struct "):
+            inside = True
+        lines.append(_translate(line, language, inside))
+        if line == "};":
+            inside = False
+    return "\n".join(lines) + "\n"
+
+
+def _list_constants() -> dict[str, str]:
+    exponents, weights = GGX_MIXTURES[3]
+    *others, last = (_write(value) for value in LAMBERT_COEFFICIENTS)
+    quotient = last
+    for other in reversed(others):
+        quotient = f"({quotient}) * x + {other}" if quotient != last else f"{last} * x + {other}"
+    return {
+        "MIN_COSINE": _write(MIN_COSINE),
+        "MIN_WARP_COSINE": _write(MIN_WARP_COSINE),
+        "MIN_VIEW_COSINE": _write(MIN_VIEW_COSINE),
+        "GGX_LIMIT": _write(GGX_LIMIT),
+        "GGX_SHARPNESS": _write(GGX_SHARPNESS),
+        "MIN_SHARPNESS": _write(MIN_SHARPNESS),
+        "MIXTURE_EXPONENTS": f"vec3({', '.join(map(_write, exponents))})",
+        "MIXTURE_WEIGHTS": f"vec3({', '.join(map(_write, weights))})",
+        "LAMBERT": quotient,
+    }
+
+
+def _write(value: float) -> str:
+    return repr(float(value))
+
+
+def _translate(line: str, language: str, inside: bool) -> str:
+    """Return a line in a language; ``inside`` it is part of a structure."""
+    code, mark, comment = line.partition("//")
+    types = _TYPES[language]
+
+    def name(word: str) -> str:
+        return types.get(word, word)
+
+    def spell(text: str) -> str:
+        return _WORD.sub(lambda found: name(found[0]), text)
+
+    def declare(kind: str, variable: str) -> str:
+        return f"{variable}: {name(kind)}" if language == "wgsl" else f"{name(kind)} {variable}"
+
+    if found := _FUNCTION.match(code):
+        result, function, given = found.groups()
+        parameters = ", ".join(declare(*parameter.split(" ")) for parameter in given.split(", "))
+        if language == "wgsl":
+            return f"fn {function}({parameters}) -> {name(result)} {{"
+        return f"{name(result)} {function}({parameters}) {{"
+    if found := _CONSTANT.match(code):
+        kind, constant, value = found.groups()
+        word = {"hlsl": "static const", "glsl": "const", "wgsl": "const"}[language]
+        return f"{word} {declare(kind, constant)} = {spell(value)};"
+    if inside and (found := _MEMBER.match(line)):
+        kind, member, rest = found.groups()
+        return f"    {declare(kind, member)}{',' if language == 'wgsl' else ';'}{rest}"
+    if inside and language == "wgsl" and code == "};":
+        return "}"
+    if found := _VALUE.match(code):
+        indent, how, kind, variable, value = found.groups()
+        word = f"{how} " if language == "wgsl" else ""
+        given = "" if value is None else f" = {spell(value)}"
+        return f"{indent}{word}{declare(kind, variable)}{given};"
+    return spell(code) + mark + comment
+
+
+_README = """\
+# lobewise weights in {title}
+
+`lobewise.{language}` is self-contained: include it, or paste what you need. It has no bindings and no entry point. Its
+first lines say how the functions make a filter, and what their arguments are.
+
+- Once per pixel: `lobewise_face_viewer`, then `lobewise_make_sg`, `_mixture`, `_ggx` or `_asg` (`_anisotropic_...`
+  where there are tangents), from normal, direction to the camera and roughness.
+- For every tap: `lobewise_screen_weight` times `lobewise_position_weight` times the weight of the same kind,
+  `lobewise_sg_weight`, `_mixture_weight`, `_ggx_weight` or `_asg_weight`; or `lobewise_normal_weight` alone, which
+  filters usually have, and `lobewise_diffuse_weight` for diffuse light.
+
+Made by lobewise {version} from the same constants as its own filters. [More]({docs}).
+It may be used under the BSD 3-clause licence of lobewise.
+"""
+
+
+def export_shader(output: PathLike, language: str, *, force: bool = False) -> None:
+    """Write a folder with the weights as shader functions.
+
+    Parameters
+    ----------
+    output : path
+        The folder, new or empty.
+    language : {"hlsl", "glsl", "wgsl"}
+        Their language.
+    force : bool
+        Replace an earlier export, with all that is in its folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such language.
+    FileError
+        If the folder is not empty or cannot be written.
+    """
+    import json
+
+    import lobewise
+    from lobewise.exporting.readme import DOCS
+
+    text = make_shader(language)
+    version = lobewise.__version__
+    with open_folder(output, force=force) as place:
+        place(f"lobewise.{language}").write_text(text, encoding="utf-8")
+        readme = _README.format(title=language.upper(), language=language, version=version, docs=DOCS)
+        place("README.md").write_text(readme, encoding="utf-8")
+        place(MARK).write_text(json.dumps({"lobewise": version, "target": language}) + "\n", encoding="utf-8")

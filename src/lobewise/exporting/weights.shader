@@ -1,0 +1,325 @@
+// How alike the reflections of two pixels are: weights of a cross-bilateral filter that keeps what differs only in gloss.
+//
+// A filter sums over the neighbours j of a pixel i
+//     out_i = sum_j w(i, j) radiance_j / sum_j w(i, j)
+//     w(i, j) = screen weight * position weight * weight of what is reflected
+// and divides the radiance by the albedo of its lobe before, and multiplies the result by it after. Every weight is in
+// [0, 1], symmetric in i and j, and 1 for equal pixels. Make a lobe once per pixel, in a pass of its own, and store it.
+//
+// Directions are unit vectors in world space: normal and view point away from the surface, view towards the camera.
+// alpha is the microfacet roughness of GGX, the square of what most engines call roughness; 0 is a mirror. tau is a
+// band-limit in radians, the angle of a pixel or more: its square is added to the variance of every lobe, so that a
+// mirror's is finite. 1 / tau^2, the largest sharpness, may be 1e7. beta raises a weight to a power: 2 for a sample per
+// pixel, 4 for four, 10 for 64.
+//
+// Sources: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination"
+// (weights as normalised product integrals); Wang et al. 2009, "All-Frequency Rendering of Dynamic, Spatially-Varying
+// Reflectance" (spherical Gaussians of BRDFs and their warp); Iwasaki et al. 2012 (product integral of sharp lobes);
+// Xu et al. 2013, "Anisotropic Spherical Gaussians"; the covariance lobes and all fitted constants: lobewise.
+
+// n.v below which a normal is bent towards the viewer.
+const float LOBEWISE_MIN_COSINE = $MIN_COSINE;
+// Floor of n.v in the warp of a spherical Gaussian: below it the lobe would be sharper than any that a surface has.
+const float LOBEWISE_MIN_WARP_COSINE = $MIN_WARP_COSINE;
+// Floor of v.m in the Jacobian of the reflection: below it a lobe would have no width across the plane of incidence.
+const float LOBEWISE_MIN_VIEW_COSINE = $MIN_VIEW_COSINE;
+// Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature).
+const float LOBEWISE_GGX_LIMIT = $GGX_LIMIT;
+// Sharpness of the Gaussian that is nearest in L2 to (1 + q)^-2, over that with the same curvature at 0.
+const float LOBEWISE_GGX_SHARPNESS = $GGX_SHARPNESS;
+// Exponents b and weights w of (1 + q)^-2 ~ sum w exp(-b q), least squares over the plane: GGX as three Gaussians.
+const vec3 LOBEWISE_MIXTURE_EXPONENTS = $MIXTURE_EXPONENTS;
+const vec3 LOBEWISE_MIXTURE_WEIGHTS = $MIXTURE_WEIGHTS;
+// Floor of the sharpness of each of them before its band-limit: the hemisphere is no wider.
+const float LOBEWISE_MIN_SHARPNESS = $MIN_SHARPNESS;
+const float LOBEWISE_PI = 3.14159265;
+
+// A spherical Gaussian exp(sharpness (w.axis - 1)).
+struct LobewiseSg {
+    vec3 axis;
+    float sharpness; // 1/rad^2
+};
+
+// A sum of up to four spherical Gaussians about one axis; amplitude 0 for one that is absent.
+struct LobewiseMixture {
+    vec3 axis;
+    vec4 sharpness; // 1/rad^2, above 0
+    vec4 amplitude;
+};
+
+// A lobe as a covariance across its axis, a symmetric matrix S with S axis = 0.
+struct LobewiseCovariance {
+    vec3 axis;
+    vec3 diagonal; // S.xx, S.yy, S.zz, rad^2
+    vec3 beside; // S.xy, S.xz, S.yz, rad^2
+    float determinant; // product of the two principal variances, rad^4, above 0
+};
+
+// Gaussian of the distance on the screen, sigma in pixels.
+float lobewise_screen_weight(vec2 pixel_i, vec2 pixel_j, float sigma) {
+    let vec2 d = pixel_j - pixel_i;
+    return exp(-0.5 * dot(d, d) / (sigma * sigma));
+}
+
+// Gaussian of the distance in the scene in units of what a pixel covers there, depth * pixel_angle; sigma such units.
+// depth is the distance from the camera. The mean footprint of both pixels keeps the weight symmetric.
+float lobewise_position_weight(vec3 position_i, float depth_i, vec3 position_j, float depth_j, float pixel_angle, float sigma) {
+    let vec3 d = (position_j - position_i) / (sigma * pixel_angle);
+    return exp(-0.5 * dot(d, d) / (depth_i * depth_j));
+}
+
+// exp(-exponent (1 - n_i.n_j)), what filters usually compare; 1 - a.b is |a - b|^2 / 2, which loses no digits.
+float lobewise_normal_weight(vec3 normal_i, vec3 normal_j, float exponent) {
+    let vec3 d = normal_j - normal_i;
+    return exp(-0.5 * exponent * dot(d, d));
+}
+
+// Overlap of two cosine lobes to the power beta, for diffuse light: ((pi - d) cos d + sin d) / pi at the angle d.
+// A polynomial in 1 - cos d stands for its logarithm to base 2; the error is below 0.004.
+float lobewise_diffuse_weight(vec3 normal_i, vec3 normal_j, float beta) {
+    let vec3 d = normal_j - normal_i;
+    let float x = 0.5 * dot(d, d);
+    let float quotient = $LAMBERT;
+    return exp2(-beta * x * quotient);
+}
+
+// Bends a normal that faces away towards the viewer. Needed where normals are interpolated or mapped.
+vec3 lobewise_face_viewer(vec3 normal, vec3 view) {
+    return normalize(normal + max(LOBEWISE_MIN_COSINE - dot(normal, view), 0.0) * view);
+}
+
+// The single lobe of a GGX reflection: normals of sharpness 2 / alpha^2, warped by 1 / (4 n.v) (Wang et al. 2009).
+LobewiseSg lobewise_make_sg(vec3 normal, vec3 view, float alpha, float tau) {
+    let float cosine = dot(normal, view);
+    var LobewiseSg lobe;
+    lobe.axis = 2.0 * cosine * normal - view;
+    lobe.sharpness = 1.0 / (2.0 * max(cosine, LOBEWISE_MIN_WARP_COSINE) * alpha * alpha + tau * tau);
+    return lobe;
+}
+
+// Tokuyoshi 2015, single lobe: (2 sqrt(a b) / (a + b))^beta exp(-beta a b / (a + b) (1 - axis_i.axis_j)).
+float lobewise_sg_weight(LobewiseSg i, LobewiseSg j, float beta) {
+    let vec3 d = j.axis - i.axis;
+    let float total = i.sharpness + j.sharpness;
+    let float ratio = min(2.0 * sqrt(i.sharpness) * sqrt(j.sharpness) / total, 1.0);
+    return exp(beta * (log(ratio) - 0.5 * i.sharpness * (j.sharpness / total) * dot(d, d)));
+}
+
+// A GGX reflection as three Gaussians, for lobes with a tail; the sum of their integrals does not depend on alpha.
+LobewiseMixture lobewise_make_mixture(vec3 normal, vec3 view, float alpha, float tau) {
+    let float cosine = dot(normal, view);
+    let float square = alpha * alpha;
+    let float area = 2.0 * max(abs(cosine), LOBEWISE_MIN_WARP_COSINE) * square;
+    let float least = LOBEWISE_MIN_SHARPNESS * area;
+    let vec3 steepness = max((1.0 - square) * LOBEWISE_MIXTURE_EXPONENTS, vec3(least, least, least));
+    let vec3 sharpness = steepness / (area + tau * tau * steepness);
+    // What of each lobe lies on the sphere; below 1e-12 a lobe is a mirror's, of which nothing is missing.
+    let vec3 decay = exp(-2.0 * steepness / max(area, 1.0e-12));
+    let vec3 share = LOBEWISE_MIXTURE_WEIGHTS * (vec3(1.0, 1.0, 1.0) - decay) / steepness;
+    let vec3 sphere = 2.0 * LOBEWISE_PI * (vec3(1.0, 1.0, 1.0) - exp(-2.0 * sharpness)) / sharpness;
+    let float total = dot(share, vec3(1.0, 1.0, 1.0));
+    let float reached = dot(LOBEWISE_MIXTURE_WEIGHTS / LOBEWISE_MIXTURE_EXPONENTS, vec3(1.0, 1.0, 1.0));
+    var LobewiseMixture lobe;
+    lobe.axis = 2.0 * cosine * normal - view;
+    lobe.sharpness = vec4(sharpness, 1.0);
+    lobe.amplitude = vec4(share / sphere * (reached / total), 0.0);
+    return lobe;
+}
+
+// Product integral of a Gaussian of unit amplitude with a mixture, Iwasaki et al. 2012: 2 pi / (a + b)
+// exp(-a b / (a + b) (1 - c)); x is 1 - c.
+float lobewise_mixture_row(float sharpness, LobewiseMixture j, float x) {
+    let vec4 total = j.sharpness + sharpness;
+    let vec4 terms = exp(-x * sharpness * (j.sharpness / total)) / total;
+    return 2.0 * LOBEWISE_PI * dot(j.amplitude, terms);
+}
+
+// Product integral of two mixtures.
+float lobewise_mixture_inner(LobewiseMixture i, LobewiseMixture j) {
+    let vec3 d = j.axis - i.axis;
+    let float x = 0.5 * dot(d, d);
+    let float first = i.amplitude.x * lobewise_mixture_row(i.sharpness.x, j, x);
+    let float second = i.amplitude.y * lobewise_mixture_row(i.sharpness.y, j, x);
+    let float third = i.amplitude.z * lobewise_mixture_row(i.sharpness.z, j, x);
+    let float fourth = i.amplitude.w * lobewise_mixture_row(i.sharpness.w, j, x);
+    return first + second + third + fourth;
+}
+
+// The product integral over the norms, to the power beta. Each norm belongs to one pixel: divide its amplitudes by it
+// once, where they are stored, and the weight is pow(min(lobewise_mixture_inner(i, j), 1.0), beta).
+float lobewise_mixture_weight(LobewiseMixture i, LobewiseMixture j, float beta) {
+    let float norms = sqrt(lobewise_mixture_inner(i, i)) * sqrt(lobewise_mixture_inner(j, j));
+    return exp(beta * log(clamp(lobewise_mixture_inner(i, j) / norms, 1.0e-30, 1.0)));
+}
+
+// Adds weight a a^T to a covariance.
+LobewiseCovariance lobewise_add_outer(LobewiseCovariance lobe, float weight, vec3 a) {
+    var LobewiseCovariance result = lobe;
+    result.diagonal = lobe.diagonal + weight * a * a;
+    result.beside = lobe.beside + weight * vec3(a.x * a.y, a.x * a.z, a.y * a.z);
+    return result;
+}
+
+// An isotropic GGX reflection with the variance noise added. The lobe is reflected about the dominant visible normal m
+// = normalize(a v + b n), not about n; its principal variances A / (1 + limit A) / 2 follow from the Jacobian of the
+// reflection at m and the roughness alpha^2 / (1 - alpha^2) that a projected GGX has (Tokuyoshi and Kaplanyan 2021).
+LobewiseCovariance lobewise_make_isotropic(vec3 normal, vec3 view, float alpha, float noise) {
+    let float cosine = dot(normal, view);
+    let float square = alpha * alpha;
+    let float deficit = 1.0 - square;
+    let float a = min(0.7 + 0.6 * alpha, 1.0) * square;
+    let float b = sqrt(a + (1.0 - a) * cosine * cosine) + (1.0 - a) * cosine;
+    let float inverse_square = 1.0 / (a * a + b * b + 2.0 * a * b * cosine);
+    let float inverse = sqrt(inverse_square);
+    let float view_cosine = (a + b * cosine) * inverse;
+    let float normal_cosine = (a * cosine + b) * inverse;
+    let float twice = 2.0 * view_cosine * inverse;
+    let float floored = max(view_cosine, LOBEWISE_MIN_VIEW_COSINE);
+    let float across_part = 4.0 * square * floored * floored;
+    let float along_part = 4.0 * square * normal_cosine;
+    let float across_scale = normal_cosine * deficit + LOBEWISE_GGX_LIMIT * across_part;
+    let float along_scale = deficit + LOBEWISE_GGX_LIMIT * along_part;
+    let float across = 0.5 * across_part / across_scale + noise;
+    let float along = 0.5 * along_part / along_scale + noise;
+    // Across less along, over |v x n|^2: v x n carries the direction, and nothing is 0/0 where n = v.
+    let float lifted = (floored * floored - view_cosine * view_cosine) / max(1.0 - cosine * cosine, 0.5);
+    let float change = (a * a - b * b) * inverse_square + lifted;
+    let float excess = 2.0 * square * deficit * change / (across_scale * along_scale);
+    var LobewiseCovariance lobe;
+    lobe.axis = (twice * a - 1.0) * view + twice * b * normal;
+    lobe.diagonal = along * (vec3(1.0, 1.0, 1.0) - lobe.axis * lobe.axis);
+    lobe.beside = -along * vec3(lobe.axis.x * lobe.axis.y, lobe.axis.x * lobe.axis.z, lobe.axis.y * lobe.axis.z);
+    lobe.determinant = across * along;
+    return lobewise_add_outer(lobe, excess, cross(view, normal));
+}
+
+// Where a step of the normal along a tangent takes the reflection: its image under the Jacobian at m. component and
+// along are tangent.m and tangent.view. The floor of v.m widens only the part across the plane of incidence.
+vec3 lobewise_reflect_step(vec3 tangent, float component, float along, vec3 m, vec3 view, float view_cosine) {
+    let float floored = max(view_cosine, LOBEWISE_MIN_VIEW_COSINE);
+    let float lift = floored - view_cosine;
+    let float on_view = (along - component * view_cosine) / max(1.0 - view_cosine * view_cosine, 0.5);
+    let float on_m = 2.0 * (along - 2.0 * component * view_cosine) - 2.0 * lift * (component - on_view * view_cosine);
+    return on_m * m + 2.0 * floored * tangent - 2.0 * lift * on_view * view;
+}
+
+// The same as lobewise_make_isotropic for two roughnesses; tangent is a unit vector across the normal.
+LobewiseCovariance lobewise_make_anisotropic(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float noise) {
+    let vec3 bitangent = cross(normal, tangent);
+    let vec2 square = alpha * alpha;
+    let vec2 deficit = vec2(1.0, 1.0) - square;
+    let float cosine = dot(normal, view);
+    let float cosine_u = dot(tangent, view);
+    let float cosine_v = dot(bitangent, view);
+    let float scale = min(0.7 + 0.6 * sqrt(alpha.x * alpha.y), 1.0);
+    let float u = scale * square.x * cosine_u;
+    let float v = scale * square.y * cosine_v;
+    let float n = sqrt(u * cosine_u + v * cosine_v + cosine * cosine) + cosine;
+    let float inverse = 1.0 / sqrt(u * u + v * v + n * n);
+    let vec3 m = inverse * (u * tangent + v * bitangent + n * normal);
+    let float view_cosine = inverse * (u * cosine_u + v * cosine_v + n * cosine);
+    let float floored = max(view_cosine, LOBEWISE_MIN_VIEW_COSINE);
+    let vec3 image_u = lobewise_reflect_step(tangent, inverse * u, cosine_u, m, view, view_cosine);
+    let vec3 image_v = lobewise_reflect_step(bitangent, inverse * v, cosine_v, m, view, view_cosine);
+    let float weight_u = square.x * deficit.y / (inverse * n);
+    let float weight_v = square.y * deficit.x / (inverse * n);
+    let float trace = weight_u * dot(image_u, image_u) + weight_v * dot(image_v, image_v);
+    let float area = 16.0 * floored * floored * square.x * square.y;
+    // (A^-1 + c I)^-1 = (A g + c D I) / (g + c tr(A g) + c^2 D), A g the sum of both steps, D its determinant over g.
+    let float whole = deficit.x * deficit.y + LOBEWISE_GGX_LIMIT * (trace + LOBEWISE_GGX_LIMIT * area);
+    let float half_inverse = 0.5 / whole;
+    let float isotropic = half_inverse * LOBEWISE_GGX_LIMIT * area + noise;
+    let float spread = half_inverse * (trace + 2.0 * LOBEWISE_GGX_LIMIT * area);
+    var LobewiseCovariance lobe;
+    lobe.axis = 2.0 * view_cosine * m - view;
+    lobe.diagonal = isotropic * (vec3(1.0, 1.0, 1.0) - lobe.axis * lobe.axis);
+    lobe.beside = -isotropic * vec3(lobe.axis.x * lobe.axis.y, lobe.axis.x * lobe.axis.z, lobe.axis.y * lobe.axis.z);
+    lobe.determinant = 0.25 * area / whole + noise * (spread + noise);
+    lobe = lobewise_add_outer(lobe, half_inverse * weight_u, image_u);
+    return lobewise_add_outer(lobe, half_inverse * weight_v, image_v);
+}
+
+// What lobewise_ggx_weight compares.
+LobewiseCovariance lobewise_make_ggx(vec3 normal, vec3 view, float alpha, float tau) {
+    return lobewise_make_isotropic(normal, view, alpha, tau * tau);
+}
+
+// What lobewise_asg_weight compares: the Gaussian nearest to the shape of GGX, which is narrower; the band-limit is not.
+LobewiseCovariance lobewise_narrow(LobewiseCovariance lobe) {
+    var LobewiseCovariance result = lobe;
+    result.diagonal = lobe.diagonal / LOBEWISE_GGX_SHARPNESS;
+    result.beside = lobe.beside / LOBEWISE_GGX_SHARPNESS;
+    result.determinant = lobe.determinant / (LOBEWISE_GGX_SHARPNESS * LOBEWISE_GGX_SHARPNESS);
+    return result;
+}
+
+LobewiseCovariance lobewise_make_asg(vec3 normal, vec3 view, float alpha, float tau) {
+    return lobewise_narrow(lobewise_make_isotropic(normal, view, alpha, LOBEWISE_GGX_SHARPNESS * tau * tau));
+}
+
+// Both of a brushed surface: alpha.x along the tangent, alpha.y across.
+LobewiseCovariance lobewise_make_anisotropic_ggx(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float tau) {
+    return lobewise_make_anisotropic(normal, tangent, view, alpha, tau * tau);
+}
+
+LobewiseCovariance lobewise_make_anisotropic_asg(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float tau) {
+    let float noise = LOBEWISE_GGX_SHARPNESS * tau * tau;
+    return lobewise_narrow(lobewise_make_anisotropic(normal, tangent, view, alpha, noise));
+}
+
+// What two covariances have in common. With R = tr(S) P - S, the covariance turned by a quarter about its axis, and d
+// the difference of the axes, x is Q = d^T (R_i + R_j) d and y is P = det_i + det_j + share t_i t_j - R_i:R_j, t the
+// traces of R: determinant and second invariant of the sum of the inverses, but for det_i det_j. No frame, no inverse.
+// R has the part along of its trace along the axis.
+vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j, float along) {
+    let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
+    let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
+    let float part_i = (1.0 - along) * trace_i;
+    let float part_j = (1.0 - along) * trace_j;
+    let vec3 z = i.axis;
+    let vec3 w = j.axis;
+    let vec3 diagonal_i = trace_i - part_i * z * z - i.diagonal;
+    let vec3 diagonal_j = trace_j - part_j * w * w - j.diagonal;
+    let vec3 beside_i = -part_i * vec3(z.x * z.y, z.x * z.z, z.y * z.z) - i.beside;
+    let vec3 beside_j = -part_j * vec3(w.x * w.y, w.x * w.z, w.y * w.z) - j.beside;
+    let vec3 d = w - z;
+    let vec3 crossed = vec3(d.x * d.y, d.x * d.z, d.y * d.z);
+    let float quadratic = dot(diagonal_i + diagonal_j, d * d) + 2.0 * dot(beside_i + beside_j, crossed);
+    let float inner = dot(diagonal_i, diagonal_j) + 2.0 * dot(beside_i, beside_j);
+    let float share = 1.0 + along * along;
+    let float second = share * trace_i * trace_j - inner + i.determinant + j.determinant;
+    // sqrt(P) is at least the sum of the roots (Minkowski's inequality); rounding may hide that.
+    let float roots = sqrt(i.determinant) + sqrt(j.determinant);
+    return vec2(max(quadratic, 0.0), max(second, roots * roots));
+}
+
+// Overlap of two GGX lobes to the power beta. With s = 2 sqrt(det), q = Q / P:
+// (s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4; unequal sizes count with the exponent 0.6,
+// unequal shapes with 0.9, and the last factor is the autocorrelation of (1 + r^2)^-2 in a plane.
+float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
+    let vec2 compared = lobewise_compare(i, j, 0.5);
+    let float root_i = sqrt(i.determinant);
+    let float root_j = sqrt(j.determinant);
+    let float product = sqrt(root_i) * sqrt(root_j);
+    let float sizes = min(2.0 * product / (root_i + root_j), 1.0);
+    let float both = min(2.0 * product / sqrt(compared.y), sizes);
+    let float exponent = 0.9 * log(both) - 0.3 * log(sizes) - 2.4 * log(1.0 + 0.25 * compared.x / compared.y);
+    return exp(beta * exponent);
+}
+
+// Overlap of two anisotropic spherical Gaussians to the power beta, from the product of Xu et al. 2013 without its
+// eigenvectors: c = Q / (2 P) is the exponent of the product and softness corrects it to first order; the last terms
+// stand for the cosines and the hemispheres.
+float lobewise_asg_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
+    let vec2 compared = lobewise_compare(i, j, 0.0);
+    let vec3 d = j.axis - i.axis;
+    let float square = dot(d, d);
+    let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
+    let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
+    let float c = 0.5 * compared.x / compared.y;
+    let float softness = 2.0 * (trace_i * (j.determinant / compared.y) + trace_j * (i.determinant / compared.y));
+    let float spread = c + softness * (c - 0.5) * (c - 0.5) + 0.25 * square * (1.0 + square);
+    let float product = 4.0 * sqrt(i.determinant) * sqrt(j.determinant);
+    let float exponent = 0.5 * log(product / compared.y) - spread + 0.125 * (trace_i + trace_j);
+    return exp(beta * min(exponent, 0.0));
+}
