@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import FilterOutput, count_compiled_kernels, run_filter
+from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.reference import filter_reference
 from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, make_radiance

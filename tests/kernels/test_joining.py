@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import count_compiled_kernels
 from lobewise.kernels.history import HISTORY_CHANNELS
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.runs import JoinedOutput, SampleGrid
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import summarize

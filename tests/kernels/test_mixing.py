@@ -16,7 +16,7 @@ from scipy.special import softmax
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import count_compiled_kernels
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.mixing import Network, count_features, find_features, mix_candidates
 from tests.kernels.frames import make_radiance
 

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import count_compiled_kernels
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
 from tests.kernels.frames import make_radiance
 

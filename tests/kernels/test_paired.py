@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import count_compiled_kernels
 from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.lobe_features import DiffuseFeature
 from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
 from lobewise.kernels.seen_features import SeenFeature

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
+from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.pointwise import (
     Grid,
     Vector,
-    count_compiled_definitions,
     is_finite,
     run_pointwise,
     select_or_nan,
@@ -89,12 +89,12 @@ def test_what_is_no_number_is_told_apart() -> None:
 def test_one_structure_is_compiled_once(rng: np.random.Generator) -> None:
     numbers = {"offset": np.float32([1.0, -2.0, 0.5]), "scale": 2.0}
     run_pointwise(define_sums, make_images(rng, (4, 40)), numbers, 1)
-    before = count_compiled_definitions()
+    before = count_compiled_kernels()
     again = {"offset": np.float32([0.0, 3.0, 0.5]), "scale": -1.0}
     run_pointwise(define_sums, make_images(rng, (40, 80)), again, 1)
-    assert count_compiled_definitions() == before
+    assert count_compiled_kernels() == before
     run_pointwise(define_sums, make_images(rng, (4, 40)), numbers, 2)
-    assert count_compiled_definitions() == before + 1
+    assert count_compiled_kernels() == before + 1
 
 
 def test_read_only_and_strided_images(rng: np.random.Generator) -> None:

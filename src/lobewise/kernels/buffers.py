@@ -3,39 +3,142 @@
 On the processor a kernel reads and writes NumPy's memory. On another device an image that is read goes up, and one that
 was written comes down only when NumPy asks for it: what the next kernel reads need not. Inside `stay_on_device` an
 image goes up once, however many kernels read it.
+
+Memory of a device is taken in multiples of 256 bytes and given back in the opposite order of its taking, and everything
+that a kernel reads or writes is there before it starts: only so does the allocator of Halide 21's Vulkan runtime never
+hand out too little memory, or memory that is in use.
 """
 
 from __future__ import annotations
 
 import ctypes
 import threading
+import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, cast
+from dataclasses import fields, is_dataclass, replace
+from functools import cache, wraps
+from typing import Any, TypeVar, cast
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import DeviceError, InputError, describe_problem
+from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
-from lobewise.kernels.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
+from lobewise.kernels.devices import VULKAN_MULTIPLE
 from lobewise.kernels.features import Feature
+from lobewise.kernels.loading import get_runtime
 
 transfers: Counter[str] = Counter()
 """How many images went "up" to devices and came "down" in this process."""
 Image = NDArray[Any]
 
 
-def borrow(array: Image) -> Image:
-    """Return a writable view of ``array``: Halide's Python buffers refuse read-only memory even for inputs."""
-    if array.flags.writeable:
-        return array
-    # Up to the last element, whose place the strides tell, none of which is negative.
-    length = sum((count - 1) * stride for count, stride in zip(array.shape, array.strides, strict=True))
-    pointer = (ctypes.c_byte * (length + array.itemsize)).from_address(array.ctypes.data)
-    return np.ndarray(array.shape, array.dtype, memoryview(pointer), 0, array.strides)
+class _Dimension(ctypes.Structure):
+    """halide_dimension_t."""
+
+    _fields_ = (
+        ("min", ctypes.c_int32),
+        ("extent", ctypes.c_int32),
+        ("stride", ctypes.c_int32),
+        ("flags", ctypes.c_uint32),
+    )
+
+
+class _RawBuffer(ctypes.Structure):
+    """halide_buffer_t."""
+
+    _fields_ = (
+        ("device", ctypes.c_uint64),
+        ("device_interface", ctypes.c_void_p),
+        ("host", ctypes.c_void_p),
+        ("flags", ctypes.c_uint64),
+        ("type_code", ctypes.c_uint8),
+        ("type_bits", ctypes.c_uint8),
+        ("type_lanes", ctypes.c_uint16),
+        ("dimensions", ctypes.c_int32),
+        ("dim", ctypes.c_void_p),
+        ("padding", ctypes.c_void_p),
+    )
+
+
+_TYPE_CODES = {"i": 0, "u": 1, "f": 2}
+_HOST_DIRTY, _DEVICE_DIRTY = 1, 2
+
+
+class Buffer:
+    """NumPy memory as kernels take it, axes in the opposite order, and what a device has of it.
+
+    It holds the array; who takes memory of a device gives it back.
+    """
+
+    def __init__(self, array: Image) -> None:
+        self.array = array
+        axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
+        self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
+        code, bits = _TYPE_CODES[array.dtype.kind], 8 * array.itemsize
+        self._raw = _make_raw(array.ctypes.data, code, bits, self._dimensions)
+        self.address = ctypes.addressof(self._raw)
+
+    def take_memory(self, device: str) -> None:
+        """Take memory on a device: a multiple of `VULKAN_MULTIPLE` bytes, whatever the array has."""
+        padded = -(-self.array.nbytes // VULKAN_MULTIPLE) * VULKAN_MULTIPLE
+        self._bytes: NDArray[np.uint8] = np.empty(padded, np.uint8)
+        self._whole_dimensions = _describe_axes([(padded, 1)])
+        self._whole = _make_raw(self._bytes.ctypes.data, _TYPE_CODES["u"], 8, self._whole_dimensions)
+        self._call(device, "halide_device_malloc", _find_interface(device))
+        self._raw.device, self._raw.device_interface = self._whole.device, self._whole.device_interface
+
+    def bring_up(self, device: str) -> None:
+        """Take memory on a device and copy the array there; the array has no axis of stride 0."""
+        self.take_memory(device)
+        self._bytes[: self.array.nbytes] = np.ascontiguousarray(self.array).view(np.uint8).reshape(-1)
+        self._whole.flags = _HOST_DIRTY
+        self._call(device, "halide_copy_to_device", _find_interface(device))
+        transfers["up"] += 1
+
+    def bring_down(self, device: str) -> None:
+        """Copy to the array what was written on a device, if it was not yet."""
+        if self._raw.flags & _DEVICE_DIRTY:
+            self._raw.flags = 0
+            self._whole.flags = _DEVICE_DIRTY
+            self._call(device, "halide_copy_to_host")
+            self.array[...] = self._bytes[: self.array.nbytes].view(self.array.dtype).reshape(self.array.shape)
+            transfers["down"] += 1
+
+    def give_memory(self, device: str) -> None:
+        """Give a device's memory back."""
+        self._call(device, "halide_device_free")
+
+    def _call(self, device: str, name: str, *more: int) -> None:
+        pointers = [None, ctypes.addressof(self._whole), *more]
+        get_runtime(device).call(_get_function(device, name, len(pointers)), *pointers)
+
+
+def _describe_axes(axes: Sequence[tuple[int, int]]) -> Any:
+    return (_Dimension * len(axes))(*(_Dimension(0, extent, stride, 0) for extent, stride in axes))
+
+
+def _make_raw(host: int, code: int, bits: int, dimensions: Any) -> _RawBuffer:
+    return _RawBuffer(
+        host=host,
+        type_code=code,
+        type_bits=bits,
+        type_lanes=1,
+        dimensions=len(dimensions),
+        dim=ctypes.addressof(dimensions),
+    )
+
+
+@cache
+def _find_interface(device: str) -> int:
+    return int(get_runtime(device).get("pointer", f"halide_{device}_device_interface")())
+
+
+@cache
+def _get_function(device: str, name: str, pointers: int) -> Callable[..., Any]:
+    return get_runtime(device).get("int", name, *[ctypes.c_void_p] * pointers)
 
 
 class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
@@ -45,7 +148,7 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
     ----------
     host : array
         Where it comes down to.
-    buffer : halide.Buffer
+    buffer : Buffer
         Of that memory and the device's.
     device : str
         A name from `list_devices`.
@@ -53,7 +156,7 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
         What is to be seen of ``host``: a view.
     """
 
-    def __init__(self, host: Image, buffer: Any, device: str, part: Callable[[Image], Image] | None = None) -> None:
+    def __init__(self, host: Image, buffer: Buffer, device: str, part: Callable[[Image], Image] | None = None) -> None:
         self._host, self.buffer, self.device = host, buffer, device
         self._part = part
         view = host if part is None else part(host)
@@ -66,13 +169,13 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
 
     def view(self, part: Callable[[Image], Image]) -> DeviceImage:
         """Return a part of it, which stays on the device as well."""
-        return DeviceImage(self._host, self.buffer, self.device, part)
+        image = DeviceImage(self._host, self.buffer, self.device, part)
+        _get_stay().written.append(weakref.ref(image))
+        return image
 
     def fetch(self) -> Image:
         """Return it as an array, brought down if it is not yet."""
-        if self.buffer.device_dirty():
-            self.buffer.copy_to_host()
-            transfers["down"] += 1
+        self.buffer.bring_down(self.device)
         return self._host if self._part is None else self._part(self._host)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Image:
@@ -80,10 +183,10 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
         return array.astype(dtype) if dtype is not None and dtype != array.dtype else array.copy() if copy else array
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        return getattr(ufunc, method)(*(_to_host(each) for each in inputs), **options)
+        return getattr(ufunc, method)(*map(to_host, inputs), **{name: to_host(each) for name, each in options.items()})
 
     def __array_function__(self, function: Any, types: Any, inputs: Any, options: Any) -> Any:
-        return function(*map(_to_host, inputs), **{name: _to_host(each) for name, each in options.items()})
+        return function(*map(to_host, inputs), **{name: to_host(each) for name, each in options.items()})
 
     def __getitem__(self, key: Any) -> Any:
         return self.fetch()[key]
@@ -98,86 +201,126 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
         return getattr(self.fetch(), name)
 
 
-def _to_host(value: Any) -> Any:
-    if isinstance(value, DeviceImage):
-        return value.fetch()
-    return type(value)(map(_to_host, value)) if isinstance(value, (list, tuple)) else value
+class _Stay:
+    """What is on devices until the end of a `stay_on_device`."""
+
+    def __init__(self) -> None:
+        self.lent: dict[Any, Buffer] = {}
+        """Buffers of images that went up, by what tells their memory."""
+        self.taken: list[tuple[Buffer, str, Image]] = []
+        """Every buffer in the order in which it took memory, with its device and what must be held meanwhile."""
+        self.written: list[weakref.ref[DeviceImage]] = []
+
+    def end(self) -> None:
+        """Bring down what somebody still holds, and give all memory back."""
+        for each in self.written:
+            image = each()
+            if image is not None:
+                image.fetch()
+        while self.taken:
+            buffer, device, _ = self.taken.pop()
+            buffer.give_memory(device)
 
 
-class _Stay(threading.local):
-    """Images of this thread that are on a device already, by what tells their memory."""
-
-    buffers: dict[Any, tuple[Image, Image, Any]] | None = None
+class _Current(threading.local):
+    stay: _Stay | None = None
 
 
-_stay = _Stay()
+_current = _Current()
 
 
 @contextmanager
 def stay_on_device() -> Iterator[None]:
-    """Keep every image that kernels read on their device until the end; nobody may change one meanwhile."""
-    before = _stay.buffers
-    _stay.buffers = {} if before is None else before
+    """Keep every image that kernels read or write on their device until the outermost of these ends.
+
+    Nobody may change an image meanwhile that a kernel has read.
+    """
+    if _current.stay is not None:
+        yield
+        return
+    _current.stay = _Stay()
     try:
         yield
     finally:
-        _stay.buffers = before
+        stay, _current.stay = _current.stay, None
+        stay.end()
 
 
-def lend(image: Image, device: str) -> Any:
-    """Return a buffer of an image for a kernel of ``device`` to read; hold the image until the kernel has returned.
+Run = TypeVar("Run", bound=Callable[..., Any])
+
+
+def comes_down(run: Run) -> Run:
+    """Let what ``run`` returns be arrays, but inside `stay_on_device`, where images stay where they are."""
+
+    @wraps(run)
+    def call(*inputs: Any, **options: Any) -> Any:
+        if _current.stay is not None:
+            return run(*inputs, **options)
+        with stay_on_device():
+            return to_host(run(*inputs, **options))
+
+    return cast(Run, call)
+
+
+def to_host(value: Any) -> Any:
+    """Return ``value`` with every image in it, however deep in tuples, lists and data classes, as an array."""
+    if isinstance(value, DeviceImage):
+        return value.fetch()
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*map(to_host, value))
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(to_host, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{each.name: to_host(getattr(value, each.name)) for each in fields(value)})
+    return value
+
+
+def lend(image: Image, device: str) -> Buffer:
+    """Return a buffer of an image for a kernel of ``device`` to read.
 
     Raises
     ------
     DeviceError
-        If the device cannot hold an image of this size.
+        If the device has no memory for it.
     """
     if isinstance(image, DeviceImage):
         if image.device == device and image.is_whole:
             return image.buffer
         image = np.ascontiguousarray(image.fetch())
     if device == "cpu":
-        return hl.Buffer(borrow(image))
-    kept = _stay.buffers
+        return Buffer(image)
+    stay = _get_stay()
     key = (device, image.ctypes.data, image.shape, image.strides, image.dtype.str)
-    if kept is not None and key in kept:
-        return kept[key][-1]
-    _require_room(image.nbytes, device)
-    # Memory that is repeated along an axis would be copied up more than it has.
-    whole = np.ascontiguousarray(image) if 0 in image.strides else image
-    buffer = hl.Buffer(borrow(whole))
-    buffer.set_host_dirty(True)
-    buffer.copy_to_device(make_target(device))
-    transfers["up"] += 1
-    if kept is not None:
-        # Held, so that no other image comes to lie where this one does.
-        kept[key] = image, whole, buffer
-    return buffer
+    if key not in stay.lent:
+        # Memory that is repeated along an axis would be copied up more than it has.
+        buffer = Buffer(np.ascontiguousarray(image) if 0 in image.strides else image)
+        buffer.bring_up(device)
+        # The image is held, so that no other one comes to lie where this one does.
+        stay.taken.append((buffer, device, image))
+        stay.lent[key] = buffer
+    return stay.lent[key]
 
 
-def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None = None) -> tuple[Any, FloatArray]:
+def _get_stay() -> _Stay:
+    assert _current.stay is not None, "kernels of other devices run inside stay_on_device"
+    return _current.stay
+
+
+def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None = None) -> tuple[Buffer, FloatArray]:
     """Return a buffer for a kernel of ``device`` to write, and the image that it then is (`DeviceImage` elsewhere).
 
     ``memory`` of that shape is where the image lies, or comes down to.
     """
     host = np.empty(shape, dtype=np.float32) if memory is None else memory
-    buffer = hl.Buffer(host)
+    buffer = Buffer(host)
     if device == "cpu":
         return buffer, host
-    _require_room(host.nbytes, device)
-    return buffer, cast(FloatArray, DeviceImage(host, buffer, device))
-
-
-def _require_room(count: int, device: str) -> None:
-    if device == "vulkan" and count >= VULKAN_BLOCK << 20 and count % VULKAN_MULTIPLE:
-        raise DeviceError(
-            describe_problem(
-                "device",
-                expected=f"images below {VULKAN_BLOCK} MiB, or of a multiple of {VULKAN_MULTIPLE} bytes, on vulkan",
-                got=f"{count} bytes",
-                action="use --device cpu, or crop the image to a width that is a multiple of 64",
-            )
-        )
+    stay = _get_stay()
+    buffer.take_memory(device)
+    stay.taken.append((buffer, device, host))
+    image = DeviceImage(host, buffer, device)
+    stay.written.append(weakref.ref(image))
+    return buffer, cast(FloatArray, image)
 
 
 def take_image(name: str, image: Image, shape: tuple[int, ...]) -> FloatArray:

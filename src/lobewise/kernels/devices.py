@@ -28,10 +28,10 @@ _FEATURES = {
 }
 _CUDA_CAPABILITIES = (30, 32, 35, 50, 61, 70, 75, 80, 86)
 VULKAN_MULTIPLE = 256
-"""Bytes that sizes of allocations are rounded up to."""
+"""Bytes that every size on a device is a multiple of. The allocator of Halide 21's Vulkan runtime hands out too little
+otherwise (its issues 8868, 9223 and 9224)."""
 VULKAN_BLOCK = 256
-"""MiB of memory that allocations are parts of. Halide 21 hands out overlapping memory (issues 8868, 9223 and 9224
-there) unless an allocation is smaller than a block or a multiple of `VULKAN_MULTIPLE`."""
+"""MiB of memory that it takes at a time."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,6 @@ def make_target(device: str) -> hl.Target:
     if device == "cuda":
         best = max((known for known in _CUDA_CAPABILITIES if known <= _find(device).capability), default=0)
         names += [f"CUDACapability{best}"] if best else []
-    if device == "vulkan":
-        _start_vulkan()
     for name in names:
         target = target.with_feature(getattr(hl.TargetFeature, name))
     return target
@@ -224,29 +222,3 @@ def _find_metal() -> _Found:
     if not hl.host_supports_target_device(hl.get_host_target().with_feature(hl.TargetFeature.Metal)):
         raise _NoDeviceError("no Metal device")
     return _Found("the system's default Metal device")
-
-
-@cache
-def _start_vulkan() -> None:
-    """Let Halide start its Vulkan context, whose allocator is told how to hand out memory that does not overlap.
-
-    It prints what it was told; that is kept from the user.
-    """
-    values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
-    os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
-    sys.stdout.flush()
-    kept = os.dup(1)
-    try:
-        with open(os.devnull, "wb") as nothing:
-            os.dup2(nothing.fileno(), 1)
-        buffer = hl.Buffer(hl.Float(32), [1])
-        target = hl.get_host_target()
-        for name in _FEATURES["vulkan"]:
-            target = target.with_feature(getattr(hl.TargetFeature, name))
-        buffer.set_host_dirty()
-        buffer.copy_to_device(target)
-    finally:
-        # What C's library still holds belongs to what was kept away.
-        ctypes.CDLL("msvcrt" if sys.platform == "win32" else None).fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)

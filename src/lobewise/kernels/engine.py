@@ -1,11 +1,10 @@
-"""Compiled kernels, and the filter's own calls of them."""
+"""The filter's kernels, called: which passes make up a form, and what goes into each."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import halide as hl
 import numpy as np
@@ -13,56 +12,16 @@ from numpy.typing import NDArray
 
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray
-from lobewise.kernels.buffers import lend, make_output, take_arrays, take_image, take_mask, take_parameters
+from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
 from lobewise.kernels.cross_filter import ATROUS_RADIUS, PassKey, Taps, describe_structure, make_pass
-from lobewise.kernels.devices import make_target
 from lobewise.kernels.features import Feature
+from lobewise.kernels.loading import Compilable, get_kernel
 from lobewise.kernels.schedules import schedule_pass
 
 FORMS = ("full", "separable", "atrous")
 ATROUS_LEVELS = 5
 ATROUS_REACH = ATROUS_RADIUS * (2**ATROUS_LEVELS - 1)
 """Pixels to each side from which the form "atrous" takes, all levels together."""
-
-
-class Compilable(Protocol):
-    """The scheduled functions of a kernel."""
-
-    out: hl.Func
-    arguments: list[Any]
-
-
-class _KernelCache:
-    """Compiled kernels of this process, by structure; safe to use from several threads."""
-
-    def __init__(self) -> None:
-        self._kernels: dict[tuple[str, Hashable], Any] = {}
-        self._lock = threading.Lock()
-
-    def __len__(self) -> int:
-        return len(self._kernels)
-
-    def get(self, device: str, key: Hashable, make: Callable[[hl.Target], Compilable]) -> Any:
-        """Return the kernel of ``key``, which ``make`` gives the scheduled functions of."""
-        with self._lock:
-            if (device, key) not in self._kernels:
-                target = make_target(device)
-                funcs = make(target)
-                self._kernels[device, key] = hl.Pipeline(funcs.out).compile_to_callable(funcs.arguments, target)
-            return self._kernels[device, key]
-
-
-_cache = _KernelCache()
-
-
-def count_compiled_kernels() -> int:
-    """Return how many kernels this process has compiled."""
-    return len(_cache)
-
-
-def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Compilable]) -> Any:
-    """Return a compiled kernel, compiled now if it is the first of its ``key``."""
-    return _cache.get(device, key, make)
 
 
 @dataclass(frozen=True)
@@ -91,6 +50,7 @@ def _split_output(pixels: FloatArray) -> FilterOutput:
     return FilterOutput(image, *rest)
 
 
+@comes_down
 def run_filter(
     radiance: FloatArray,
     mask: NDArray[np.bool_],

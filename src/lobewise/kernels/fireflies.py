@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.buffers import borrow as _borrow
-from lobewise.kernels.buffers import take_image
+from lobewise.kernels.buffers import comes_down, lend, make_output, take_image, take_mask
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulate, find_luminance
-from lobewise.kernels.engine import get_kernel
+from lobewise.kernels.loading import get_kernel
 from lobewise.kernels.pointwise import LARGEST_FLOAT
+from lobewise.kernels.schedules_gpu import ALIGNMENT, spread_channels, spread_pixels
 
 REACH = 6
 """The window is this many pixels to each side: about what a filter's kernel averages."""
@@ -67,6 +67,7 @@ class _Funcs:
     arguments: list[Any]
 
 
+@comes_down
 def bound_fireflies(
     halves: tuple[FloatArray, FloatArray],
     albedo: FloatArray | None,
@@ -97,7 +98,7 @@ def bound_fireflies(
     mask : bool array, shape (height, width)
         False where a pixel is no part of the layer: it neither counts nor changes.
     device : str
-        A name from `lobewise.kernels.engine.list_devices`.
+        A name from `lobewise.kernels.devices.list_devices`.
 
     Raises
     ------
@@ -111,13 +112,14 @@ def bound_fireflies(
     ]
     if albedo is not None:
         held.append(take_image("albedo", albedo, (height, width, 3)))
-    held.append(np.ascontiguousarray(mask).view(np.uint8))
+    held.append(take_mask(mask))
     tinted = albedo is not None
     lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
-    kernel = get_kernel(device, (bound_fireflies, tinted), lambda target: _make_bound(tinted, lanes))
-    a, b = (np.empty((height, width, 3), np.float32) for _ in range(2))
-    seen, taken = (np.empty((height, lanes), np.float32) for _ in range(2))
-    kernel(*(hl.Buffer(_borrow(array)) for array in held), *(hl.Buffer(array) for array in (a, b, seen, taken)))
+    kernel = get_kernel(device, (bound_fireflies, tinted), lambda target: _make_bound(tinted, lanes, target))
+    shapes = [(height, width, 3)] * 2 + [(height, lanes)] * 2
+    outputs = [make_output(shape, device) for shape in shapes]
+    kernel(*(lend(array, device) for array in held), *(buffer for buffer, _ in outputs))
+    a, b, seen, taken = (image for _, image in outputs)
     return BoundedHalves(a, b, np.stack([rows.sum(axis=1, dtype=np.float64) for rows in (seen, taken)], axis=1))
 
 
@@ -150,7 +152,7 @@ def _read(crowd: hl.Func, x: hl.Expr, y: hl.Expr, first: int = 0) -> list[hl.Exp
     return [there[first + k] for k in range(3)]
 
 
-def _make_bound(tinted: bool, lanes: int) -> _Funcs:
+def _make_bound(tinted: bool, lanes: int, target: hl.Target) -> _Funcs:
     """Return the algorithm, scheduled.
 
     The arguments of the compiled pass, in order: halves a and b (c, x, y); albedo (c, x, y) where there is one; mask
@@ -246,7 +248,10 @@ def _make_bound(tinted: bool, lanes: int) -> _Funcs:
     sums[lane, y] = hl.Tuple([sums[lane, y][k] + energy[there, y][k] for k in range(2)])
     tally[lane, y] = hl.Tuple([sums[lane, y][k] for k in range(2)])
 
-    _schedule(out, tally, sums, [light, row], crowds, [factor, energy], (x, y, c, lane), lanes)
+    if target.has_gpu_feature():
+        _schedule_gpu(out, tally, sums, [light, both, row, factor], (x, y, c, lane), lanes)
+    else:
+        _schedule(out, tally, sums, [light, row], crowds, [factor, energy], (x, y, c, lane), lanes)
     return _Funcs([out, tally], [*halves, *([albedo] if tinted else []), mask])
 
 
@@ -282,3 +287,22 @@ def _schedule(
         func.compute_at(out, ys).vectorize(x, lanes)
     for func in crowds:
         func.compute_at(planes[-1], y).vectorize(x, lanes).never_partition_all()
+
+
+def _schedule_gpu(
+    out: hl.Func,
+    tally: hl.Func,
+    sums: hl.Func,
+    planes: Sequence[hl.Func],
+    variables: Sequence[hl.Var],
+    lanes: int,
+) -> None:
+    """One thread for one pixel of everything that several pixels read, and for every partial sum."""
+    x, y, c, lane = variables
+    for buffer in out.output_buffers():
+        buffer.dim(1).set_stride(3)
+    spread_channels(out, 3, (x, y, c))
+    sums.compute_at(tally, spread_pixels(tally.bound(lane, 0, lanes), lane, y))
+    for func in planes:
+        func.compute_root().align_bounds(x, ALIGNMENT)
+        spread_pixels(func, x, y)

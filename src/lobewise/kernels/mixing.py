@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
-from lobewise.kernels.buffers import lend, make_output, take_image
+from lobewise.kernels.buffers import comes_down, lend, make_output, take_image
 from lobewise.kernels.cross_filter import begin_at_zero, find_luminance
-from lobewise.kernels.engine import get_kernel
+from lobewise.kernels.loading import get_kernel
 from lobewise.kernels.schedules_gpu import keep_planes, spread_channels
 
 COLORS = 3
@@ -240,6 +240,7 @@ def _require_fit(network: Network, inputs: int, candidates: int) -> None:
         )
 
 
+@comes_down
 def _run(
     candidates: Sequence[tuple[FloatArray, FloatArray]],
     middle: int,

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
-from lobewise.kernels.buffers import borrow as _borrow
-from lobewise.kernels.buffers import take_image
+from lobewise.kernels.buffers import comes_down, lend, make_output, take_image, take_mask
 from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulate, find_luminance
-from lobewise.kernels.engine import get_kernel
+from lobewise.kernels.loading import get_kernel
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS
 from lobewise.kernels.pointwise import LARGEST_FLOAT
+from lobewise.kernels.schedules_gpu import ALIGNMENT, COLUMNS, keep_planes, spread_channels, spread_pixels
 
 BLUR_RADIUS = 3
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
@@ -58,18 +58,23 @@ class _Funcs:
         means = [half * (logs[x, k, y] + logs[x, k + COLORS, y]) for k in range(COLORS)]
         out[c, x, y] = hl.mux(c, [*means, variance])
 
+        self.out = out
+        self.arguments: list[Any] = [*halves, offset]
+        out.output_buffer().dim(1).set_stride(GUIDE_CHANNELS)
+        if target.has_gpu_feature():
+            spread_channels(out, GUIDE_CHANNELS, (x, y, c))
+            keep_planes(logs, 2 * COLORS, (x, y, c))
+            spread_pixels(rows.compute_root().align_bounds(x, ALIGNMENT), x, y)
+            return
         lanes = target.natural_vector_size(hl.Float(32))
         ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
         out.bound(c, 0, GUIDE_CHANNELS).reorder(c, x, y).unroll(c)
-        out.output_buffer().dim(1).set_stride(GUIDE_CHANNELS)
         out.split(y, ys, yi, 32, tail).reorder(c, x, yi, ys).vectorize(x, lanes, tail).parallel(ys)
         out.never_partition_all()
         logs.compute_at(out, ys).bound(c, 0, 2 * COLORS).reorder_storage(x, c, y).reorder(c, x, y)
         logs.vectorize(x, lanes).unroll(c).never_partition_all()
         rows.compute_at(out, ys).vectorize(x, lanes)
         spread.compute_at(rows, y).vectorize(x, lanes)
-        self.out = out
-        self.arguments: list[Any] = [*halves, offset]
 
 
 class _Sums:
@@ -101,12 +106,20 @@ class _Sums:
         out = hl.Func("out")
         out[lane, y] = hl.f32(0.0)
         out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
-        out.bound(lane, 0, lanes).vectorize(lane).parallel(y)
-        out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
         self.out = out
         self.arguments: list[Any] = [*halves, *([albedo] if tinted else []), mask]
+        out.bound(lane, 0, lanes)
+        if target.has_gpu_feature():
+            for stage in (out, out.update()):
+                stage.gpu_tile(
+                    lane, y, *(hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")), COLUMNS, 8
+                )
+            return
+        out.vectorize(lane).parallel(y)
+        out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
 
 
+@comes_down
 def measure_light(
     halves: tuple[FloatArray, FloatArray], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
 ) -> NDArray[np.float64]:
@@ -130,12 +143,12 @@ def measure_light(
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
     held: list[NDArray[Any]] = [take_image("half", half, (height, width, COLORS)) for half in halves]
     held += [] if albedo is None else [take_image("albedo", albedo, (height, width, COLORS))]
-    held.append(np.ascontiguousarray(mask).view(np.uint8))
+    held.append(take_mask(mask))
     lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
     # Rows in a fixed number of parts, so that the order in which they are added never changes.
-    sums = np.empty((height, lanes), dtype=np.float32)
+    buffer, sums = make_output((height, lanes), device)
     kernel = get_kernel(device, (measure_light, albedo is not None), lambda target: _Sums(target, albedo is not None))
-    kernel(*(hl.Buffer(_borrow(image)) for image in held), hl.Buffer(sums))
+    kernel(*(lend(image, device) for image in held), buffer)
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
 
@@ -145,6 +158,7 @@ def find_level(rows: NDArray[np.float64]) -> float:
     return float(light / max(count, 1.0))
 
 
+@comes_down
 def make_noise_guide(a: FloatArray, b: FloatArray, level: float, device: str = "cpu") -> FloatArray:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
@@ -164,7 +178,6 @@ def make_noise_guide(a: FloatArray, b: FloatArray, level: float, device: str = "
     height, width = a.shape[0], a.shape[1]
     images = [take_image("half", image, (height, width, COLORS)) for image in (a, b)]
     kernel = get_kernel(device, "noise guide", _Funcs)
-    target = np.empty((height, width, GUIDE_CHANNELS), dtype=np.float32)
-    buffers = [hl.Buffer(_borrow(image)) for image in images]
-    kernel(*buffers, max(DARKEST * level, 1e-30), hl.Buffer(target))
-    return target
+    buffer, guide = make_output((height, width, GUIDE_CHANNELS), device)
+    kernel(*(lend(image, device) for image in images), max(DARKEST * level, 1e-30), buffer)
+    return guide

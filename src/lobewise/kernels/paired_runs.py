@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import (
+    comes_down,
     lend,
     make_output,
     take_arrays,
@@ -20,8 +21,8 @@ from lobewise.kernels.buffers import (
     take_parameters,
 )
 from lobewise.kernels.cross_filter import describe_structure
-from lobewise.kernels.engine import get_kernel
 from lobewise.kernels.features import Feature
+from lobewise.kernels.loading import get_kernel
 from lobewise.kernels.paired import (
     COLORS,
     GUIDE_CHANNELS,
@@ -64,6 +65,7 @@ class Paired(NamedTuple):
         return np.float32(0.5) * (self.a + self.b)
 
 
+@comes_down
 def run_paired(
     halves: tuple[FloatArray, FloatArray],
     mask: NDArray[np.bool_],

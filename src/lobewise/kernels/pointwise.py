@@ -8,7 +8,6 @@ false for NaN: Halide writes ``<=`` and ``>=`` as the negation of the opposite.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem
-from lobewise.kernels.buffers import borrow
+from lobewise.kernels.buffers import Buffer
+from lobewise.kernels.loading import Kernel, get_kernel
 
 Vector = Sequence[hl.Expr]
 """The channels of one pixel, or the components of a number."""
@@ -100,69 +100,53 @@ def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
     return hl.reinterpret(hl.Float(32), bits)
 
 
-@dataclass(frozen=True)
-class _Compiled:
-    call: Any
-    outputs: tuple[tuple[int, type[np.float32] | type[np.bool_]], ...]
+class _Funcs:
+    """The scheduled functions of a definition."""
 
-
-class _Kernels:
-    """Compiled definitions of this process, by structure; safe to use from several threads."""
-
-    def __init__(self) -> None:
-        self._kernels: dict[Hashable, _Compiled] = {}
-        self._lock = threading.Lock()
-
-    def get(
+    def __init__(
         self,
         define: Definition,
         options: tuple[Hashable, ...],
         images: tuple[tuple[str, int, bool], ...],
         numbers: tuple[tuple[str, int, bool], ...],
-        width: int,
-    ) -> _Compiled:
-        target = hl.get_host_target()
-        lanes = target.natural_vector_size(hl.Float(32))
-        # A row of differences is a pixel shorter.
-        narrow = width <= lanes
-        key = (define, options, images, numbers, narrow)
-        with self._lock:
-            if key not in self._kernels:
-                # Every buffer is made and checked below, so the kernel need not ask again: it compiles twice as fast.
-                for name in ("NoAsserts", "NoBoundsQuery", "StrictFloat"):
-                    target = target.with_feature(getattr(hl.TargetFeature, name))
-                self._kernels[key] = _compile(define, options, images, numbers, narrow, lanes, target)
-            return self._kernels[key]
+        narrow: bool,
+        lanes: int,
+    ) -> None:
+        params: dict[str, tuple[hl.ImageParam, int]] = {}
+        for name, channels, truth in images:
+            param = hl.ImageParam(hl.UInt(8) if truth else hl.Float(32), 2 + (channels > 1), name)
+            if channels > 1:
+                # Known strides make dense loads, which are shuffled, instead of one load for every lane.
+                param.dim(0).set_bounds(0, channels)
+                param.dim(1).set_stride(channels)
+            params[name] = param, channels
+        scalars = {
+            name: [hl.Param(hl.Float(64 if double else 32), f"{name}_{k}") for k in range(count)]
+            for name, count, double in numbers
+        }
+        grid = Grid(params, scalars, narrow)
+        outputs = define(grid, *options)
+        self.out = _schedule(grid, outputs, lanes)
+        self.arguments: list[Any] = [
+            *(param for param, _ in params.values()),
+            *(p for each in scalars.values() for p in each),
+        ]
+        self.notes = [[len(values), bool(values[0].type().is_uint())] for values in outputs]
+        """Of every output its channels, and whether it is truth."""
 
 
-def _compile(
+def _get_kernel(
     define: Definition,
     options: tuple[Hashable, ...],
     images: tuple[tuple[str, int, bool], ...],
     numbers: tuple[tuple[str, int, bool], ...],
-    narrow: bool,
-    lanes: int,
-    target: hl.Target,
-) -> _Compiled:
-    params: dict[str, tuple[hl.ImageParam, int]] = {}
-    for name, channels, truth in images:
-        param = hl.ImageParam(hl.UInt(8) if truth else hl.Float(32), 2 + (channels > 1), name)
-        if channels > 1:
-            # Known strides make dense loads, which are shuffled, instead of one load for every lane.
-            param.dim(0).set_bounds(0, channels)
-            param.dim(1).set_stride(channels)
-        params[name] = param, channels
-    scalars = {
-        name: [hl.Param(hl.Float(64 if double else 32), f"{name}_{k}") for k in range(count)]
-        for name, count, double in numbers
-    }
-    grid = Grid(params, scalars, narrow)
-    outputs = define(grid, *options)
-    outs = _schedule(grid, outputs, lanes)
-    arguments = [*(param for param, _ in params.values()), *(p for each in scalars.values() for p in each)]
-    call = hl.Pipeline(outs).compile_to_callable(arguments, target)
-    types = [np.bool_ if values[0].type().is_uint() else np.float32 for values in outputs]
-    return _Compiled(call, tuple((len(values), kind) for values, kind in zip(outputs, types, strict=True)))
+    width: int,
+) -> Kernel:
+    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
+    # A row of differences is a pixel shorter.
+    narrow = width <= lanes
+    key = ("pointwise", define, options, images, numbers, narrow)
+    return get_kernel("cpu", key, lambda _: _Funcs(define, options, images, numbers, narrow, lanes), strict=True)
 
 
 def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
@@ -196,14 +180,6 @@ def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func
     for stage in grid.stages:
         stage.compute_at(outs[0], y)
     return outs
-
-
-_kernels = _Kernels()
-
-
-def count_compiled_definitions() -> int:
-    """Return how many definitions this process has compiled."""
-    return len(_kernels._kernels)
 
 
 def _take_image(image: NDArray[Any]) -> NDArray[Any]:
@@ -253,7 +229,7 @@ def run_pointwise(
         )
     ((height, width),) = sizes
     vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
-    compiled = _kernels.get(
+    kernel = _get_kernel(
         define,
         options,
         tuple(
@@ -263,11 +239,11 @@ def run_pointwise(
         width,
     )
     results = tuple(
-        np.empty((height, width) if channels == 1 else (height, width, channels), kind)
-        for channels, kind in compiled.outputs
+        np.empty((height, width) if channels == 1 else (height, width, channels), np.bool_ if truth else np.float32)
+        for channels, truth in kernel.notes
     )
-    lent = [hl.Buffer(borrow(image)) for image in held.values()]
+    lent = [Buffer(image) for image in held.values()]
     given = [float(value) for vector in vectors.values() for value in vector]
-    written = [hl.Buffer(result.view(np.uint8) if result.dtype == np.bool_ else result) for result in results]
-    compiled.call(*lent, *given, *written)
+    written = [Buffer(result.view(np.uint8) if result.dtype == np.bool_ else result) for result in results]
+    kernel(*lent, *given, *written)
     return results

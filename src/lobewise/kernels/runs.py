@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
-from lobewise.kernels.buffers import lend, make_output, take_arrays, take_image, take_mask, take_parameters
+from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
 from lobewise.kernels.cross_filter import WEIGHT, describe_structure
-from lobewise.kernels.engine import Compilable, FilterOutput, get_kernel
+from lobewise.kernels.engine import FilterOutput
 from lobewise.kernels.features import Feature
 from lobewise.kernels.history import HISTORY_CHANNELS, MOMENT, make_reprojection
 from lobewise.kernels.joining import PLANES, SUMMARY, make_joining
+from lobewise.kernels.loading import Compilable, get_kernel
 from lobewise.kernels.schedules import schedule_joining, schedule_reprojection
 
 Image = NDArray[Any]
@@ -129,6 +130,7 @@ class SampleGrid:
         key: Hashable = ("joining", self._tinted, *map(describe_structure, self._features))
         return get_kernel(self._device, key, make)
 
+    @comes_down
     def join(
         self,
         samples: FloatArray,
@@ -296,6 +298,7 @@ def run_upsampling(
     return FilterOutput(np.ascontiguousarray(out.image), out.weight_sum, out.effective_samples, average)
 
 
+@comes_down
 def run_reprojection(
     past: FloatArray,
     places: FloatArray,

@@ -19,8 +19,7 @@ from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, PairedFuncs
 COLUMNS, ROWS = 16, 8
 """Threads of a block: as wide as half a warp, so that the rows that taps share are read by the same block."""
 ALIGNMENT = 64
-"""Numbers that rows of intermediate images are padded to; with them every size is a multiple of 256 bytes, which the
-memory allocator of Halide's Vulkan runtime needs (see `lobewise.kernels.devices`)."""
+"""Columns that intermediate images have a multiple of, and so of 256 bytes; see `lobewise.kernels.devices`."""
 
 
 def spread_pixels(func: hl.Func, x: hl.Var, y: hl.Var) -> hl.Var:
@@ -41,7 +40,7 @@ def keep_planes(func: hl.Func | None, channels: int, variables: tuple[hl.Var, hl
     """Compute a function of pixels into memory, plane by plane in a row."""
     if func is not None:
         x, _, c = variables
-        func.compute_root().reorder_storage(x, c, variables[1]).align_storage(x, ALIGNMENT)
+        func.compute_root().reorder_storage(x, c, variables[1]).align_bounds(x, ALIGNMENT)
         spread_channels(func, channels, variables)
 
 

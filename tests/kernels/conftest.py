@@ -1,0 +1,45 @@
+"""Every test of a kernel runs on every device that CI has: the processor, and Vulkan in software."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+
+import pytest
+
+from lobewise.kernels.devices import list_devices
+
+RUNS = (
+    "run_filter",
+    "run_paired",
+    "run_reprojection",
+    "run_upsampling",
+    "SampleGrid",
+    "bound_fireflies",
+    "find_features",
+    "make_noise_guide",
+    "measure_light",
+    "mix_candidates",
+)
+"""What takes a device; a test that names none gets the one it is run on."""
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run the tests of a module that calls kernels on every device."""
+    if "device" in metafunc.fixturenames and any(hasattr(metafunc.module, name) for name in RUNS):
+        slow = pytest.param("vulkan", marks=pytest.mark.slow)
+        metafunc.parametrize("device", ["cpu", slow], indirect=True)
+
+
+@pytest.fixture(autouse=True)
+def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return the device on which everything in this test runs."""
+    name = str(getattr(request, "param", "cpu"))
+    found = {each.name: each for each in list_devices()}[name]
+    if not found.available:
+        assert "CI" not in os.environ, found.reason
+        pytest.skip(f"{name}: {found.reason}")
+    for run in RUNS:
+        if hasattr(request.module, run):
+            monkeypatch.setattr(request.module, run, partial(getattr(request.module, run), device=name))
+    return name
