@@ -94,7 +94,7 @@ def export(
 
 
 # Options stand in narrow columns, which would cut these names off.
-export.__doc__ = f"""Compile a filter ahead of time: a library with C header, README and example; or the weights as a shader.
+export.__doc__ = f"""{export.__doc__}
 
 Targets, all compiled for in the tests: {", ".join(TARGETS)}. Others of these processors and systems are tried.
 

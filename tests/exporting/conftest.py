@@ -1,0 +1,51 @@
+"""What the exports are tested with: a C compiler, a device for shaders; where CI is set a missing one is a failure."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import Any
+
+import pytest
+
+
+def lack(reason: str) -> None:
+    """Skip a test, or fail it in CI."""
+    if os.environ.get("CI"):
+        pytest.fail(f"CI must have it: {reason}")
+    pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def compiler() -> str:
+    """Return the system's C compiler."""
+    found = shutil.which("cc")
+    if found is None:
+        lack("no C compiler cc; install gcc")
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="session")
+def graphics() -> Any:
+    """Return a Vulkan device of wgpu; the software one will do."""
+    # The window system's libraries complain of a missing folder, on the terminal.
+    os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")
+    try:
+        import wgpu
+    except ImportError:
+        lack("wgpu is not installed: pip install lobewise[dev]")
+    found = [each for each in wgpu.gpu.enumerate_adapters_sync() if each.info["backend_type"] == "Vulkan"]
+    if not found:
+        lack("no Vulkan device; install mesa-vulkan-drivers and libvulkan1")
+    return found[0].request_device_sync()
+
+
+@pytest.fixture(scope="session")
+def glslang() -> str:
+    """Return the reference compiler of GLSL and HLSL."""
+    found = shutil.which("glslangValidator")
+    if found is None:
+        lack("no glslangValidator; install glslang-tools")
+    assert found is not None
+    return found
