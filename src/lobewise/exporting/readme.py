@@ -54,6 +54,7 @@ Outputs need memory and must not overlap inputs.{least}
 A buffer of a wrong size, type or layout, and a constant that is not above 0, make a function return a code other than 0
 before anything is written. First Halide calls an error handler, whose default prints and **aborts**: install your own
 with `halide_set_error_handler`, as `example.c` does. In its messages `out0`, `out1`, ... are the outputs, in order.
+A buffer without memory, on host and device, makes the call a question for sizes: it returns 0 and computes nothing.
 
 Rows are shared out to as many threads as there are processors, or `HL_NUM_THREADS`, or `halide_set_num_threads`;
 `halide_set_custom_do_par_for` hands them to a scheduler of your own. The functions keep no state and may be called from
