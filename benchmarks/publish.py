@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from bench_page import load_machines, make_bench_page, write_pictures
 from interactive_page import make_interactive_page
 from quality_page import make_quality_page, make_readme_quality
 from quality_trials import make_trials_page
@@ -454,6 +455,12 @@ python benchmarks/make_gallery.py --cache ~/.cache/lobewise-quality animation
 """
 
 
+def load_startup() -> dict[str, Any] | None:
+    """Return what ``startup.py`` has measured, None before it has."""
+    path = RESULTS / "startup.json"
+    return json.loads(path.read_text()) if path.exists() else None
+
+
 def main() -> None:
     """Write the pages."""
     similarities = json.loads((RESULTS / "similarities.json").read_text())
@@ -475,6 +482,9 @@ def main() -> None:
     trials, training = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
     (ROOT / "docs" / "quality.md").write_text(make_trials_page(trials, training))
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
+    machines = load_machines()
+    write_pictures(machines)
+    (ROOT / "docs" / "bench.md").write_text(make_bench_page(load_startup(), machines))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ import lobewise
 from common import describe_machine, write_json
 from lobewise.bench.timing import time_best
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.io import describe_file
 from lobewise.io.exr import read_image, write_frame
 from lobewise.peers import has_oidn
 from quality import CACHE
@@ -98,9 +99,15 @@ def write_inputs(frame: Frame, folder: Path) -> None:
     write_pfm(folder / "normal.pfm", guides.normal)
 
 
+def describe_input(path: Path) -> dict[str, Any]:
+    """Return how large a file is."""
+    found = describe_file(path)
+    return {"megabytes": round(1e-6 * found.bytes, 1), "channels": sum(len(part.channels) for part in found.parts)}
+
+
 def run_program(command: Sequence[str], caches: Path | None = None) -> str:
     """Run a program to its end and return what it printed; ``caches`` is where it keeps its kernels."""
-    environment = dict(os.environ) if caches is None else {**os.environ, "XDG_CACHE_HOME": str(caches)}
+    environment = dict(os.environ) if caches is None else {**os.environ, "LOBEWISE_CACHE": str(caches)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)} failed: {done.stdout}{done.stderr}")
@@ -206,11 +213,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         write_inputs(frame, folder)
         source = cache / f"showroom-1-1-{SIZE[0]}x{SIZE[1]}.exr"
         times = time_denoising(source, folder, chosen.rounds)
-        sizes = {"whole": source.stat().st_size, "lean": (folder / "lean.exr").stat().st_size}
+        files = {"whole": describe_input(source), "lean": describe_input(folder / "lean.exr")}
     for name, row in times.items():
         print(f"{name:40} {row['seconds']:7.2f} s  {row}", flush=True)
-    megabytes = {name: round(1e-6 * size, 1) for name, size in sizes.items()}
-    write_json(chosen.output, {**result, "width": SIZE[0], "height": SIZE[1], "megabytes": megabytes, "denoise": times})
+    write_json(chosen.output, {**result, "width": SIZE[0], "height": SIZE[1], "files": files, "denoise": times})
 
 
 if __name__ == "__main__":

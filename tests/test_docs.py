@@ -67,6 +67,12 @@ def test_interactive_page_says_what_was_measured() -> None:
     assert (ROOT / "docs" / "interactive.md").read_text() == publisher.make_interactive_page(*measured)
 
 
+def test_bench_page_says_what_was_measured() -> None:
+    publisher = load_publisher()
+    machines = publisher.load_machines()
+    assert (ROOT / "docs" / "bench.md").read_text() == publisher.make_bench_page(publisher.load_startup(), machines)
+
+
 def test_quality_page_says_what_was_measured() -> None:
     publisher = load_publisher()
     measured, page = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "docs" / "quality_results.md"
