@@ -26,8 +26,9 @@ RUNS = (
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run the tests of a module that calls kernels on every device."""
-    if "device" in metafunc.fixturenames and any(hasattr(metafunc.module, name) for name in RUNS):
-        slow = pytest.param("vulkan", marks=pytest.mark.slow)
+    calls = any(hasattr(metafunc.module, name) for name in RUNS)
+    if calls and metafunc.definition.get_closest_marker("processor") is None:
+        slow = pytest.param("vulkan", marks=[pytest.mark.slow, pytest.mark.vulkan])
         metafunc.parametrize("device", ["cpu", slow], indirect=True)
 
 

@@ -206,6 +206,7 @@ sys.stdout.buffer.write(bounded.a.tobytes() + bounded.b.tobytes() + bounded.tall
 
 
 @pytest.mark.slow
+@pytest.mark.processor
 def test_threads_change_nothing() -> None:
     bounded = bound_fireflies(*make_case((131, 67)))
     alone = {**os.environ, "HL_NUM_THREADS": "1"}

@@ -264,6 +264,7 @@ sys.stdout.buffer.write(out.tobytes())
 """
 
 
+@pytest.mark.processor
 def test_threads_change_nothing() -> None:
     shape = (67, 41)
     out = run_reprojection(make_past(shape), make_places(shape), (make_mask(shape),) * 2, make_pair((), shape))

@@ -192,6 +192,7 @@ sys.stdout.buffer.write(join(given, 2, (1, 0)).sums.tobytes())
 """
 
 
+@pytest.mark.processor
 def test_threads_change_nothing() -> None:
     out = join(make_given((131, 67), 2, (1, 0)), 2, (1, 0))
     alone = {**os.environ, "HL_NUM_THREADS": "1"}

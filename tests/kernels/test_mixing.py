@@ -329,6 +329,7 @@ sys.stdout.buffer.write(mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes
 
 
 @pytest.mark.slow
+@pytest.mark.processor
 def test_threads_and_another_run_change_nothing() -> None:
     expected = mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes()
     assert mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes() == expected

@@ -208,6 +208,7 @@ sys.stdout.buffer.write(make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes
 """
 
 
+@pytest.mark.processor
 def test_threads_and_another_run_change_nothing() -> None:
     expected = make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes()
     assert make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() == expected

@@ -584,6 +584,7 @@ sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
 
 
 @pytest.mark.slow
+@pytest.mark.processor
 def test_threads_and_another_run_change_nothing() -> None:
     expected = get_bits(make_given(STANDARD, (131, 67)).run())
     assert get_bits(make_given(STANDARD, (131, 67)).run()) == expected

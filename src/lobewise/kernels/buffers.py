@@ -91,9 +91,9 @@ class Buffer:
         self._raw.device, self._raw.device_interface = self._whole.device, self._whole.device_interface
 
     def bring_up(self, device: str) -> None:
-        """Take memory on a device and copy the array there; the array has no axis of stride 0."""
+        """Take memory on a device and copy the array there, which must be dense."""
         self.take_memory(device)
-        self._bytes[: self.array.nbytes] = np.ascontiguousarray(self.array).view(np.uint8).reshape(-1)
+        self._bytes[: self.array.nbytes] = _order_axes(self.array).reshape(-1).view(np.uint8)
         self._whole.flags = _HOST_DIRTY
         self._call(device, "halide_copy_to_device", _find_interface(device))
         transfers["up"] += 1
@@ -114,6 +114,11 @@ class Buffer:
     def _call(self, device: str, name: str, *more: int) -> None:
         pointers = [None, ctypes.addressof(self._whole), *more]
         get_runtime(device).call(_get_function(device, name, len(pointers)), *pointers)
+
+
+def _order_axes(array: Image) -> Image:
+    """Return an array with its axes in the order in which they lie in memory."""
+    return array.transpose(sorted(range(array.ndim), key=lambda axis: -array.strides[axis]))
 
 
 def _describe_axes(axes: Sequence[tuple[int, int]]) -> Any:
@@ -292,8 +297,8 @@ def lend(image: Image, device: str) -> Buffer:
     stay = _get_stay()
     key = (device, image.ctypes.data, image.shape, image.strides, image.dtype.str)
     if key not in stay.lent:
-        # Memory that is repeated along an axis would be copied up more than it has.
-        buffer = Buffer(np.ascontiguousarray(image) if 0 in image.strides else image)
+        is_dense = 0 not in image.strides and _order_axes(image).flags.c_contiguous
+        buffer = Buffer(image if is_dense else np.ascontiguousarray(image))
         buffer.bring_up(device)
         # The image is held, so that no other one comes to lie where this one does.
         stay.taken.append((buffer, device, image))

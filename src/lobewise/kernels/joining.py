@@ -74,10 +74,10 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
 
     The arguments of the compiled kernel, in order: samples (3, X, Y); of their pixels the albedo (3, X, Y) if tinted,
     the mask (X, Y) uint8, the arrays of every feature and the trust (X, Y); of all pixels albedo, mask and arrays,
-    power s (x, y) and history (x, y, 7); the parameters of every feature; int32 radius, radius of the trust's taps (-1
-    where there is none: it is 1), factor, column and row of the samples' pixels in their blocks; float32 spacing
-    (pixels of the screen from sample to sample), growth, own, and whether to multiply by the albedo on the way out (1).
-    Images of all pixels are at least as wide as a vector.
+    power s (x, y) and history (x, y, 7); the parameters of every feature; int32 radius, radius of the trust's taps,
+    factor, column and row of the samples' pixels in their blocks; float32 spacing (pixels of the screen from sample to
+    sample), growth, own, and whether to multiply by the albedo on the way out (1). Images of all pixels are at least as
+    wide as a vector.
     """
     x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
     source = hl.ImageParam(hl.Float(32), 3, "source")
@@ -101,7 +101,7 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
     # What is known not to be negative makes plainer loops.
     factor.set_range(1, 1 << 16)
     radius.set_range(0, 1 << 16)
-    trust_radius.set_range(-1, 1 << 16)
+    trust_radius.set_range(0, 1 << 16)
     zero, one = hl.f32(0.0), hl.f32(1.0)
     columns, rows = tap_mask.width(), tap_mask.height()
 

@@ -214,7 +214,7 @@ class SampleGrid:
             *(lend(array, self._device) for array in held),
             lend(past, self._device),
             *self._parameters,
-            *(radius, -1 if trust is None else trust_radius, scale, place[1], place[0]),
+            *(radius, 0 if trust is None else trust_radius, scale, place[1], place[0]),
             *(float(self._scale), growth, own, float(modulate)),
             *planes.buffers,
         )
