@@ -69,7 +69,8 @@ missing is left out and said). Without `--device` every device is measured that 
   its own lobes, and all that surrounds the filter.
 - Everything is measured on a plane of patches made of formulas, so that machines compare. Times on a rendered frame stand in
   [docs/quality_results.md](quality_results.md).
-- Open Image Denoise is given colour, albedo and normal, declared clean: one network. Filtering its guides first takes two more.
+- Open Image Denoise is given colour, albedo and normal, declared clean: one network. Filtering its guides first takes two more. It
+  chooses its device itself: a graphics card where it finds one, which the figures do not tell.
 - On a graphics card a time has the way there and back in it.
 - In `bench.json` a row of `rows` is one time: `part`, `device`, `name`, `milliseconds`, and what the part varies (`width`, `height`, `form`,
   `radius`, `lobes`, `scale`, `threads`).

@@ -67,7 +67,7 @@ def measure_filters(
         names = [choose_device(name) for name in dict.fromkeys(devices)]
     else:
         names = [name for name, device in found.items() if device.available and not device.is_software]
-    jobs = [job for name in names for job in list_jobs(extent, name)]
+    jobs = [job for name in names for job in list_jobs(extent, name, peers=name == names[0])]
     threads = list_threads() if "cpu" in names else []
     each = 4.0 + extent.seconds
     total = sum(job.effort for job in jobs) + each * len(threads)

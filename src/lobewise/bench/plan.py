@@ -132,8 +132,9 @@ def fetch_frame(size: Size) -> Frame:
     return make_frame(*size)
 
 
-def list_jobs(extent: Extent, device: str) -> Iterator[Job]:
-    """Yield everything that is measured on one device, but the threads."""
+def list_jobs(extent: Extent, device: str, *, peers: bool = True) -> Iterator[Job]:
+    """Yield what is measured on a device, but for the threads; with ``peers`` beside Open Image Denoise."""
+    known = peers and has_oidn()
     for form in extent.forms:
         yield _plan_kernels("forms", extent.size, RADIUS, form, device, extent, extent.similarities)
     for lobes in extent.lobes:
@@ -142,11 +143,11 @@ def list_jobs(extent: Extent, device: str) -> Iterator[Job]:
         names = extent.similarities if radius in PAPER_RADII else extent.core
         yield _plan_kernels("radius", extent.radius_size, radius, "separable", device, extent, names)
     for size in extent.sizes:
-        peers = ("fast", "high") if size[0] * size[1] <= extent.peer_pixels and has_oidn() else ()
-        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, extent.core, peers)
+        beside = ("fast", "high") if known and size[0] * size[1] <= extent.peer_pixels else ()
+        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, extent.core, beside)
     for scale in extent.scales:
         yield _plan_upsampling(scale, device, extent)
-    yield _plan_denoising(device, extent)
+    yield _plan_denoising(device, extent, tuple(OIDN_LABELS) if known else ())
 
 
 def list_threads() -> list[int]:
@@ -223,7 +224,7 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
     return Job("upsampling", facts, make, extent.recipe_rounds, 8.0 + extent.seconds)
 
 
-def _plan_denoising(device: str, extent: Extent) -> Job:
+def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
     def make() -> Calls:
         frame = add_halves(fetch_frame(extent.recipe_size))
 
@@ -235,7 +236,7 @@ def _plan_denoising(device: str, extent: Extent) -> Job:
             for form in ("separable", "full"):
                 calls[f"fast, {similarity}, {form}"] = make_call(quality="fast", similarity=similarity, form=form)
         calls |= {quality: make_call(quality=quality) for quality in extent.qualities if quality != "fast"}
-        return {**calls, **_make_peer_calls(frame, tuple(OIDN_LABELS))}
+        return {**calls, **_make_peer_calls(frame, peers)}
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
     megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
@@ -243,12 +244,12 @@ def _plan_denoising(device: str, extent: Extent) -> Job:
 
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:
-    """Return Open Image Denoise at these qualities, where it is installed, given guides that need no filter."""
+    """Return Open Image Denoise at these qualities, given guides that need no filter."""
 
     def make_call(quality: str) -> Callable[[], Any]:
         return lambda: denoise_oidn(frame, quality=quality, guides="centre")
 
-    return {OIDN_LABELS[quality]: make_call(quality) for quality in qualities} if has_oidn() else {}
+    return {OIDN_LABELS[quality]: make_call(quality) for quality in qualities}
 
 
 def add_halves(frame: Frame) -> Frame:
