@@ -14,7 +14,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
 from lobewise.exporting.arguments import MEANINGS
-from lobewise.exporting.example import LARGEST_DIFFERENCE, LARGEST_MIXTURE_DIFFERENCE
+from lobewise.exporting.example import LARGEST_DIFFERENCE, LARGEST_STEP_DIFFERENCE
 from lobewise.exporting.library import export_library
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.sample import make_sample
@@ -227,7 +227,7 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
     images["normal"][3, 4] = 0.0
     images["alpha_u"][5, 6] = np.nan
     numbers = {"eye": camera.position.astype(np.float32), "noise": np.float32(tau) ** 2}
-    for lobes in (1, 2, 3, 4):
+    for lobes in (2, 3, 4):
         valid, axis, sharpness, amplitude = run_pointwise(define_mixture, images, numbers, lobes)
         expected = build_mixture_field(GBuffer(**images), camera, tau=tau, lobes=lobes)
         np.testing.assert_array_equal(valid, expected.valid)
@@ -247,7 +247,7 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
         FilterPlan("asg", "atrous"),
         FilterPlan("sg", "atrous", albedo=False),
         FilterPlan("sg", "full", 0),
-        FilterPlan("sg_mixture", "separable", 4, lobes=1),
+        FilterPlan("sg_mixture", "separable", 4, lobes=2),
         FilterPlan("sg_mixture", "full", 2, lobes=4),
         FilterPlan("normal", "full", 4),
         FilterPlan("diffuse", "separable", 8),
@@ -259,7 +259,7 @@ def test_every_similarity_agrees_with_python(plan: FilterPlan, tmp_path: Path, c
     build(folder, export_library(folder, plan, target="x86-64-linux-avx2-fma" if _has_avx2() else "host"), compiler)
     code, difference = run_example(folder)
     assert code == 0
-    assert difference <= (LARGEST_MIXTURE_DIFFERENCE if plan.similarity == "sg_mixture" else LARGEST_DIFFERENCE)
+    assert difference <= (LARGEST_STEP_DIFFERENCE if plan.similarity in ("asg", "sg_mixture") else LARGEST_DIFFERENCE)
 
 
 def _has_avx2() -> bool:
@@ -312,8 +312,9 @@ def test_every_target_compiles(target: str, tmp_path: Path) -> None:
     export_library(folder, FilterPlan("sg", "separable", 2), target=target, name="f")
     library = (folder / ("f.lib" if "windows" in target else "libf.a")).read_bytes()
     assert library.startswith(b"!<arch>\n")
-    for api, mark in MARKS.items():
-        assert (mark in library) == (api in target.split("-")), api
+    apis = [api for api in MARKS if api in target.split("-")]
+    assert all(MARKS[api] in library for api in apis)
+    assert apis or not any(mark in library for mark in MARKS.values())
     if target == "host":
         return
     processor, bits, system = target.split("-")[:3]
@@ -357,7 +358,7 @@ def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     folder = str(tmp_path / "out")
     assert "radius" in fail(capsys, "-o", folder, "--radius", "65")
-    assert "lobes" in fail(capsys, "-o", folder, "--lobes", "5")
+    assert "lobes" in fail(capsys, "-o", folder, "--lobes", "1")
     assert "ggx" in fail(capsys, "-o", folder, "--similarity", "gxx")
     assert "separable" in fail(capsys, "-o", folder, "--form", "seperable")
     assert "anisotropic" in fail(capsys, "-o", folder, "--similarity", "sg", "--anisotropic")

@@ -33,7 +33,7 @@ def export(
         typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.", show_default="8"),
     ] = None,
     lobes: Annotated[
-        int | None, typer.Option(metavar="1-4", help="With sg_mixture: Gaussians of a pixel.", show_default="3")
+        int | None, typer.Option(metavar="2-4", help="With sg_mixture: Gaussians of a pixel.", show_default="3")
     ] = None,
     albedo: Annotated[
         bool | None,

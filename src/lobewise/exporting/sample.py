@@ -134,8 +134,6 @@ def _make_features(
         eye, noise = camera.position.astype(np.float32), np.float32(tau) * np.float32(tau)
         given = {**guides, "alpha_u": arrays["alpha"]}, {"eye": eye, "noise": noise}
         valid, axis, sharpness, amplitude = run_pointwise(define_mixture, *given, plan.lobes)
-        if plan.lobes == 1:
-            sharpness, amplitude = sharpness[..., None], amplitude[..., None]
         return [*shared, SgMixtureFeature(axis, sharpness, amplitude, beta)], valid
     lobes = make_lobe_field(gbuffer, camera, tau=tau, representation=plan.similarity, diffuse_fallback=False)
     if plan.similarity == "sg":

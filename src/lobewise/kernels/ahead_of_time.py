@@ -53,7 +53,7 @@ class FilterPlan:
     radius : int
         Kernel radius, pixels, 0 to 64; "atrous" does not use it.
     lobes : int
-        With "sg_mixture": spherical Gaussians per pixel, 1 to 4.
+        With "sg_mixture": spherical Gaussians per pixel, 2 to 4.
     albedo : bool
         Whether the radiance is divided by an albedo on the way in and multiplied by it on the way out.
     anisotropic : bool
@@ -76,7 +76,7 @@ class FilterPlan:
         require_choice("similarity", self.similarity, SIMILARITIES)
         require_choice("form", self.form, FORMS)
         _require_integer("radius", self.radius, 0, LARGEST_RADIUS, "8 is usual")
-        _require_integer("lobes", self.lobes, 1, MAX_LOBES, "3 stand for GGX within 1 %")
+        _require_integer("lobes", self.lobes, 2, MAX_LOBES, "3 stand for GGX within 1 %, and one is similarity 'sg'")
         if self.anisotropic and self.similarity not in ("asg", "ggx"):
             raise InputError(
                 describe_problem(
