@@ -1,0 +1,63 @@
+"""docs/export.md is true: its commands run, its programs compile, its lists are those of the code."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.exporting.example import (
+    LARGEST_DEVICE_DIFFERENCE,
+    LARGEST_DIFFERENCE,
+    LARGEST_PLAIN_DIFFERENCE,
+    LARGEST_STEP_DIFFERENCE,
+)
+from lobewise.exporting.names import TARGETS
+from lobewise.exporting.shader import make_shader
+
+PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
+
+
+def get_block(language: str) -> str:
+    """Return the first block of code in a language."""
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.S)[0]
+
+
+def test_targets_are_listed() -> None:
+    listed = re.findall(r"`((?:x86|arm|wasm)-[\w-]+)`", PAGE.split("### Targets")[1].split("No compiler")[0])
+    assert sorted(["host", *listed]) == sorted(TARGETS)
+
+
+def test_bounds_are_those_of_the_example() -> None:
+    found = [float(word) for word in re.findall(r"\| (0\.0+\d) \|", PAGE)]
+    bounds = [LARGEST_DIFFERENCE, LARGEST_PLAIN_DIFFERENCE, LARGEST_STEP_DIFFERENCE, LARGEST_DEVICE_DIFFERENCE]
+    assert found == bounds
+
+
+def test_shader_pass_compiles(glslang: str, tmp_path: Path) -> None:
+    program = get_block("glsl").replace('#include "lobewise.glsl"\n', make_shader("glsl"))
+    (tmp_path / "pass.comp").write_text(program)
+    done = subprocess.run([glslang, "-V", "pass.comp"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+def test_commands_run_and_program_compiles(
+    compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    export, enter, *commands = get_block("sh").splitlines()
+    assert run(export.split()[1:]) == 0
+    out = capsys.readouterr().out
+    folder = tmp_path / enter.removeprefix("cd ")
+    # What the program suggests is what the page says.
+    assert " && ".join(commands) in out
+    for command in commands:
+        subprocess.run(command, shell=True, cwd=folder, check=True)
+    (folder / "own.c").write_text("#include <math.h>\n" + get_block("c"))
+    words = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.c"]
+    done = subprocess.run([compiler, *words], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
