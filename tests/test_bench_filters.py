@@ -75,13 +75,13 @@ ROWS = (
     make_row("lobes", "own axes", 55.0, lobes=3, **SMALL),
     make_row("pixels", "sg", 11.0, **SMALL),
     make_row("pixels", "sg", 80.5, **FULL_HD, form="separable"),
-    make_row("pixels", "Open Image Denoise, fast", 200.0, **SMALL),
+    make_row("pixels", "OIDN, fast", 200.0, **SMALL),
     make_row("threads", "sg", 19.0, threads=1, **SMALL),
     make_row("threads", "sg", 10.0, threads=2, **SMALL),
     make_row("upsampling", "bilinear", 3.0, scale=2, **FULL_HD),
     make_row("denoising", "balanced", 1000.0, **FULL_HD),
-    make_row("denoising", "Open Image Denoise, fast", 1500.0, **FULL_HD),
-    make_row("denoising", "Open Image Denoise, default", 6000.0, **FULL_HD),
+    make_row("denoising", "OIDN, fast", 1500.0, **FULL_HD),
+    make_row("denoising", "OIDN, default", 6000.0, **FULL_HD),
 )
 
 
@@ -132,7 +132,7 @@ def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = found["rows"]
     assert list(dict.fromkeys(row["part"] for row in rows)) == list(WHAT)
     assert all(row["milliseconds"] > 0.0 for row in rows)
-    ours = [(row["part"], row["name"]) for row in rows if not row["name"].startswith("Open Image Denoise")]
+    ours = [(row["part"], row["name"]) for row in rows if not row["name"].startswith("OIDN")]
     assert ours == [
         ("forms", "normal"),
         ("forms", "sg"),
@@ -147,7 +147,7 @@ def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         ("upsampling", "normal"),
     ]
     assert [row["threads"] for row in rows if row["part"] == "threads"] == [1, 2]
-    peers = [row["part"] for row in rows if row["name"].startswith("Open Image Denoise")]
+    peers = [row["part"] for row in rows if row["name"].startswith("OIDN")]
     assert peers == (["pixels"] * 4 + ["denoising"] * 3 if has_oidn() else [])
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
     assert len({total for _, total in seen}) == 1
@@ -205,14 +205,14 @@ def test_tables_say_what_was_measured() -> None:
         ["ggx", "8", "90.0", "2.25", ""],
         ["normal", "16", "60.0", "1.00", "1.00"],
     ]
-    assert get_section(data, "forms").header == ["similarity", "separable, ms", "ratio"]
+    assert get_section(data, "forms").header == ["similarity", "separable", "ratio"]
     assert get_section(data, "forms").rows == [["normal", "10.0", "1.00"], ["sg", "12.5", "1.25"]]
     lobes = get_section(data, "lobes")
     assert (lobes.header, lobes.rows) == (
         ["lobes", "1", "3"],
         [["one axis", "20.0", "30.0"], ["own axes", "", "55.0"]],
     )
-    assert get_section(data, "pixels").header == ["size", "512x512", "1920x1080"]
+    assert get_section(data, "pixels").header == ["megapixels", "0.26", "2.1"]
     assert get_section(data, "threads").rows == [["sg", "19.0", "10.0", "1.90"]]
     assert get_section(data, "denoising").rows[0] == ["balanced", "1000", "6.00", "1.50"]
     assert "1920x1080" in get_section(data, "denoising").title
@@ -228,7 +228,7 @@ def test_several_devices_are_told_apart_and_the_peer_comes_once() -> None:
     pixels = get_section(doubled, "pixels").rows
     assert pixels == [
         ["sg, cpu", "11.0", "80.5"],
-        ["Open Image Denoise, fast", "200", ""],
+        ["OIDN, fast", "200", ""],
         ["sg, cuda", "5.50", "40.2"],
     ]
     # Ratios are to the same device.

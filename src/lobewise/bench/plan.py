@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -24,9 +24,12 @@ Size = tuple[int, int]
 
 CORE = ("normal", "sg", "ggx")
 """Similarities of the plots that would take long with all of them."""
+TURNS = 2
+"""Of every job that times kernels."""
 RADIUS = 8
 """Of every job that is not about the radius."""
-OIDN = "Open Image Denoise"
+OIDN = "OIDN"
+"""Short for Open Image Denoise; its rows' names begin so."""
 OIDN_LABELS = {"fast": f"{OIDN}, fast", "balanced": f"{OIDN}, balanced", "high": f"{OIDN}, default"}
 """By quality of `lobewise.peers.denoise_oidn`; "high" is its default."""
 WHAT = {
@@ -114,7 +117,9 @@ class Job:
     make : callable
         Returns the candidates by name, when they are about to run, so that no two jobs' images are held at once.
     rounds : int
-        Least number of rounds.
+        Least number of rounds, all turns together.
+    turns : int
+        In how many parts, between which the other jobs run: a disturbance then bends no curve.
     effort : float
         About how many seconds it takes on two cores, for the progress alone.
     """
@@ -123,7 +128,8 @@ class Job:
     facts: dict[str, Any]
     make: Callable[[], Calls]
     rounds: int
-    effort: float = field(default=3.0)
+    turns: int
+    effort: float
 
 
 @lru_cache(maxsize=1)
@@ -190,8 +196,8 @@ def _plan_kernels(
     facts = {"device": device, **describe_size(size), "form": form, "radius": radius}
     rounds = extent.recipe_rounds if peers else extent.rounds
     megapixels = size[0] * size[1] / 1e6
-    effort = extent.seconds + len(names) + (1.0 + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
-    return Job(part, facts, make, rounds, effort)
+    effort = extent.seconds + len(names) + (TURNS + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
+    return Job(part, facts, make, rounds, TURNS, effort)
 
 
 def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
@@ -208,7 +214,7 @@ def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
         return make_kernel_calls(frame, features, RADIUS, "separable", device)
 
     facts = {"device": device, **describe_size(extent.size), "form": "separable", "radius": RADIUS, "lobes": lobes}
-    return Job("lobes", facts, make, extent.rounds, extent.seconds + 2.0)
+    return Job("lobes", facts, make, extent.rounds, TURNS, extent.seconds + 2.0)
 
 
 def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
@@ -221,7 +227,7 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
         return {"bilinear": make_call(bilinear=True), **{name: make_call(similarity=name) for name in extent.core}}
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
-    return Job("upsampling", facts, make, extent.recipe_rounds, 8.0 + extent.seconds)
+    return Job("upsampling", facts, make, extent.recipe_rounds, 1, 8.0 + extent.seconds)
 
 
 def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
@@ -240,7 +246,9 @@ def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
     megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
-    return Job("denoising", facts, make, extent.recipe_rounds, 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels)
+    return Job(
+        "denoising", facts, make, extent.recipe_rounds, 1, 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels
+    )
 
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:

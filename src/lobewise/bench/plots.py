@@ -18,8 +18,8 @@ COLORS = {
     "sg_mixture, 3 coaxial": "tab:purple",
     "own axes": "tab:red",
     "one axis": "tab:purple",
-    "Open Image Denoise, fast": "tab:olive",
-    "Open Image Denoise, default": "tab:brown",
+    "OIDN, fast": "tab:olive",
+    "OIDN, default": "tab:brown",
 }
 MARKS = {"cpu": "o", "cuda": "s", "vulkan": "^", "metal": "D"}
 
