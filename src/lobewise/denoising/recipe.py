@@ -25,6 +25,7 @@ from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.kernels.buffers import comes_down
 from lobewise.kernels.engine import ATROUS_REACH, FilterOutput, run_filter
 from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import find_energy_lost
@@ -167,6 +168,7 @@ def find_reach(settings: DenoiseSettings) -> int:
     return ATROUS_REACH if settings.form == "atrous" else settings.radius
 
 
+@comes_down
 def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
     """Filter every layer in one pass, by its guides alone."""
     layers = make_layers(frame, settings, features)
@@ -186,6 +188,7 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
     return Filtered(layers, parts, outputs, compose(frame, parts))
 
 
+@comes_down
 def filter_guided(
     frame: Frame, settings: DenoiseSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> Filtered:

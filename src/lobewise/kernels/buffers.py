@@ -164,6 +164,8 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
     def __init__(self, host: Image, buffer: Buffer, device: str, part: Callable[[Image], Image] | None = None) -> None:
         self._host, self.buffer, self.device = host, buffer, device
         self._part = part
+        self.is_there = True
+        """Whether the device still has it."""
         view = host if part is None else part(host)
         self.shape, self.dtype, self.ndim = view.shape, view.dtype, view.ndim
 
@@ -177,6 +179,11 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
         image = DeviceImage(self._host, self.buffer, self.device, part)
         _get_stay().written.append(weakref.ref(image))
         return image
+
+    def leave(self) -> None:
+        """Bring it down for good: its memory on the device is given back."""
+        self.fetch()
+        self.is_there = False
 
     def fetch(self) -> Image:
         """Return it as an array, brought down if it is not yet."""
@@ -221,7 +228,7 @@ class _Stay:
         for each in self.written:
             image = each()
             if image is not None:
-                image.fetch()
+                image.leave()
         while self.taken:
             buffer, device, _ = self.taken.pop()
             buffer.give_memory(device)
@@ -274,9 +281,14 @@ def to_host(value: Any) -> Any:
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return type(value)(*map(to_host, value))
     if isinstance(value, (list, tuple)):
-        return type(value)(map(to_host, value))
+        brought = list(map(to_host, value))
+        same = all(a is b for a, b in zip(brought, value, strict=True))
+        return value if same else type(value)(brought)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{each.name: to_host(getattr(value, each.name)) for each in fields(value)})
+        parts = {each.name: getattr(value, each.name) for each in fields(value)}
+        found = {name: to_host(part) for name, part in parts.items()}
+        changed = {name: part for name, part in found.items() if part is not parts[name]}
+        return replace(value, **changed) if changed else value
     return value
 
 
@@ -289,7 +301,7 @@ def lend(image: Image, device: str) -> Buffer:
         If the device has no memory for it.
     """
     if isinstance(image, DeviceImage):
-        if image.device == device and image.is_whole:
+        if image.is_there and image.device == device and image.is_whole:
             return image.buffer
         image = np.ascontiguousarray(image.fetch())
     if device == "cpu":

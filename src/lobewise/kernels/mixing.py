@@ -80,13 +80,19 @@ class _Funcs:
 
         # Luminance of every candidate's mean, and the squared difference of its halves, a quarter: its variance.
         light, spread = hl.Func("light"), hl.Func("spread")
-        pairs = [
-            (
-                [images[2 * k][i, at[0], at[1]] for i in range(COLORS)],
-                [images[2 * k + 1][i, at[0], at[1]] for i in range(COLORS)],
-            )
-            for k in range(candidates)
-        ]
+
+        def read_pairs(column: hl.Expr, row: hl.Expr) -> list[list[list[hl.Expr]]]:
+            found = [[image[i, column, row] for i in range(COLORS)] for image in images]
+            return [found[2 * k : 2 * k + 2] for k in range(candidates)]
+
+        pairs = read_pairs(*at)
+        copies: list[hl.Func] = []
+        if target.has_gpu_feature():
+            # More images than a graphics card lets one kernel read: the halves of each candidate are put together.
+            copies = [hl.Func(f"pair{k}") for k in range(candidates)]
+            for k, copied in enumerate(copies):
+                copied[x, c, y] = hl.mux(c, [*pairs[k][0], *pairs[k][1]])
+                pairs[k] = [[copied[x, half * COLORS + i, y] for i in range(COLORS)] for half in range(2)]
         light[x, c, y] = hl.mux(
             c, [hl.f32(0.5) * find_luminance([p + q for p, q in zip(a, b, strict=True)]) for a, b in pairs]
         )
@@ -162,7 +168,7 @@ class _Funcs:
             total_share = sum((share[x, k, y] for k in range(candidates)), hl.f32(0.0))
             mixed = []
             for i in range(COLORS):
-                doubled = [images[2 * k][i, x, y] + images[2 * k + 1][i, x, y] for k in range(candidates)]
+                doubled = [a[i] + b[i] for a, b in (pairs if copies else read_pairs(x, y))]
                 weighted = sum((share[x, k, y] * value for k, value in enumerate(doubled)), hl.f32(0.0))
                 mixed.append(half * weighted / total_share)
             out[c, x, y] = hl.mux(c, mixed)
@@ -174,7 +180,8 @@ class _Funcs:
         self.out = out
         if target.has_gpu_feature():
             thread = spread_channels(out, channels, (x, y, c))
-            counts = [(light, candidates), (spread, candidates), (sharp, len(squares))]
+            counts = [*((copied, 2 * COLORS) for copied in copies), (light, candidates), (spread, candidates)]
+            counts.append((sharp, len(squares)))
             for func, count in (*counts, *((each, len(squares)) for pair in blurs for each in pair)):
                 keep_planes(func, count, (x, y, c))
             keep_planes(features, len(values), (x, y, c))
