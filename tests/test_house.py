@@ -24,6 +24,7 @@ ROOMS = [
     "adaptive",
     "temporal",
     "io",
+    "streaming",
     "sequence",
     "render",
     "display",

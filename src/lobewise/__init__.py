@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lobewise.kernels.features import Feature
     from lobewise.lobe_table import LobeTable
     from lobewise.sparse_frame import SparseFrame, make_sparse
+    from lobewise.streaming import DenoisedFile, denoise_file
     from lobewise.temporal import TemporalFilter, TemporalSettings
     from lobewise.upsampling import upsample
 
@@ -23,6 +24,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Camera",
     "DenoiseSettings",
+    "DenoisedFile",
     "Feature",
     "Frame",
     "GBuffer",
@@ -36,6 +38,7 @@ __all__ = [
     "TemporalSettings",
     "__version__",
     "denoise",
+    "denoise_file",
     "find_unsupported",
     "make_sparse",
     "read_frame",
@@ -51,6 +54,7 @@ __all__ = [
 _LAZY = {
     "Camera": "lobewise.frame",
     "DenoiseSettings": "lobewise.denoising",
+    "DenoisedFile": "lobewise.streaming",
     "Feature": "lobewise.kernels.features",
     "Frame": "lobewise.frame",
     "GBuffer": "lobewise.frame",
@@ -62,6 +66,7 @@ _LAZY = {
     "TemporalFilter": "lobewise.temporal",
     "TemporalSettings": "lobewise.temporal",
     "denoise": "lobewise.denoising",
+    "denoise_file": "lobewise.streaming",
     "find_unsupported": "lobewise.adaptive",
     "make_sparse": "lobewise.sparse_frame",
     "read_frame": "lobewise.io.exr",

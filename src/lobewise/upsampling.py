@@ -77,7 +77,7 @@ def upsample(
     require_plain(asked, "upsampling")
     chosen = resolve_settings(frame, asked, frame.scale)
     bad = find_bad_pixels(Frame(frame.radiance))
-    require_some_good(bad, "sample")
+    require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
     if bilinear:
         everywhere = np.ones(frame.shape, dtype=bool)
         tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from lobewise.cli.shared import Output, parse_beta, parse_place, show_progress
+from lobewise.cli.streaming import Bands, choose_bands, denoise_in_bands
 from lobewise.errors import InputError, LobewiseError, describe_problem
 
 if TYPE_CHECKING:
@@ -95,12 +96,14 @@ def denoise(
     light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = 0.95,
+    bands: Bands = "auto",
     device: Device = "auto",
 ) -> None:
     """Denoise an EXR file, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
     from lobewise.io import read_frame, write_result
     from lobewise.io.materials import read_lobe_table
+    from lobewise.io.sequence import is_pattern
 
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
@@ -115,6 +118,15 @@ def denoise(
         "hit_distance": "auto" if hit_distance is None else hit_distance,
         "device": device,
     }
+    whole = {
+        "a sequence": is_pattern(source),
+        "--temporal": temporal,
+        "--adaptive": _parse_percent(adaptive) > 0.0,
+        "--with-oidn": with_oidn,
+    }
+    if choose_bands(source, bands, settings, next((name for name, is_so in whole.items() if is_so), "")):
+        denoise_in_bands(source, output, bands, tables, settings)
+        return
     _run(
         source,
         output,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -15,6 +15,9 @@ from rich.text import Text
 from lobewise.frame import Result
 from lobewise.io import FileDescription
 from lobewise.lobe_table import LobeTable
+
+if TYPE_CHECKING:
+    from lobewise.streaming import DenoisedFile
 
 LEAST_LOSS = 1e-4
 """Share of the light, taken from fireflies, below which nothing is said of it."""
@@ -40,13 +43,21 @@ def print_note(text: str) -> None:
 
 def describe_result(result: Result) -> str:
     """Return in one line what was done, with what settings, and how long it took."""
-    height, width = result.image.shape[:2]
+    return _describe(result, (result.image.shape[0], result.image.shape[1]))
+
+
+def describe_file_result(done: DenoisedFile) -> str:
+    """Return the same of a file that was denoised in bands, and in how many."""
+    return _describe(done, done.shape, f" in {done.bands} band{'s' if done.bands != 1 else ''}")
+
+
+def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = "") -> str:
     named = [
         f"{name} {_format(result.settings[name])}"
         for name in ("similarity", "form", "quality", "radius", "beta", "device")
         if name in result.settings
     ]
-    told = [f"{width}x{height} pixels, {', '.join(named)}, {result.seconds:.2f} s"]
+    told = [f"{shape[1]}x{shape[0]} pixels{how}, {', '.join(named)}, {result.seconds:.2f} s"]
     count = result.bad_pixel_count
     if count:
         told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")

@@ -35,14 +35,14 @@ def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     return bad
 
 
-def require_some_good(bad: NDArray[np.bool_], what: str) -> None:
-    """Raise InputError if all of ``bad`` are; ``what`` they are is a pixel or a sample."""
-    if bad.all():
+def require_some_good(bad: int, count: int, what: str) -> None:
+    """Raise InputError if all of ``count`` are bad; ``what`` they are is a pixel or a sample."""
+    if bad == count:
         raise InputError(
             describe_problem(
                 "radiance",
                 expected=f"at least one {what} that is finite and not negative",
-                got=f"{bad.size} bad {what}s of {bad.size}",
+                got=f"{bad} bad {what}s of {count}",
                 action="check the render or the channel mapping",
             )
         )

@@ -83,7 +83,7 @@ def denoise(
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
-    require_some_good(bad, "pixel")
+    require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
     found = filter_frame(frame, chosen, features)
     image, parts = found.image, found.parts
     holes = found.find_holes(bad)

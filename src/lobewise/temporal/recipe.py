@@ -146,7 +146,7 @@ class TemporalFilter:
         start = time.perf_counter()
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
-        require_some_good(bad, "sample")
+        require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         layers = self._make_layers(frame, chosen, features)
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)

@@ -1,0 +1,92 @@
+"""How `denoise` works on a file in bands of rows: when it does, and what it shows meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lobewise.cli.shared import show_progress
+from lobewise.errors import InputError, LobewiseError, describe_problem
+
+if TYPE_CHECKING:
+    from lobewise.lobe_table import LobeTable
+
+Bands = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|off|ROWS",
+        help="Filter so many rows at a time, from file to file: little memory, the same bits. auto does so with a file "
+        "that would take more than 4 GiB.",
+    ),
+]
+
+
+def parse_bands(text: str) -> str | int:
+    """Return the rows of a band, or ``auto`` or ``off`` as they are."""
+    if text in ("auto", "off"):
+        return text
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    raise InputError(
+        describe_problem("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
+    )
+
+
+def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
+    """Return whether a file is denoised in bands.
+
+    ``whole`` names the option or the kind of input that takes whole frames, empty for none.
+
+    Raises
+    ------
+    InputError
+        If bands are asked for by number where there are none.
+    """
+    bands = parse_bands(text)
+    if isinstance(bands, int) and whole:
+        raise InputError(
+            describe_problem(
+                "--bands",
+                expected=f"auto or off with {whole}, which takes whole frames",
+                got=text,
+                action="drop one of them",
+            )
+        )
+    if bands == "off" or whole:
+        return False
+    return isinstance(bands, int) or _is_large(source, settings)
+
+
+def _is_large(source: Path, settings: dict[str, Any]) -> bool:
+    from lobewise.denoising.recipe import ask
+    from lobewise.io.bands import BandReader
+    from lobewise.streaming import list_images, needs_bands
+
+    asked = ask(None, settings)
+    try:
+        return needs_bands(BandReader(source, wanted=list_images(asked)), asked)
+    except LobewiseError:
+        # Whoever reads it as a whole says what is wrong, or reads it nevertheless.
+        return False
+
+
+def denoise_in_bands(
+    source: Path, output: Path, text: str, tables: Sequence[LobeTable] | None, settings: dict[str, Any]
+) -> None:
+    """Denoise a file in bands, with a bar of what is done and the time that is left."""
+    from lobewise.cli.output import describe_file_result, print_line
+    from lobewise.streaming import denoise_file
+
+    bands = parse_bands(text)
+    rows = bands if isinstance(bands, int) else None
+    try:
+        with show_progress() as progress:
+            done = denoise_file(source, output, lobe_tables=tables, rows=rows, progress=progress, **settings)
+    except LobewiseError as problem:
+        if str(source) in str(problem) or str(output) in str(problem):
+            raise
+        raise type(problem)(f"{source}: {problem}") from problem
+    print_line(f"Wrote {output}: {describe_file_result(done)}.")

@@ -1,0 +1,273 @@
+"""Frames read from, and results written to, OpenEXR files some rows at a time.
+
+Which channel means what is decided where whole files are read and written (`lobewise.io.exr`). A file's chunks are cut
+into parts of their own, which the codec decodes and encodes as if there were no others, so that the bytes that are
+written are those of the whole image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from lobewise.errors import FileError, describe_problem
+from lobewise.frame import FloatArray, Frame
+from lobewise.io.container import Part, crop_part, read_container, show_name
+from lobewise.io.exr import (
+    make_headers,
+    make_images,
+    name_file,
+    plan_reading,
+    plan_writing,
+    put_images,
+    read_camera,
+    read_lobe_tables,
+    read_spp,
+    require_beauty,
+    require_shaded,
+)
+from lobewise.io.files import PathLike, open_atomic
+from lobewise.io.pixels import Pixels, decode_part, encode_part, require_encodable
+from lobewise.io.schema import Slot, build_frame
+from lobewise.io.splice import shift_tiles, write_container
+from lobewise.lobe_table import LobeTable
+
+SLAB_ROWS = 64
+"""About so many rows are decoded or encoded at once: enough work for all cores."""
+DECREASING = 1
+"""Line order of a file whose chunks lie from the bottom of the image to its top."""
+
+
+def count_slab_rows(part: Part) -> int:
+    """Return how many rows of a part are decoded, or encoded, at a time."""
+    rows = part.rows_per_chunk
+    return rows * max(SLAB_ROWS // rows, 1)
+
+
+class BandReader:
+    """A frame in a file, read some rows at a time; every row is decoded once and kept until it is forgotten.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    lobe_tables : sequence of LobeTable, optional
+        As in `lobewise.io.exr.read_frame`.
+    wanted : collection of (owner, field), optional
+        The images that frames shall have, where the file has them; by default all.
+
+    Raises
+    ------
+    FileError, MissingChannelError, InputError
+        As `lobewise.io.exr.read_frame`, as far as the header tells; and FileError if a part that is read has
+        subsampled channels, whose rows are not those of the image.
+    """
+
+    def __init__(
+        self,
+        path: PathLike,
+        *,
+        lobe_tables: Sequence[LobeTable] | None = None,
+        wanted: Collection[tuple[str, str]] | None = None,
+    ) -> None:
+        self.container = read_container(path)
+        require_shaded(self.container)
+        self.beauty = require_beauty(self.container)
+        self._plan = [
+            (part, [slot for slot in slots if wanted is None or (slot.owner, slot.field) in wanted])
+            for part, slots in plan_reading(self.container, self.beauty)
+        ]
+        self._plan = [(part, slots) for part, slots in self._plan if slots]
+        for part, _ in self._plan:
+            self._require_plain(part)
+        with name_file(path):
+            self.camera = read_camera(self.beauty)
+            self.spp = read_spp(self.beauty)
+            self.lobe_tables = read_lobe_tables(self.beauty) if lobe_tables is None else tuple(lobe_tables)
+        self._slabs: dict[tuple[int, int], dict[str, Pixels]] = {}
+        self._kept: dict[int, set[str]] = {}
+        for part, slots in self._plan:
+            self.keep(part, {name for slot in slots for name in slot.channels})
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        window = self.beauty.data_window
+        return window.height, window.width
+
+    @property
+    def images(self) -> frozenset[tuple[str, str]]:
+        """Owner and field of every image that is read."""
+        return frozenset((slot.owner, slot.field) for _, slots in self._plan for slot in slots)
+
+    def count_bytes(self) -> tuple[int, int]:
+        """Return the bytes of a pixel as it is stored, all channels that are kept, and as it is in a frame."""
+        sizes = {"half": 2}
+        stored = sum(
+            sizes.get(channel.pixel_type, 4)
+            for index, names in self._kept.items()
+            for channel in self.container.parts[index].channels
+            if channel.name in names
+        )
+        return stored, sum(4 * len(slot.channels) for _, slots in self._plan for slot in slots)
+
+    def keep(self, part: Part, names: Collection[str]) -> None:
+        """Keep these channels of a part as well; rows that were read without them are read again."""
+        self._require_plain(part)
+        self._kept.setdefault(part.index, set()).update(names)
+        self._slabs = {key: slab for key, slab in self._slabs.items() if key[0] != part.index}
+
+    def read_frame(self, first: int, stop: int) -> Frame:
+        """Return the rows from ``first`` to before ``stop``, counted from the top, as a frame.
+
+        Raises
+        ------
+        FileError
+            If pixels are damaged.
+        InputError
+            If a pixel names a lobe table that is not there.
+        """
+        images: dict[tuple[str, str], FloatArray] = {}
+        for part, slots in self._plan:
+            for slot in slots:
+                images |= make_images([slot], self._read(part, slot.channels, first, stop))
+        camera = None if self.camera is None else self.camera.crop_rows(first, self.shape[0])
+        with name_file(self.container.path):
+            return build_frame(dict(images), camera, self.spp, self.lobe_tables)
+
+    def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
+        """Return rows of every channel of a part that is kept, in the types that they were stored in."""
+        return self._read(part, sorted(self._kept[part.index]), first, stop)
+
+    def forget(self, row: int) -> None:
+        """Let go of what lies above ``row``."""
+        for index, top in list(self._slabs):
+            if top + count_slab_rows(self.container.parts[index]) <= row:
+                del self._slabs[index, top]
+
+    def _read(self, part: Part, names: Collection[str], first: int, stop: int) -> dict[str, Pixels]:
+        step = count_slab_rows(part)
+        pieces: dict[str, list[Pixels]] = {name: [] for name in names}
+        for top in range(first // step * step, stop, step):
+            if (part.index, top) not in self._slabs:
+                bottom = min(top + step, part.data_window.height)
+                pixels = decode_part(self.container, crop_part(part, top, bottom))
+                self._slabs[part.index, top] = {name: pixels[name] for name in self._kept[part.index]}
+            for name in names:
+                pieces[name].append(self._slabs[part.index, top][name][max(first - top, 0) : stop - top])
+        return {name: np.concatenate(each) if len(each) > 1 else each[0] for name, each in pieces.items()}
+
+    def _require_plain(self, part: Part) -> None:
+        for channel in part.channels:
+            if (channel.x_sampling, channel.y_sampling) != (1, 1):
+                raise FileError(
+                    describe_problem(
+                        f"input {str(self.container.path)!r}",
+                        expected="channels that have every pixel, to be read in bands",
+                        got=f"the subsampled channel '{show_name(channel.name)}'",
+                        action="denoise it as a whole",
+                    )
+                )
+
+
+@dataclass
+class _Written:
+    """How far a part is written, and where in the spool its chunks lie."""
+
+    part: Part
+    slots: list[Slot]
+    row: int
+    batches: list[list[tuple[int, int, int]]]
+    """Of every band: index in the chunk table, place in the spool and size of each chunk, in the file's order."""
+
+
+class BandWriter:
+    """A copy of the file that a reader reads, its radiance replaced from the top to the bottom.
+
+    What becomes of the file is what `lobewise.io.exr.write_result` says.
+
+    Parameters
+    ----------
+    reader : BandReader
+        Before any row is read; it then keeps what is copied.
+    fields : collection of str
+        Which images are going to be given: of ``color``, ``diffuse`` and ``specular``.
+    spool : binary file
+        Where chunks lie until all are there.
+
+    Raises
+    ------
+    FileError
+        If the part of an image is of a kind that cannot be written.
+    """
+
+    def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
+        self._reader, self._spool = reader, spool
+        container = reader.container
+        self._written = [_Written(part, slots, 0, []) for part, slots in plan_writing(container, reader.beauty, fields)]
+        for each in self._written:
+            require_encodable(container, each.part)
+            reader.keep(each.part, {channel.name for channel in each.part.channels})
+        self._pending: dict[str, FloatArray] = {}
+        self._top = self._bottom = 0
+
+    @property
+    def row(self) -> int:
+        """The first row that is still read from the file."""
+        return min(each.row for each in self._written)
+
+    def add(self, images: Mapping[str, FloatArray]) -> None:
+        """Write the next rows of every image, each (rows, width, 3)."""
+        self._bottom += len(images["color"])
+        for field, image in images.items():
+            before = self._pending.get(field)
+            self._pending[field] = image if before is None or not len(before) else np.concatenate([before, image])
+        height, _ = self._reader.shape
+        for each in self._written:
+            rows = each.part.rows_per_chunk
+            stop = self._bottom if self._bottom == height else self._bottom // rows * rows
+            # Not all at once: a codec holds its pixels several times.
+            while each.row < stop:
+                self._encode(each, min(each.row + count_slab_rows(each.part), stop))
+        self._pending = {field: image[self.row - self._top :] for field, image in self._pending.items()}
+        self._top = self.row
+
+    def finish(self, path: PathLike, settings: Mapping[str, Any]) -> None:
+        """Write the file, whole or not at all, with ``settings`` in its header.
+
+        Raises
+        ------
+        FileError
+            If the path cannot be written.
+        """
+        container = self._reader.container
+        headers = make_headers(container, self._reader.beauty, settings)
+        chunks = {each.part.index: self._list_chunks(each) for each in self._written}
+        with container.path.open("rb") as stream, open_atomic(path) as out:
+            write_container(out, container, stream, headers, chunks)
+
+    def _encode(self, each: _Written, stop: int) -> None:
+        part, first = each.part, each.row
+        rows = slice(first - self._top, stop - self._top)
+        images = {field: image[rows] for field, image in self._pending.items()}
+        cropped = crop_part(part, first, stop)
+        pixels = put_images(each.slots, images, self._reader.read_part(part, first, stop))
+        above = len(part.chunks) - len(crop_part(part, first, part.data_window.height).chunks)
+        batch = []
+        for index, data in encode_part(self._reader.container, cropped, pixels):
+            place = self._spool.seek(0, 2)
+            self._spool.write(shift_tiles(data, cropped.tiles_above))
+            batch.append((above + index, place, len(data)))
+        each.batches.append(batch)
+        each.row = stop
+
+    def _list_chunks(self, each: _Written) -> Iterator[tuple[int, bytes]]:
+        order = each.part.get("lineOrder")
+        falling = order is not None and order.value[0] == DECREASING
+        for batch in reversed(each.batches) if falling else each.batches:
+            for index, place, size in batch:
+                self._spool.seek(place)
+                yield index, self._spool.read(size)

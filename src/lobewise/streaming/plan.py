@@ -1,0 +1,94 @@
+"""How an image is cut into bands of rows: what of it is read, how much memory a row takes, how many rows fit."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from lobewise.denoising.recipe import find_reach
+from lobewise.denoising.settings import DenoiseSettings
+from lobewise.io.bands import BandReader
+
+GIB = float(2**30)
+DEFAULT_MEMORY = 3.0
+"""GiB that the bands of an image may take; what the program and its kernels are comes on top of that."""
+WHOLE = 4.0
+"""GiB above which a file is not denoised as a whole where nobody says how."""
+FEWEST_ROWS = 32
+"""Rows that a band has at least: kernels work in strips of so many."""
+MEASURED_ROWS = 256
+"""Rows of a band in the pass that measures the whole frame."""
+WORK = {"fast": 220, "balanced": 330, "high": 960}
+"""Bytes that the filters of each quality hold for a pixel beside the frame, measured (docs/streaming.md)."""
+
+Bands = list[tuple[int, int]]
+"""First row and the one behind the last of each."""
+Images = frozenset[tuple[str, str]]
+"""Owner and field of images of a frame."""
+
+_PARTS = ("color", "diffuse", "specular")
+_SURFACE = (
+    "depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diffuse_albedo", "specular_albedo",
+    "material",
+)  # fmt: skip
+_GUIDED = ("hit_normal", "hit_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "coverage")
+
+
+def list_images(settings: DenoiseSettings) -> Images:
+    """Return which images of a frame `denoise` looks at; ``settings`` have their quality chosen."""
+    found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
+    if settings.hit_distance is not False:
+        found.add(("gbuffer", "hit_distance"))
+    if settings.quality == "fast":
+        found.add(("variance", "color"))
+    else:
+        found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
+        found |= {("gbuffer", name) for name in _GUIDED}
+    return frozenset(found)
+
+
+def list_measured(settings: DenoiseSettings) -> Images:
+    """Return which images the pass that measures a frame looks at."""
+    if settings.quality == "fast":
+        return frozenset({*(("radiance", part) for part in _PARTS), ("variance", "color")})
+    return list_images(settings)
+
+
+def estimate_bytes(reader: BandReader, settings: DenoiseSettings) -> int:
+    """Return how many bytes a pixel takes while it is filtered."""
+    stored, read = reader.count_bytes()
+    return (0 if forgets(settings) else stored) + read + WORK[settings.quality]
+
+
+def forgets(settings: DenoiseSettings) -> bool:
+    """Return whether rows are let go as soon as a frame is made of them, and decoded again for the next and the copy.
+
+    That is little beside what the quality "high" computes, and leaves room for taller bands.
+    """
+    return settings.quality == "high"
+
+
+def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
+    """Return whether a file is so large that it is better denoised in bands; ``settings`` have their quality chosen."""
+    height, width = reader.shape
+    return height * width * estimate_bytes(reader, settings) > WHOLE * GIB
+
+
+def choose_rows(reader: BandReader, settings: DenoiseSettings, memory: float) -> int:
+    """Return how many rows a band can have so that it and the rows around it fit ``memory`` GiB, at least a few."""
+    _, width = reader.shape
+    fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))
+    return max(fitting - 2 * find_reach(settings), FEWEST_ROWS)
+
+
+def cut_bands(height: int, rows: int) -> Bands:
+    """Return bands of at most ``rows`` rows, as equal as they can be."""
+    count = -(-height // rows)
+    return list(pairwise(height * number // count for number in range(count + 1)))
+
+
+def widen(band: tuple[int, int], reach: int, height: int) -> tuple[int, int]:
+    """Return a band with ``reach`` rows to each side, as far as there are such, from an even row on.
+
+    Where a frame has no halves, its pixels are told apart by the colours of a checkerboard, which must not change.
+    """
+    return max(band[0] - reach, 0) // 2 * 2, min(band[1] + reach, height)

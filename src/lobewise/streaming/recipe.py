@@ -1,0 +1,286 @@
+"""The recipe from file to file: the frame is measured as a whole, then filtered band by band, to the same bits."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, require_some_good
+from lobewise.denoising.guided import make_bounded_layers, measure_layer
+from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
+from lobewise.denoising.refilling import REFILL_REACH, find_mean_color, refill, sum_colors
+from lobewise.denoising.settings import DenoiseSettings, judge_noise, list_relative_variances, needs_spp
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import FloatArray
+from lobewise.io.bands import BandReader, BandWriter
+from lobewise.io.files import PathLike, open_spool, require_writable
+from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
+from lobewise.kernels.fireflies import find_energy_lost
+from lobewise.kernels.noise_guides import find_level
+from lobewise.lobe_table import LobeTable
+from lobewise.streaming.plan import (
+    DEFAULT_MEMORY,
+    MEASURED_ROWS,
+    Bands,
+    choose_rows,
+    cut_bands,
+    forgets,
+    list_images,
+    list_measured,
+    widen,
+)
+
+Progress = Callable[[str, int, int], None]
+"""Told what is done, how many rows of it are, and how many there are."""
+Rows = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DenoisedFile:
+    """What `denoise_file` did.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    bands : int
+        In how many bands it was filtered.
+    bad_pixel_count, energy_lost, settings, seconds
+        As in `lobewise.Result`.
+    """
+
+    shape: tuple[int, int]
+    bands: int
+    bad_pixel_count: int
+    energy_lost: float
+    settings: dict[str, Any]
+    seconds: float
+
+
+def denoise_file(
+    source: PathLike,
+    output: PathLike,
+    settings: DenoiseSettings | None = None,
+    *,
+    lobe_tables: Sequence[LobeTable] | None = None,
+    rows: int | None = None,
+    memory: float = DEFAULT_MEMORY,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> DenoisedFile:
+    """Denoise an EXR file of any size in bounded memory.
+
+    The file that comes out is that of ``write_result(output, denoise(read_frame(source), ...), source=source)``, to the
+    byte. It appears whole or not at all, whatever interrupts this.
+
+    Parameters
+    ----------
+    source, output : path
+        The file to read; the one to write, which may be the same.
+    settings, **changes
+        As in `lobewise.denoise`; Open Image Denoise, which sees whole images, cannot be mixed in.
+    lobe_tables : sequence of LobeTable, optional
+        As in `lobewise.read_frame`.
+    rows : int, optional
+        Rows of a band, >= 1; by default as many as fit ``memory``.
+    memory : float
+        GiB that a band may take, > 0. With large kernels the rows around a band may not leave room for any: then it has
+        a few, and takes more.
+    progress : callable, optional
+        Called with what is done, the rows that are, and the rows that there are.
+
+    Returns
+    -------
+    DenoisedFile
+
+    Raises
+    ------
+    InputError, MissingChannelError, DeviceError
+        As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range.
+    FileError
+        As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
+    """
+    start = time.perf_counter()
+    asked = ask(settings, changes)
+    _check(asked, rows, memory)
+    require_writable(output)
+    tell = progress or (lambda what, done, total: None)
+    reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
+    apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
+    height, _ = reader.shape
+    with open_spool(output) as spool:
+        writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
+        # What "auto" stands for hangs on what there is, not on the pixels; but for the noise, which is measured.
+        probe = reader.read_frame(0, 1)
+        chosen = resolve_all(probe, asked, spp=1.0)
+        most = choose_rows(reader, chosen, memory) if rows is None else rows
+        first_reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
+        measured = _measure(first_reader, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
+        if asked.quality == "fast" and needs_spp(asked):
+            chosen = resolve_all(probe, asked, spp=judge_noise(measured.variances, probe.spp))
+        bands = cut_bands(height, most)
+        _filter(reader, writer, chosen, measured, bands, tell)
+        writer.finish(output, asdict(chosen))
+    return DenoisedFile(
+        shape=reader.shape,
+        bands=len(bands),
+        bad_pixel_count=measured.bad_pixel_count,
+        energy_lost=find_energy_lost(measured.tallies),
+        settings=asdict(chosen),
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _check(asked: DenoiseSettings, rows: int | None, memory: float) -> None:
+    if asked.with_oidn:
+        raise InputError(
+            describe_problem(
+                "with_oidn",
+                expected="False for bands, because Open Image Denoise sees whole images",
+                got="True",
+                action="leave it out, or denoise the frame as a whole",
+            )
+        )
+    if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
+        raise InputError(
+            describe_problem("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
+        )
+    if not 0.0 < memory < float("inf"):
+        raise InputError(
+            describe_problem(
+                "memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out"
+            )
+        )
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What is known of the whole frame before any of it is filtered."""
+
+    levels: tuple[float, ...]
+    tallies: tuple[Rows, ...]
+    variances: Rows
+    mean_color: FloatArray
+    bad_pixel_count: int
+
+
+def _measure(reader: BandReader, settings: DenoiseSettings, bands: Bands, tell: Progress) -> _Measured:
+    """Read a frame once; everything is summed by rows, and so to the same bits as of the whole frame."""
+    height, width = reader.shape
+    guided = settings.quality != "fast"
+    lights: list[list[Rows]] = []
+    tallies: list[list[Rows]] = []
+    colors: list[Rows] = []
+    variances: list[Rows] = []
+    bad_count = 0
+    for number, band in enumerate(bands):
+        top, bottom = widen(band, FIREFLY_REACH if guided else 0, height)
+        frame = reader.read_frame(top, bottom)
+        core = slice(band[0] - top, band[1] - top)
+        bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
+        colors.append(sum_colors(frame)[core])
+        if guided:
+            layers = make_bounded_layers(frame, settings)
+            lights.append([measure_layer(layer, settings)[core] for layer in layers])
+            tallies.append([layer.bounded.tally[core] for layer in layers])
+        elif frame.variance is not None:
+            variances.append(list_relative_variances(reader.read_frame(*band)))
+        if number + 1 < len(bands):
+            reader.forget(widen(bands[number + 1], FIREFLY_REACH, height)[0])
+        tell("Measuring", band[1], height)
+    require_some_good(bad_count, height * width, "pixel")
+    return _Measured(
+        tuple(find_level(np.concatenate(rows)) for rows in zip(*lights, strict=True)),
+        tuple(np.concatenate(rows) for rows in zip(*tallies, strict=True)),
+        np.concatenate(variances) if variances else np.empty(0),
+        find_mean_color(np.concatenate(colors)),
+        bad_count,
+    )
+
+
+def _filter(
+    reader: BandReader,
+    writer: BandWriter,
+    settings: DenoiseSettings,
+    measured: _Measured,
+    bands: Bands,
+    tell: Progress,
+) -> None:
+    """Filter band after band and hand what is finished to the writer."""
+    height, _ = reader.shape
+    reach = find_reach(settings)
+    finisher = _Finisher(measured.mean_color, settings.device)
+    levels = measured.levels if settings.quality != "fast" else None
+    tell("Filtering", 0, height)
+    for number, band in enumerate(bands):
+        top, bottom = widen(band, reach, height)
+        finisher.add(*_filter_band(reader, settings, levels, (top, bottom), slice(band[0] - top, band[1] - top)))
+        last = number + 1 == len(bands)
+        done = finisher.release(last=last)
+        if done is not None:
+            writer.add(done)
+        reader.forget(writer.row if last else min(writer.row, widen(bands[number + 1], reach, height)[0]))
+        tell("Filtering", band[1], height)
+
+
+def _filter_band(
+    reader: BandReader,
+    settings: DenoiseSettings,
+    levels: Sequence[float] | None,
+    rows: tuple[int, int],
+    core: slice,
+) -> tuple[dict[str, FloatArray], NDArray[np.bool_]]:
+    """Return the images of the rows of ``core`` by their fields, and where the total is none."""
+    frame = reader.read_frame(*rows)
+    if forgets(settings):
+        reader.forget(reader.shape[0])
+    found = filter_frame(frame, settings, (), levels)
+    holes = found.find_holes(find_bad_pixels(frame))[core]
+    images = {"color": found.image[core].copy()}
+    if len(found.parts) == 2:
+        for field, part in zip(("diffuse", "specular"), found.parts, strict=True):
+            images[field] = blacken_bad(part[core]).copy()
+    return images, holes
+
+
+class _Finisher:
+    """Rows that are filtered, until what surrounds their holes is there as well."""
+
+    def __init__(self, mean: FloatArray, device: str) -> None:
+        self._mean, self._device = mean, device
+        self._images: dict[str, FloatArray] = {}
+        self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self._context = 0
+        """How many of the rows are out already, and only tell on those that follow."""
+
+    def add(self, images: dict[str, FloatArray], holes: NDArray[np.bool_]) -> None:
+        """Take the next rows."""
+        if not self._images:
+            self._images, self._holes = images, holes
+            return
+        self._images = {field: np.concatenate([self._images[field], image]) for field, image in images.items()}
+        self._holes = np.concatenate([self._holes, holes])
+
+    def release(self, *, last: bool) -> dict[str, FloatArray] | None:
+        """Return the rows that nothing which follows can change; None for none."""
+        first, count = self._context, len(self._holes)
+        # A row without holes is as it will be.
+        stop = count if last or not self._holes[first:].any() else count - REFILL_REACH
+        if stop <= first:
+            return None
+        done = {field: image[first:stop] for field, image in self._images.items()}
+        if self._holes[first:stop].any():
+            begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
+            around = self._images["color"][begin:end], self._holes[begin:end]
+            done["color"] = refill(*around, self._mean, self._device)[first - begin : stop - begin]
+        keep = max(stop - REFILL_REACH, 0)
+        # Copies, so that the rows above are let go.
+        self._images = {field: image[keep:].copy() for field, image in self._images.items()}
+        self._holes = self._holes[keep:].copy()
+        self._context = stop - keep
+        return done

@@ -1,0 +1,108 @@
+"""A frame with every image that denoising looks at, whose pixels agree well enough to be averaged."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from lobewise.frame import Frame, LobeKind, Radiance
+from tests.test_denoising import make_frame
+
+BAD = {"nan": np.nan, "inf": np.inf, "negative": -1.0}
+
+
+def make_scene(shape: tuple[int, int], *, halves: bool = True, apart: bool = True, seed: int = 0) -> Frame:
+    """Return a glossy and rough plane with all its guides, noisy, the upper half of it brighter.
+
+    Some pixels are bad, some show no surface, some have no specular lobe.
+    """
+    rng = np.random.default_rng(seed)
+    height, width = shape
+    plain = make_frame(shape, apart=True, seed=seed)
+
+    def color(low: float, high: float) -> np.ndarray[Any, Any]:
+        return rng.uniform(low, high, (height, width, 3))
+
+    def vectors(spread: float) -> np.ndarray[Any, Any]:
+        found = np.array([0.0, 0.6, 0.8]) + rng.normal(0.0, spread, (height, width, 3))
+        return found / np.linalg.norm(found, axis=-1, keepdims=True)
+
+    bright = np.where(np.arange(height) < height // 2, 3.0, 1.0)[:, None, None]
+
+    def radiance() -> Radiance:
+        diffuse, specular = (bright * color(0.2, 0.4) * rng.exponential(1.0, (height, width, 1)) for _ in range(2))
+        return Radiance(diffuse + specular + 0.01, diffuse, specular)
+
+    both = radiance(), radiance()
+    whole = Radiance(*(0.5 * getattr(both[0], name) + 0.5 * getattr(both[1], name) for name in _PARTS))
+    kind = np.where(rng.random(shape) < 0.05, int(LobeKind.NONE), int(LobeKind.GGX))
+    normal, depth = vectors(0.01), np.array(plain.gbuffer.depth)
+    normal[0, :2], depth[0, :2] = 0.0, 0.0
+    guides = replace(
+        plain.gbuffer,
+        depth=depth,
+        normal=normal,
+        tangent=np.broadcast_to([1.0, 0.0, 0.0], normal.shape),
+        alpha_v=np.clip(plain.gbuffer.alpha_u * 0.8, 0.0, 1.0),
+        lobe_kind=kind,
+        diffuse_albedo=color(0.4, 0.6),
+        specular_albedo=color(0.4, 0.6),
+        hit_distance=rng.uniform(1.0, 3.0, shape),
+        hit_normal=0.9 * vectors(0.1),
+        hit_albedo=color(0.3, 0.6),
+        mean_diffuse_albedo=color(0.4, 0.6),
+        mean_specular_albedo=color(0.4, 0.6),
+        coverage=_make_coverage(shape, rng),
+    )
+    frame = plain.with_changes(
+        radiance=whole,
+        gbuffer=guides,
+        half_a=both[0] if halves else None,
+        half_b=both[1] if halves else None,
+        variance=Radiance(color(0.01, 0.1)),
+    )
+    return frame if apart else combine(frame)
+
+
+_PARTS = ("color", "diffuse", "specular")
+_OWNERS = ("radiance", "half_a", "half_b")
+
+
+def _make_coverage(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    coverage = rng.dirichlet(np.ones(9), shape)
+    coverage[rng.random(shape) < 0.5] = np.eye(9)[4]
+    return coverage
+
+
+def combine(frame: Frame) -> Frame:
+    """Return the frame without what tells diffuse and specular radiance apart."""
+    parts = {name: getattr(frame, name) for name in _OWNERS}
+    return frame.with_changes(**{name: part and Radiance(part.color) for name, part in parts.items()})
+
+
+def change_radiance(frame: Frame, rows: slice | list[int], columns: slice | int, value: Any) -> Frame:
+    """Return the frame with another value, or what a function makes of them, at some pixels of all its radiance."""
+    changed = {}
+    for owner in _OWNERS:
+        part = getattr(frame, owner)
+        if part is None:
+            continue
+        images = {}
+        for item in fields(part):
+            image = getattr(part, item.name)
+            if image is not None:
+                image = np.array(image)
+                image[rows, columns] = value(image[rows, columns]) if callable(value) else value
+                images[item.name] = image
+        changed[owner] = Radiance(**images)
+    return frame.with_changes(**changed)
+
+
+def add_bad_pixels(frame: Frame, rows: list[int]) -> Frame:
+    """Return the frame with bad pixels of every kind in some rows."""
+    for number, row in enumerate(rows):
+        value = list(BAD.values())[number % len(BAD)]
+        frame = change_radiance(frame, [row], slice(number % 5, None, 7), value)
+    return frame

@@ -1,0 +1,176 @@
+"""From how far away a pixel can be told anything: every link of the chain, then the whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
+from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
+from lobewise.denoising.refilling import REFILL_REACH, refill
+from lobewise.frame import FloatArray
+from lobewise.kernels import fireflies, mixing, noise_guides, resolving
+from lobewise.kernels.engine import ATROUS_REACH, run_filter
+from lobewise.kernels.features import ScreenFeature
+from lobewise.kernels.fireflies import bound_fireflies
+from lobewise.kernels.mixing import find_features
+from lobewise.kernels.noise_guides import make_noise_guide
+from lobewise.kernels.paired_runs import Exponents, run_paired
+from lobewise.kernels.resolving import resolve_light
+from tests.streaming.frames import change_radiance, make_scene
+
+WIDE: dict[str, Any] = {"similarity": "normal", "normal_exponent": 1.0, "position_sigma": 1e4}
+"""Weights that fall off so slowly that the kernel's edge counts."""
+HEIGHT, WIDTH, MIDDLE = 61, 9, 30
+
+
+def draw(seed: int, low: float = 0.5, high: float = 1.5) -> FloatArray:
+    """Return a noisy image."""
+    return np.random.default_rng(seed).uniform(low, high, (HEIGHT, WIDTH, 3)).astype(np.float32)
+
+
+def alter(image: FloatArray, value: float = 9.0) -> FloatArray:
+    """Return an image with another row in its middle."""
+    changed = image.copy()
+    changed[MIDDLE] = value
+    return changed
+
+
+def measure(before: FloatArray, after: FloatArray) -> int:
+    """Return how many rows away from the middle two images differ at most."""
+    different = np.flatnonzero((before != after).reshape(len(before), -1).any(axis=1))
+    return int(np.abs(different - len(before) // 2).max())
+
+
+def test_fireflies_see_their_window() -> None:
+    reach = fireflies.REACH
+    image = np.random.default_rng(1).uniform(0.5, 1.5, (HEIGHT, 4 * reach, 3)).astype(np.float32)
+    # Alone in their windows, but for what comes into the middle row: those just near enough, and those just not.
+    for distance, column in ((reach, 3), (reach + 1, 3 * reach)):
+        image[[MIDDLE - distance, MIDDLE + distance], column] = 100.0
+    dim, mask = np.full_like(image, 0.01), np.ones(image.shape[:2], bool)
+    before, after = (bound_fireflies((each, dim), None, mask).a for each in (image, alter(image, 30.0)))
+    assert measure(before, after) == reach
+
+
+def test_guides_blur_their_variance() -> None:
+    a, b = draw(2), draw(3)
+    assert measure(make_noise_guide(a, b, 1.0), make_noise_guide(alter(a), b, 1.0)) == noise_guides.BLUR_RADIUS
+
+
+@pytest.mark.parametrize(("radius", "step"), [(0, 1), (3, 1), (2, 4)])
+def test_passes_reach_their_last_tap(radius: int, step: int) -> None:
+    a, b, mask = draw(2), draw(3), np.ones((HEIGHT, WIDTH), bool)
+    options: dict[str, Any] = {"radius": radius, "step": step}
+    same = [Exponents(1.0, 1.0)]
+    before, after = (
+        run_paired((image, b), mask, [ScreenFeature(50.0)], (), same, **options)[0].a for image in (a, alter(a))
+    )
+    assert measure(before, after) == radius * step
+
+
+def test_proportions_are_read_off_averages_of_averages() -> None:
+    candidates = [(draw(k), draw(k + 10)) for k in range(3)]
+    extras = np.zeros((HEIGHT, WIDTH, 1), np.float32)
+    changed = [(alter(a, 40.0), alter(b, 41.0)) for a, b in candidates]
+    before, after = (find_features(pairs, 1, extras, 1.0) for pairs in (candidates, changed))
+    assert measure(before, after) == mixing.REACH
+
+
+def test_coverage_reaches_the_neighbours() -> None:
+    light, lit = draw(1), np.ones((HEIGHT, WIDTH), bool)
+    shares = np.full((HEIGHT, WIDTH, 9), 1.0 / 9.0, np.float32)
+    before, after = (resolve_light([image], lit, draw(2), draw(3), shares) for image in (light, alter(light)))
+    assert measure(before, after) == resolving.REACH
+
+
+def test_levels_reach_twice_as_far_as_the_ones_before() -> None:
+    size = (2 * ATROUS_REACH + 7, 5)
+    image = np.random.default_rng(1).uniform(0.5, 1.5, (*size, 3)).astype(np.float32)
+    changed = image.copy()
+    changed[size[0] // 2] = 1e4
+    everywhere = np.ones(size, bool)
+    before, after = (run_filter(each, everywhere, (), form="atrous", radius=0).image for each in (image, changed))
+    assert measure(before, after) == ATROUS_REACH
+
+
+def test_holes_are_filled_from_what_was_filled() -> None:
+    size = (2 * REFILL_REACH + 41, 3)
+    image, holes = np.ones((*size, 3), np.float32), np.ones(size, bool)
+    middle = size[0] // 2
+    holes[middle] = False
+    mean = np.full(3, 7.0, np.float32)
+    bright = image.copy()
+    bright[middle] = 2.0
+    before, after = (refill(each, holes, mean, "cpu") for each in (image, bright))
+    found = measure(before, after)
+    # The first round looks so near that its furthest weights are 0.
+    assert 2 * ATROUS_REACH < found <= REFILL_REACH
+    far = np.abs(np.arange(size[0]) - middle) > found
+    np.testing.assert_array_equal(after[far], np.broadcast_to(mean, after[far].shape))
+
+
+@pytest.mark.parametrize(
+    ("form", "radius", "expected"), [("full", 8, 8), ("full", 0, 0), ("separable", 5, 5), ("atrous", 8, ATROUS_REACH)]
+)
+def test_fast_reaches_exactly_so_far(form: str, radius: int, expected: int) -> None:
+    settings = {"quality": "fast", "form": form, "radius": radius, **WIDE}
+    assert expected == measure_reach(settings, find=True)
+
+
+@pytest.mark.parametrize("halves", [True, False], ids=["halves", "checkerboard"])
+@pytest.mark.parametrize(
+    ("quality", "radius"),
+    [
+        ("balanced", 8),
+        pytest.param("balanced", 3, marks=pytest.mark.slow),
+        pytest.param("high", 4, marks=pytest.mark.slow),
+    ],
+)
+def test_nothing_further_away_tells_on_a_pixel(quality: str, radius: int, halves: bool) -> None:
+    settings = {"quality": quality, "radius": radius, "screen_sigma": 400.0, **WIDE}
+    reach = measure_reach(settings, find=True)
+    found = measure_reach(settings, halves=halves)
+    # Blurs' and windows' edges together are less than the rounding of what they change.
+    kernels = {"balanced": 12 + 5 + 4, "high": 15 + 6 + 4 + 3}[quality] * radius // 8
+    assert kernels <= found <= reach
+
+
+def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool = False) -> int:
+    """Return how far away the output differs where one row of samples does; or how far it is said to."""
+    frame = make_scene((241, 9), halves=halves)
+    chosen = resolve_all(frame, ask(None, settings))
+    if find and chosen.quality != "fast":
+        return find_reach(chosen)
+    levels = None if chosen.quality == "fast" else (0.5, 0.5)
+    before = filter_frame(frame, chosen, (), levels)
+    found = 0
+    for factor in (0.0, 1e3):
+        brighter = change_radiance(frame, [120], slice(None), lambda old, factor=factor: old * np.float32(factor))
+        found = max(found, measure(before.image, filter_frame(brighter, chosen, (), levels).image))
+    if find:
+        assert found == find_reach(chosen)
+    return found
+
+
+@pytest.mark.parametrize(("quality", "expected"), [("balanced", 37), ("high", 83)])
+def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
+    frame = make_scene((8, 8))
+    chosen = resolve_all(frame, ask(None, {"quality": quality}))
+    # Fireflies, then kernels each behind a blurred guide: pilot, wide (dense) and sparse ones; mixing; coverage.
+    kernels = {"balanced": (4, 5, 3 * 4), "high": (5, 8, 3 * 4, 3 * 10)}[quality]
+    blur, mix = 3, {"balanced": 0, "high": 2 * 1 + 2 * 3 + 1}[quality]
+    assert find_reach(chosen) == 6 + sum(kernels) + blur * len(kernels) + mix + 1 == expected
+
+
+def test_dense_passes_have_no_step_at_any_radius() -> None:
+    for chosen in (*DIFFUSE.passes, *SPECULAR.passes):
+        for radius in (1, 8, 16, 64):
+            taps, step = chosen.get_kernel(radius, follows=True)
+            if chosen.step == 1:
+                assert (taps, step) == (round(chosen.radius * radius / 8), 1)
+            else:
+                assert (taps, step) == (min(chosen.radius, radius), max(round(chosen.step * radius / 8), 1))
+    assert Pass(3, 1.0, 1.0, step=4).get_kernel(16, follows=False) == (6, 8)
