@@ -9,7 +9,7 @@ from lobewise.denoising.settings import DenoiseSettings
 from lobewise.io.bands import BandReader
 
 GIB = float(2**30)
-DEFAULT_MEMORY = 3.0
+DEFAULT_MEMORY = 2.75
 """GiB that the bands of an image may take; what the program and its kernels are comes on top of that."""
 WHOLE = 4.0
 """GiB above which a file is not denoised as a whole where nobody says how."""

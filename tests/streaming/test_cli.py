@@ -1,0 +1,187 @@
+"""`lobewise denoise --bands`: what it takes and says, when it chooses bands by itself, and how Ctrl-C ends it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.cli.output import describe_file_result
+from lobewise.io import write_frame
+from lobewise.streaming import DenoisedFile, plan
+from tests.streaming.frames import change_radiance, make_scene
+
+CHEAP = ["--quality", "fast", "--similarity", "normal"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a frame of 83x19 pixels."""
+    write_frame(tmp_path / "in.exr", change_radiance(make_scene((83, 19)), [3, 60], 4, np.nan))
+    return tmp_path
+
+
+def denoise(folder: Path, *more: str, output: str = "out.exr") -> int:
+    """Return the exit code of denoising the folder's frame."""
+    return run(["denoise", str(folder / "in.exr"), "-o", str(folder / output), *more])
+
+
+def test_bands_give_the_bytes_of_the_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert denoise(folder, "--bands", "off", *CHEAP, output="whole.exr") == 0
+    whole = capsys.readouterr()
+    assert denoise(folder, "--bands", "30", *CHEAP) == 0
+    banded = capsys.readouterr()
+    assert (folder / "out.exr").read_bytes() == (folder / "whole.exr").read_bytes()
+    assert "19x83 pixels, similarity normal" in whole.out
+    assert "19x83 pixels in 3 bands, similarity normal" in banded.out
+    assert "; 2 bad pixels refilled." in banded.out
+    assert banded.err == ""
+
+
+def test_large_files_are_taken_in_bands(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert denoise(folder, *CHEAP) == 0
+    assert "bands" not in capsys.readouterr().out
+    monkeypatch.setattr(plan, "WHOLE", 1e-6)
+    assert denoise(folder, *CHEAP) == 0
+    assert "in 1 band, " in capsys.readouterr().out
+    assert denoise(folder, *CHEAP, "--bands", "off") == 0
+    assert "in 1 band, " not in capsys.readouterr().out
+
+
+def test_materials_come_along(folder: Path, full_frame: Any) -> None:
+    from lobewise.io.materials import write_lobe_table
+
+    frame = make_scene((83, 19))
+    guides = frame.gbuffer.__class__(
+        **{**frame.gbuffer.__dict__, "material": np.random.default_rng(1).integers(0, 3, (83, 19))}
+    )
+    write_frame(folder / "in.exr", frame.with_changes(gbuffer=guides, lobe_tables=full_frame.lobe_tables))
+    options = ["--quality", "fast", "--similarity", "sg_mixture"]
+    for number, table in enumerate(full_frame.lobe_tables[::-1]):
+        write_lobe_table(folder / f"{number}.lobes", table)
+        options += ["--material", str(folder / f"{number}.lobes")]
+    assert denoise(folder, "--bands", "off", *options, output="whole.exr") == 0
+    assert denoise(folder, "--bands", "30", *options) == 0
+    assert (folder / "out.exr").read_bytes() == (folder / "whole.exr").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--bands", "0"], "--bands: expected auto, off or a number of rows, got '0'; leave it out."),
+        (["--bands", "-4"], "--bands: expected auto, off or a number of rows, got '-4'; leave it out."),
+        (["--bands", "many"], "--bands: expected auto, off or a number of rows, got 'many'; leave it out."),
+        (
+            ["--bands", "9", "--with-oidn"],
+            "--bands: expected auto or off with --with-oidn, which takes whole frames, got 9; drop one of them.",
+        ),
+        (
+            ["--bands", "9", "--adaptive", "5%", "--scene", "showroom"],
+            "--bands: expected auto or off with --adaptive, which takes whole frames, got 9; drop one of them.",
+        ),
+    ],
+    ids=str,
+)
+def test_mistakes_are_one_sentence(
+    options: list[str], told: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert denoise(folder, *options) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"lobewise: {told}")
+    assert error.count("\n") == 1
+    assert os.listdir(folder) == ["in.exr"]
+
+
+def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_frame(folder / "in.exr", change_radiance(make_scene((20, 19)), slice(None), slice(None), np.nan))
+    for bands in ("off", "9"):
+        assert denoise(folder, "--bands", bands, *CHEAP, "--radius", "-1") == 2
+        text = f"lobewise: {folder / 'in.exr'}: radius: expected an integer from 0 to 64, got -1"
+        assert capsys.readouterr().err.startswith(text)
+        assert denoise(folder, "--bands", bands, *CHEAP) == 2
+        text = f"lobewise: {folder / 'in.exr'}: radiance: expected at least one pixel that is finite and not negative"
+        assert capsys.readouterr().err.startswith(text)
+    assert run(["denoise", str(folder / "none.exr"), "-o", str(folder / "out.exr"), "--bands", "9"]) == 2
+    assert capsys.readouterr().err.startswith(f"lobewise: input '{folder / 'none.exr'}': expected an existing file")
+    assert run(["denoise", "in.####.exr", "-o", "out.####.exr", "--bands", "9"]) == 2
+    assert "with a sequence, which takes whole frames" in capsys.readouterr().err
+
+
+def test_the_account_names_what_was_done() -> None:
+    settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
+    done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
+    assert describe_file_result(done) == (
+        "7680x4320 pixels in 12 bands, similarity sg, form full, quality high, radius 8, beta 1, device cpu, 61.23 s; "
+        "1 bad pixel refilled; fireflies bounded, 1.2 % of the light lost"
+    )
+
+
+PROGRAM = """
+import sys, time
+from lobewise.cli import main
+from lobewise.streaming import recipe
+
+filter_band = recipe._filter_band
+
+def tell(*arguments):
+    print("band", flush=True)
+    time.sleep(0.5)
+    return filter_band(*arguments)
+
+recipe._filter_band = tell
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("before", [None, b"what was there"])
+def test_ctrl_c_leaves_no_part_of_a_file(before: bytes | None, folder: Path) -> None:
+    if before is not None:
+        (folder / "out.exr").write_bytes(before)
+    arguments = ["denoise", str(folder / "in.exr"), "-o", str(folder / "out.exr"), "--bands", "10", *CHEAP]
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    # In the midst of the third of nine bands; two are on the disk.
+    for _ in range(3):
+        assert process.stdout.readline() == "band\n"
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error == "lobewise: interrupted; every output is whole, or as it was.\n"
+    assert sorted(os.listdir(folder)) == (["in.exr"] if before is None else ["in.exr", "out.exr"])
+    if before is not None:
+        assert (folder / "out.exr").read_bytes() == before
+
+
+def test_a_terminal_sees_how_far_it_is(folder: Path) -> None:
+    pty = pytest.importorskip("pty")
+    parent, child = pty.openpty()
+    command = [sys.executable, "-c", PROGRAM, "denoise", str(folder / "in.exr"), "-o", str(folder / "out.exr")]
+    with open(os.devnull, "wb") as silence:
+        process = subprocess.Popen([*command, "--bands", "30", *CHEAP], stdout=silence, stderr=child)
+        os.close(child)
+        shown = b""
+        try:
+            while block := os.read(parent, 65536):
+                shown += block
+        except OSError:
+            # Linux says so where the other end of a terminal has closed.
+            pass
+        assert process.wait(60) == 0
+    os.close(parent)
+    text = shown.decode("utf-8", "replace")
+    assert "Measuring" in text
+    assert "Filtering" in text
+    assert "66 %" in text
+    # The time that is left.
+    assert "0:00:0" in text
