@@ -28,7 +28,12 @@ def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
         (chunk.index, shift_tiles(read_chunk(stream, chunk), -part.tiles_above))
         for chunk in sorted(part.chunks, key=lambda one: one.offset)
     ]
-    return header + _pack_chunks(chunks, start=len(header), prefix=b"")
+    table, position = [0] * len(chunks), len(header) + 8 * len(chunks)
+    for index, data in chunks:
+        table[index] = position
+        position += len(data)
+    # Put together once: every copy of a large file takes as long as reading it.
+    return b"".join([header, struct.pack(f"<{len(table)}Q", *table), *(data for _, data in chunks)])
 
 
 def read_chunk(stream: BinaryIO, chunk: Chunk) -> bytes:
@@ -86,15 +91,3 @@ def write_container(
     out.seek(len(head))
     for part in container.parts:
         out.write(struct.pack(f"<{len(tables[part.index])}Q", *tables[part.index]))
-
-
-def _pack_chunks(chunks: list[tuple[int, bytes]], *, start: int, prefix: bytes) -> bytes:
-    """Return chunk table and chunks, for a file in which the table begins at ``start``."""
-    table = [0] * len(chunks)
-    position = start + 8 * len(chunks)
-    pieces = []
-    for index, data in chunks:
-        table[index] = position
-        pieces += [prefix, data]
-        position += len(prefix) + len(data)
-    return struct.pack(f"<{len(table)}Q", *table) + b"".join(pieces)
