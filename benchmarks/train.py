@@ -116,8 +116,8 @@ def collect(frame: Frame, scene: Scene) -> Examples:
         found = find_candidates(frame, noisy, settings)
         features[noisy.name] = find_features(found.pairs, MIDDLE, found.extras, noisy.level)
         candidates[noisy.name] = [
-            finish_layer(frame, noisy, (each.a, each.b), each.weight_sum, each.effective_samples).image
-            for each in found.found
+            finish_layer(frame, noisy, pair, found.middle.weight_sum, found.middle.effective_samples).image
+            for pair in found.pairs
         ]
     rest = find_rest(frame)
     return make_examples(scene, rest, features, candidates, sum((candidates[kind][MIDDLE] for kind in KINDS), rest))
@@ -130,7 +130,7 @@ def collect_peer(frame: Frame, scene: Scene, networks: dict[str, Network]) -> Ex
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
         light = mix_candidates(found.pairs, MIDDLE, found.extras, noisy.level, networks[noisy.name])
-        middle = found.found[MIDDLE]
+        middle = found.middle
         image = image + finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples).image
         extras.append(found.extras)
     pairs = list_pairs(image, denoise_with_peer(frame, image))

@@ -115,12 +115,10 @@ def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
     """Return what every layer would be if the network took one candidate alone."""
     settings, images = resolve(frame), {}
     for noisy in make_noisy_layers(frame, settings, ()):
-        found = find_candidates(frame, noisy, settings).found
+        found = find_candidates(frame, noisy, settings)
         images[noisy.name] = [
-            finish_layer(
-                frame, noisy, (each.a, each.b), found[MIDDLE].weight_sum, found[MIDDLE].effective_samples
-            ).image
-            for each in found
+            finish_layer(frame, noisy, pair, found.middle.weight_sum, found.middle.effective_samples).image
+            for pair in found.pairs
         ]
     return images
 
@@ -288,7 +286,7 @@ class TestCandidates:
             assert call["noise"] == high.NOISE[name]
             assert call["albedo"] is pilot["albedo"]
         assert [call["variants"] for call in recorder.sparse] == [high.SPARSE] * 2
-        sources = candidates.found[WIDE], found[len(high.DENSE)][0]
+        sources = found[0][WIDE], found[len(high.DENSE)][0]
         for call, source in zip(recorder.sparse, sources, strict=True):
             assert call["halves"][0] is source.a
             assert call["halves"][1] is source.b
@@ -296,8 +294,10 @@ class TestCandidates:
             assert call["noise"] == high.SPARSE_NOISE
             # What they average has been divided by the albedo before.
             assert call.get("albedo") is None
-        assert candidates.found == list(chain.from_iterable(found))
-        assert len(candidates.found) == COUNT == 13
+        every = list(chain.from_iterable(found))
+        assert len(candidates.pairs) == len(every) == COUNT == 13
+        assert all(a is each.a and b is each.b for (a, b), each in zip(candidates.pairs, every, strict=True))
+        assert candidates.middle is found[0][MIDDLE]
 
     def test_the_pilot_is_guided_by_the_samples_where_halves_have_all_pixels(self, recorder):
         frame, _ = make_shadowed()
@@ -342,15 +342,15 @@ class TestCandidates:
         albedo[3, 4] = 0.0
         alphas[:, 5, 6] = 0.0
         frame = make_frame(alpha_u=alphas[0], alpha_v=alphas[1], specular_albedo=albedo)
-        _, extras = candidates = find_of(frame, "specular")
+        extras = find_of(frame, "specular").extras
         assert extras.dtype == np.float32
-        (pilot,), *_ = recorder.gave
+        (pilot,), first, *_ = recorder.gave
         clamped = np.maximum(alphas, SMALLEST_ALPHA)
         expected = [
-            candidates.found[NARROW].effective_samples,
-            candidates.found[MIDDLE].effective_samples,
+            first[NARROW].effective_samples,
+            first[MIDDLE].effective_samples,
             recorder.find_guide(pilot)[..., 3],
-            recorder.find_guide(candidates.found[WIDE])[..., 3],
+            recorder.find_guide(first[WIDE])[..., 3],
             np.maximum(albedo @ LUMINANCE, ALBEDO_FLOOR),
             np.sqrt(clamped[0] * clamped[1]),
             clamped[0] / clamped[1],

@@ -53,8 +53,8 @@ SPARSE_RADIUS, SPARSE_NOISE = 3, 6.0
 SPARSE_STEPS = (4, 10)
 """Pixels from tap to tap of the sparse passes, at radius 8; the second averages what the first gave."""
 NARROW, MIDDLE, WIDE = range(3)
-"""Which candidates tell how many samples there are, which the others are compared with, and which the sparse passes
-begin with."""
+"""Which candidates, all of the first dense pass, tell how many samples there are, which the others are compared with,
+and which the sparse passes begin with."""
 COUNT = sum(map(len, DENSE)) + len(SPARSE_STEPS) * len(SPARSE)
 EXTRAS = 7
 WEIGHTS = "weights.npz"
@@ -66,21 +66,19 @@ class Candidates(NamedTuple):
 
     Parameters
     ----------
-    found : list of Paired
-        `COUNT` of them.
+    pairs : list of (a, b)
+        Both halves of each, `COUNT` of them. Their supports are let go, which would take a third as much memory.
+    middle : Paired
+        One of them, whole: what the others are compared with.
     extras : (height, width, EXTRAS)
         Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
         and of the wide candidate's guide, the albedo's luminance, the geometric mean of the alphas and their ratio (0
         both in a diffuse layer).
     """
 
-    found: list[Paired]
+    pairs: list[tuple[FloatArray, FloatArray]]
+    middle: Paired
     extras: FloatArray
-
-    @property
-    def pairs(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Both halves of each."""
-        return [(each.a, each.b) for each in self.found]
 
 
 def list_sparse(radius: int) -> list[tuple[int, int]]:
@@ -119,9 +117,11 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     )
     place = make_pass_features(frame, settings, SIGMA)
     piloted = guide(pilot)
-    found: list[Paired] = []
+    del pilot
+    pairs: list[tuple[FloatArray, FloatArray]] = []
+    first: list[Paired] = []
     for variants in DENSE:
-        found += run_paired(
+        dense = run_paired(
             noisy.halves,
             layer.mask,
             place,
@@ -134,10 +134,12 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             noise=NOISE[kind],
             device=device,
         )
-    source = found[WIDE]
+        first = first or dense
+        pairs += [(each.a, each.b) for each in dense]
+    narrow, middle, source = first[NARROW], first[MIDDLE], first[WIDE]
     guides = [guide(source)]
-    for taps, step in list_sparse(radius):
-        if source is not found[WIDE]:
+    for number, (taps, step) in enumerate(list_sparse(radius)):
+        if number > 0:
             guides.append(guide(source))
         sparse = run_paired(
             (source.a, source.b),
@@ -152,11 +154,10 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
             noise=SPARSE_NOISE,
             device=device,
         )
-        found += sparse
+        pairs += [(each.a, each.b) for each in sparse]
         source = sparse[0]
-    middle = found[MIDDLE]
-    extras = [found[NARROW].effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
-    return Candidates(found, _take_logarithms(frame, noisy, extras, kind))
+    extras = [narrow.effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
+    return Candidates(pairs, middle, _take_logarithms(frame, noisy, extras, kind))
 
 
 def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], kind: str) -> FloatArray:
@@ -174,9 +175,11 @@ def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], 
             alpha_v = alpha_u if guides.alpha_v is None else np.maximum(guides.alpha_v, SMALLEST_ALPHA)
             roughness = np.sqrt(alpha_u * alpha_v, dtype=np.float32)
             ratio = np.divide(alpha_u, alpha_v, dtype=np.float32)
-        stacked = np.stack([*extras, np.maximum(tint, ALBEDO_FLOOR), roughness, ratio], axis=-1)
-        logs = np.log2(np.maximum(stacked, np.float32(1e-8)))
-    return np.where(np.isfinite(logs), logs, np.float32(0.0)).astype(np.float32)
+        logs = np.empty((*frame.shape, EXTRAS), dtype=np.float32)
+        for number, image in enumerate([*extras, np.maximum(tint, ALBEDO_FLOOR), roughness, ratio]):
+            found = np.log2(np.maximum(image, np.float32(1e-8)))
+            logs[..., number] = np.where(np.isfinite(found), found, np.float32(0.0))
+    return logs
 
 
 @cache
@@ -209,6 +212,6 @@ def mix_layer(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> tup
     light = mix_candidates(
         candidates.pairs, MIDDLE, candidates.extras, noisy.level, load_networks()[kind], settings.device
     )
-    middle = candidates.found[MIDDLE]
+    middle = candidates.middle
     clean = finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples)
     return clean, candidates.extras

@@ -9,7 +9,7 @@ from lobewise.denoising.settings import DenoiseSettings
 from lobewise.io.bands import BandReader
 
 GIB = float(2**30)
-DEFAULT_MEMORY = 2.75
+DEFAULT_MEMORY = 3.0
 """GiB that the bands of an image may take; what the program and its kernels are comes on top of that."""
 WHOLE = 4.0
 """GiB above which a file is not denoised as a whole where nobody says how."""
@@ -17,7 +17,7 @@ FEWEST_ROWS = 32
 """Rows that a band has at least: kernels work in strips of so many."""
 MEASURED_ROWS = 256
 """Rows of a band in the pass that measures the whole frame."""
-WORK = {"fast": 220, "balanced": 330, "high": 960}
+WORK = {"fast": 250, "balanced": 330, "high": 850}
 """Bytes that the filters of each quality hold for a pixel beside the frame, measured (docs/streaming.md)."""
 
 Bands = list[tuple[int, int]]
