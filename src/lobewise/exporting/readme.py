@@ -105,8 +105,11 @@ def describe_build(name: str, binaries: Sequence[str], target: str) -> str:
     words = target.split("-")
     # The library comes last: it has the runtime that the object file asks for.
     library = " ".join(reversed(binaries))
+    if "webgpu" in words and "wasm" in words:
+        files = " ".join(f"--preload-file {name}.raw" for name in ("frame", "expected"))
+        return f"emcc example.c {library} -o example.html -sUSE_WEBGPU -sASYNCIFY {files}"
     if "wasm" in words:
-        return f"emcc example.c {library} -o example.js --preload-file frame.raw --preload-file expected.raw"
+        return f"zig cc -target wasm32-wasi example.c {library} -o example.wasm && wasmtime --dir=. example.wasm"
     if "windows" in words:
         return f"cl example.c {library} && example"
     if "ios" in words or "android" in words:
