@@ -57,6 +57,26 @@ def test_large_files_are_taken_in_bands(
     assert "in 1 band, " not in capsys.readouterr().out
 
 
+def test_sequences_go_band_by_band_and_frame_by_frame(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in (1, 2):
+        write_frame(folder / f"in.{number:04d}.exr", make_scene((83, 19), seed=number))
+    sequence = ["denoise", str(folder / "in.####.exr"), "-o"]
+    assert run([*sequence, str(folder / "whole.####.exr"), "--bands", "off", *CHEAP]) == 0
+    for name, options in (("rows", ["--bands", "30"]), ("auto", [])):
+        monkeypatch.setattr(plan, "WHOLE", 1e-6)
+        capsys.readouterr()
+        assert run([*sequence, str(folder / f"{name}.####.exr"), *options, *CHEAP]) == 0
+        assert "2 of 2 frames; the last: 19x83 pixels in " in capsys.readouterr().out
+        for number in (1, 2):
+            expected = (folder / f"whole.{number:04d}.exr").read_bytes()
+            assert (folder / f"{name}.{number:04d}.exr").read_bytes() == expected
+    temporal = [*sequence, str(folder / "t.####.exr"), "--temporal"]
+    assert run([*temporal, "--bands", "9"]) == 2
+    assert "with --temporal, which takes whole frames" in capsys.readouterr().err
+
+
 def test_materials_come_along(folder: Path, full_frame: Any) -> None:
     from lobewise.io.materials import write_lobe_table
 
@@ -112,8 +132,6 @@ def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.
         assert capsys.readouterr().err.startswith(text)
     assert run(["denoise", str(folder / "none.exr"), "-o", str(folder / "out.exr"), "--bands", "9"]) == 2
     assert capsys.readouterr().err.startswith(f"lobewise: input '{folder / 'none.exr'}': expected an existing file")
-    assert run(["denoise", "in.####.exr", "-o", "out.####.exr", "--bands", "9"]) == 2
-    assert "with a sequence, which takes whole frames" in capsys.readouterr().err
 
 
 def test_the_account_names_what_was_done() -> None:

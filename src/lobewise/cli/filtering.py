@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from lobewise.cli.shared import Output, parse_beta, parse_place, show_progress
-from lobewise.cli.streaming import Bands, choose_bands, denoise_in_bands
+from lobewise.cli.streaming import Bands, FileInBands, choose_bands
 from lobewise.errors import InputError, LobewiseError, describe_problem
 
 if TYPE_CHECKING:
@@ -118,21 +118,30 @@ def denoise(
         "hit_distance": "auto" if hit_distance is None else hit_distance,
         "device": device,
     }
-    whole = {
-        "a sequence": is_pattern(source),
-        "--temporal": temporal,
-        "--adaptive": _parse_percent(adaptive) > 0.0,
-        "--with-oidn": with_oidn,
-    }
-    if choose_bands(source, bands, settings, next((name for name, is_so in whole.items() if is_so), "")):
-        denoise_in_bands(source, output, bands, tables, settings)
-        return
+    alone = not is_pattern(source)
+    takers = {"--temporal": temporal, "--adaptive": _parse_percent(adaptive) > 0.0, "--with-oidn": with_oidn}
+    whole = next((name for name, is_so in takers.items() if is_so), "")
+
+    def read(path: Path) -> Any:
+        if choose_bands(path, bands, settings, whole):
+            return FileInBands(bands, tables, settings, shows_bar=alone)
+        return read_frame(path, lobe_tables=tables)
+
+    def filter_one(frame: Any) -> Any:
+        return frame if isinstance(frame, FileInBands) else run_denoise(frame, **settings)
+
+    def write(target: Path, result: Any, frame: Any, path: Path) -> None:
+        if isinstance(result, FileInBands):
+            result.write(path, target)
+        else:
+            write_result(target, shade(result, frame), source=path)
+
     _run(
         source,
         output,
-        read=lambda path: read_frame(path, lobe_tables=tables),
-        filter_one=lambda frame: run_denoise(frame, **settings),
-        write=lambda target, result, frame, path: write_result(target, shade(result, frame), source=path),
+        read=read,
+        filter_one=filter_one,
+        write=write,
         settings={**settings, "material": [str(path) for path in material or []], "adaptive": [adaptive, scene]},
         temporal={**settings, "memory": memory} if temporal else None,
     )
@@ -257,7 +266,7 @@ def _run(
     temporal: dict[str, Any] | None,
 ) -> None:
     """Filter one file, or every file of a pattern; mistakes in a file are told with its name."""
-    from lobewise.cli.output import describe_result, print_line, print_note
+    from lobewise.cli.output import print_line, print_note
     from lobewise.io.files import require_writable
     from lobewise.io.sequence import is_pattern
     from lobewise.sequence import filter_sequence
@@ -287,7 +296,7 @@ def _run(
         except LobewiseError as problem:
             raise type(problem)(f"{source}: {problem}") from problem
         write(output, result, frame, source)
-        print_line(f"Wrote {output}: {describe_result(result)}.")
+        print_line(f"Wrote {output}: {_describe(result)}.")
         return
 
     active = TemporalFilter(**temporal) if temporal is not None else _Alone(filter_one)
@@ -314,8 +323,14 @@ def _run(
             progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
             remark=print_note,
         )
-    told = "" if report.last is None else f"; the last: {describe_result(report.last)}"
+    told = "" if report.last is None else f"; the last: {_describe(report.last)}"
     print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
+
+
+def _describe(result: Result | FileInBands) -> str:
+    from lobewise.cli.output import describe_result
+
+    return result.describe() if isinstance(result, FileInBands) else describe_result(result)
 
 
 def _parse_percent(text: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from lobewise.errors import InputError, LobewiseError, describe_problem
 
 if TYPE_CHECKING:
     from lobewise.lobe_table import LobeTable
+    from lobewise.streaming import DenoisedFile
 
 Bands = Annotated[
     str,
@@ -36,9 +38,7 @@ def parse_bands(text: str) -> str | int:
 
 
 def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
-    """Return whether a file is denoised in bands.
-
-    ``whole`` names the option or the kind of input that takes whole frames, empty for none.
+    """Return whether a file is denoised in bands; ``whole`` names the option that takes whole frames, empty for none.
 
     Raises
     ------
@@ -73,20 +73,45 @@ def _is_large(source: Path, settings: dict[str, Any]) -> bool:
         return False
 
 
-def denoise_in_bands(
-    source: Path, output: Path, text: str, tables: Sequence[LobeTable] | None, settings: dict[str, Any]
-) -> None:
-    """Denoise a file in bands, with a bar of what is done and the time that is left."""
-    from lobewise.cli.output import describe_file_result, print_line
-    from lobewise.streaming import denoise_file
+class FileInBands:
+    """A file that is denoised as it is written; until then it stands for its frame, and for the result.
 
-    bands = parse_bands(text)
-    rows = bands if isinstance(bands, int) else None
-    try:
-        with show_progress() as progress:
-            done = denoise_file(source, output, lobe_tables=tables, rows=rows, progress=progress, **settings)
-    except LobewiseError as problem:
-        if str(source) in str(problem) or str(output) in str(problem):
-            raise
-        raise type(problem)(f"{source}: {problem}") from problem
-    print_line(f"Wrote {output}: {describe_file_result(done)}.")
+    Parameters
+    ----------
+    text : str
+        As it was given: see `parse_bands`.
+    tables : sequence of LobeTable, optional
+        In place of those in the file.
+    settings : dict
+        Of the filter.
+    shows_bar : bool
+        Whether a bar tells what is done, and the time that is left.
+    """
+
+    def __init__(
+        self, text: str, tables: Sequence[LobeTable] | None, settings: dict[str, Any], *, shows_bar: bool
+    ) -> None:
+        bands = parse_bands(text)
+        self._rows = bands if isinstance(bands, int) else None
+        self._tables, self._settings, self._shows_bar = tables, settings, shows_bar
+        self._done: DenoisedFile | None = None
+
+    def write(self, source: Path, output: Path) -> None:
+        """Denoise ``source`` into ``output``; mistakes in a file are told with its name."""
+        from lobewise.streaming import denoise_file
+
+        options: dict[str, Any] = {"lobe_tables": self._tables, "rows": self._rows, **self._settings}
+        try:
+            with show_progress() if self._shows_bar else nullcontext() as progress:
+                self._done = denoise_file(source, output, progress=progress, **options)
+        except LobewiseError as problem:
+            if str(source) in str(problem) or str(output) in str(problem):
+                raise
+            raise type(problem)(f"{source}: {problem}") from problem
+
+    def describe(self) -> str:
+        """Return in one line what was done."""
+        from lobewise.cli.output import describe_file_result
+
+        assert self._done is not None, "it is written first"
+        return describe_file_result(self._done)
