@@ -118,6 +118,9 @@ int main(void)
     last[0] = 0;
     printf("%d %s\\n", quick_lobes(&three, &three, &plane, &plane, 0.0f, 0.0f, 0.0f, 0.0f, &mask, &three, &plane),
         last);
+    three.dim[1].extent = plane.dim[0].extent = mask.dim[0].extent = 3;
+    printf("%d %s\\n", quick_lobes(&three, &three, &plane, &plane, 0.0f, 0.0f, 0.0f, 0.1f, &mask, &three, &plane),
+        last);
     return 0;
 }
 """
@@ -134,10 +137,67 @@ def test_wrong_buffers_are_refused(quick: Path, compiler: str) -> None:
     assert all(code < 0 for code, _ in told[2:])
     for (_, message), word in zip(
         told[2:],
-        ["mask", "depth", "radiance", "axis", "screen_sigma", "beta", "ut", "radiance", "tau"],
+        ["mask", "depth", "radiance", "axis", "screen_sigma", "beta", "ut", "radiance", "tau", "ut"],
         strict=True,
     ):
         assert word in message
+
+
+LAYOUTS = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "quick.h"
+enum { W = 40, H = 20, ROOM = 8 * 64 * 32 };
+static float *make(int channels, int stride, int row, unsigned seed)
+{
+    float *pixels = calloc(ROOM, sizeof(float));
+    int x, y, c;
+    for (y = 0; y < H; y++)
+        for (x = 0; x < W; x++)
+            for (c = 0; c < channels; c++) {
+                seed = seed * 1664525u + 1013904223u;
+                pixels[y * row + x * stride + c] = 0.5f + (float)(seed >> 8) / 16777216.0f;
+            }
+    return pixels;
+}
+static void filter(int stride, int padding, float *result)
+{
+    halide_dimension_t d[7][3];
+    uint8_t *bytes = malloc(ROOM);
+    halide_buffer_t colors, three, plane, sharp, mask, out, places;
+    memset(bytes, 1, ROOM);
+    colors = quick_floats(d[0], make(3, stride, stride * (W + padding), 1), stride, W, H);
+    three = quick_floats(d[1], make(3, 3, 3 * (W + padding), 2), 3, W, H);
+    plane = quick_floats(d[2], make(1, 1, W + padding, 3), 0, W, H);
+    sharp = quick_floats(d[3], make(1, 1, W + padding, 4), 0, W, H);
+    places = quick_floats(d[6], make(3, 3, 3 * (W + padding), 5), 3, W, H);
+    mask = quick_bytes(d[4], bytes, W, H);
+    out = quick_floats(d[5], result, 5, W, H);
+    d[0][2].stride = stride * (W + padding);
+    d[1][2].stride = d[6][2].stride = 3 * (W + padding);
+    d[2][1].stride = d[3][1].stride = d[4][1].stride = W + padding;
+    if (quick_filter(&colors, &three, &mask, &places, &plane, &three, &sharp, 2.0f, 16.0f, 0.1f, 4.0f, &out)) abort();
+}
+int main(void)
+{
+    float *tight = calloc(ROOM, sizeof(float)), *other = calloc(ROOM, sizeof(float));
+    filter(3, 0, tight);
+    filter(4, 0, other);
+    printf("%d\\n", memcmp(tight, other, 5 * W * H * sizeof(float)));
+    filter(3, 7, other);
+    printf("%d\\n", memcmp(tight, other, 5 * W * H * sizeof(float)));
+    printf("%d\\n", tight[5 * W + 20] > 0.4f && tight[5 * W + 23] > 2.0f);
+    return 0;
+}
+"""
+
+
+def test_padded_rows_and_four_channels_change_nothing(quick: Path, compiler: str) -> None:
+    (quick / "layouts.c").write_text(LAYOUTS)
+    build(quick, "cc layouts.c quick_lobes.o libquick.a -o layouts -lpthread -ldl -lm", compiler)
+    done = subprocess.run([quick / "layouts"], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0", "0", "1"]
 
 
 def test_folder_says_what_is_there(quick: Path) -> None:
