@@ -248,6 +248,13 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
         with pytest.raises(FileError):
             export_library(tmp_path / path, QUICK)
 
+    (tmp_path / "here").mkdir()
+    with monkeypatch.context() as context:
+        context.chdir(tmp_path / "here")
+        with pytest.raises(FileError, match="the current one"):
+            export_library(".", QUICK)
+    (tmp_path / "here").rmdir()
+
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 

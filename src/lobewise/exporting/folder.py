@@ -29,6 +29,9 @@ def require_folder(path: PathLike, *, force: bool) -> Path:
     got = ""
     if target.exists() and not target.is_dir():
         got, action = "a file", "choose another name"
+    elif target == Path.cwd():
+        # Its place is taken by another folder: whoever stands in it would see nothing.
+        got, action = "the current one", "name a new one in it"
     elif not parent.is_dir():
         got, action = f"no folder {str(parent)!r}", "create it first"
     elif not os.access(parent, os.W_OK | os.X_OK):
@@ -71,7 +74,7 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
             os.replace(target, aside)
             try:
                 os.replace(temporary, target)
-            except OSError:
+            except BaseException:
                 os.replace(aside, target)
                 raise
             made[:] = [aside]
