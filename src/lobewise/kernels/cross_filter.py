@@ -66,6 +66,8 @@ class PassKey:
     """Sums squared luminance as well."""
     strict: bool = False
     """Raises the weights of every centre's taps to a power of its own."""
+    apart: bool = False
+    """Writes what supports the radiance of a last pass into images of their own."""
 
     @property
     def channels(self) -> int:
@@ -93,7 +95,14 @@ class PassFuncs:
     """The Halide functions of one pass, for the schedules."""
 
     out: hl.Func
+    rest: hl.Func | None
+    """What is written beside ``out``, planes of one image each."""
+    finish: hl.Func | None
+    """What both are read from."""
+    last: bool
     sums: hl.Func
+    row: hl.Func
+    """Sums over one row of taps, or over the column of a vertical pass."""
     channels: int
     image: hl.Func
     guides: hl.Func | None
@@ -101,7 +110,8 @@ class PassFuncs:
     planes: hl.Func | None
     plane_count: int
     stages: list[hl.Func]
-    taps: hl.RDom
+    inner: hl.RDom
+    outer: hl.RDom
     x: hl.Var
     y: hl.Var
     c: hl.Var
@@ -209,6 +219,11 @@ def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
     return stage
 
 
+def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
+    """Return x within an image; inside, where most of a row is, loads are then dense."""
+    return hl.clamp(hl.likely(x), 0, length - 1)
+
+
 def make_side(
     name: str,
     mask: hl.ImageParam,
@@ -220,7 +235,7 @@ def make_side(
 ) -> _Side:
     """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
     x, y, c = variables
-    at = (x, y) if inside else (hl.clamp(x, 0, mask.width() - 1), hl.clamp(y, 0, mask.height() - 1))
+    at = (x, y) if inside else (clamp_likely(x, mask.width()), hl.clamp(y, 0, mask.height() - 1))
     arrays = list_inputs(name, features) if arrays is None else arrays
     # Guides: the input channels of every feature side by side.
     channels: list[hl.Expr] = []
@@ -283,10 +298,17 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
     feature; step (int32); the parameters of every feature; strictness (x, y) where that is asked for.
     """
     x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
-    inputs = make_pass_inputs(features) if inputs is None else inputs
+    if inputs is None:
+        inputs = make_pass_inputs(features)
+        for image in (inputs.source, inputs.albedo, inputs.mask, inputs.strictness):
+            begin_at_zero(image)
+        # Known strides make dense loads, which are shuffled, instead of one load for every lane.
+        inputs.albedo.dim(1).set_stride(3)
+        if key.first:
+            inputs.source.dim(1).set_stride(3)
     source, mask, albedo, step, scalars = inputs.source, inputs.mask, inputs.albedo, inputs.step, inputs.scalars
     width, height = mask.width(), mask.height()
-    clamped = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
+    clamped = clamp_likely(x, width), hl.clamp(y, 0, height - 1)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     usable = inside & (mask[clamped[0], clamped[1]] != 0)
 
@@ -313,7 +335,6 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         Taps.VERTICAL: (0, r),
         Taps.ATROUS: (ATROUS_RADIUS, ATROUS_RADIUS),
     }[key.taps]
-    taps = hl.RDom([(-across, 2 * across + 1), (-down, 2 * down + 1)], "taps")
     u, v = hl.Var("u"), hl.Var("v")
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
@@ -331,16 +352,28 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
-    weight = expressions.exp2(log_weight[x, y, taps.x, taps.y])
 
-    sums = hl.Func("sums")
-    sums[x, y] = hl.Tuple([hl.f32(0.0)] * key.channels)
-    taken = [image[x + taps.x * spread, k, y + taps.y * spread] for k in range(key.channels)]
+    # A row of taps (or the column that a vertical pass has) is summed by itself, so that its sums stay in registers.
+    inner = hl.RDom([(-across, 2 * across + 1)] if across else [(-down, 2 * down + 1)], "inner")
+    outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
+    u_tap, v_tap = (inner.x, v) if across else (v, inner.x)
+    row = hl.Func("row")
+    at = x, y, v
+    zeros = [hl.f32(0.0)] * key.channels
+    row[at] = hl.Tuple(zeros)
+    weight = expressions.exp2(log_weight[x, y, u_tap, v_tap])
+    # Radiance counts once: its weight and squared weight are one plane.
+    planes = [min(k, WEIGHT) if key.first and k < SUM_CHANNELS else k for k in range(key.channels)]
+    taken = [image[x + u_tap * spread, k, y + v_tap * spread] for k in planes]
     factors = [weight] * key.channels
     factors[SQUARED_WEIGHT] = weight * weight
-    sums[x, y] = hl.Tuple([sums[x, y][k] + factors[k] * taken[k] for k in range(key.channels)])
+    row[at] = hl.Tuple([row[at][k] + factors[k] * taken[k] for k in range(key.channels)])
+    sums = hl.Func("sums")
+    sums[x, y] = hl.Tuple(zeros)
+    sums[x, y] = hl.Tuple([sums[x, y][k] + row[x, y, outer.x][k] for k in range(key.channels)])
 
     out = hl.Func("out")
+    finish = rest = None
     if key.last:
         total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
         moments: list[hl.Expr] = []
@@ -353,7 +386,14 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
         if key.moment:
             moments = [sums[x, y][SUM_CHANNELS] / total]
-        out[c, x, y] = hl.select(alive, hl.mux(c, [*mean, total, effective, *moments]), hl.f32(0.0))
+        results = [*mean, total, effective, *moments]
+        if key.apart:
+            finish, rest = hl.Func("finish"), hl.Func("rest")
+            finish[x, y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
+            out[c, x, y] = hl.mux(c, [finish[x, y][k] for k in range(len(mean))])
+            rest[x, y] = hl.Tuple([finish[x, y][k] for k in range(len(mean), len(results))])
+        else:
+            out[c, x, y] = hl.select(alive, hl.mux(c, results), hl.f32(0.0))
     else:
         out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(key.channels)])
     arguments = [
@@ -367,7 +407,11 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
     arguments += [inputs.strictness] if key.strict else []
     return PassFuncs(
         out=out,
+        rest=rest,
+        finish=finish,
+        last=key.last,
         sums=sums,
+        row=row,
         channels=key.channels,
         image=image,
         guides=side.guides,
@@ -375,7 +419,8 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         planes=side.planes,
         plane_count=side.plane_count,
         stages=stages,
-        taps=taps,
+        inner=inner,
+        outer=outer,
         x=x,
         y=y,
         c=c,

@@ -15,11 +15,12 @@ from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
 from lobewise.kernels.cross_filter import ATROUS_RADIUS, PassKey, Taps, describe_structure, make_pass
 from lobewise.kernels.features import Feature
-from lobewise.kernels.loading import Compilable, get_kernel
+from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
 from lobewise.kernels.schedules import schedule_pass
 
 FORMS = ("full", "separable", "atrous")
 ATROUS_LEVELS = 5
+COLORS = 3
 ATROUS_REACH = ATROUS_RADIUS * (2**ATROUS_LEVELS - 1)
 """Pixels to each side from which the form "atrous" takes, all levels together."""
 
@@ -46,7 +47,8 @@ class FilterOutput:
 
 def _split_output(pixels: FloatArray) -> FilterOutput:
     """Return what a last pass wrote, (height, width, channels), channel by channel."""
-    image, *rest = (np.ascontiguousarray(pixels[..., k]) for k in (slice(0, 3), *range(3, pixels.shape[2])))
+    parts = slice(0, COLORS), *range(COLORS, pixels.shape[2])
+    image, *rest = (np.ascontiguousarray(pixels[..., part]) for part in parts)
     return FilterOutput(image, *rest)
 
 
@@ -124,17 +126,24 @@ def run_filter(
             modulate=albedo is not None and last and modulate,
             moment=moment,
             strict=strictness is not None,
+            # Several images from one kernel would be computed several times elsewhere.
+            apart=last and device == "cpu",
         )
 
         def make(target: hl.Target, key: PassKey = key) -> Compilable:
             funcs = make_pass(key, features)
             schedule_pass(funcs, target)
-            return funcs
+            return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)
 
         kernel = get_kernel(device, key, make)
-        shape = (height, width, key.channels) if last else (height, key.channels, width)
-        buffer, found = make_output(shape, device)
+        shapes: list[tuple[int, ...]] = [(height, key.channels, width)]
+        if last:
+            planes = [(height, width)] * (key.channels - COLORS)
+            shapes = [(height, width, COLORS), *planes] if key.apart else [(height, width, key.channels)]
+        outputs = [make_output(shape, device) for shape in shapes]
         tinted = tints if key.demodulate or key.modulate else []
-        kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, buffer)
-        source = found
-    return _split_output(source)
+        written = (buffer for buffer, _ in outputs)
+        kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, *written)
+        source = outputs[0][1]
+    images = [image for _, image in outputs]
+    return FilterOutput(*images) if len(images) > 1 else _split_output(images[0])

@@ -18,7 +18,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from importlib.metadata import version
@@ -56,6 +56,14 @@ class Compilable(Protocol):
 
     @property
     def arguments(self) -> list[Any]: ...
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """Scheduled functions and their parameters."""
+
+    out: list[Any]
+    arguments: list[Any]
 
 
 class Kernel:

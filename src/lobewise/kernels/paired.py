@@ -24,6 +24,7 @@ from lobewise.kernels import expressions
 from lobewise.kernels.cross_filter import (
     ALBEDO_FLOOR,
     begin_at_zero,
+    clamp_likely,
     demodulate,
     find_luminance,
     make_side,
@@ -100,7 +101,7 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
     mask = hl.ImageParam(hl.UInt(8), 2, "mask")
     noise, step = hl.Param(hl.Float(32), "noise"), hl.Param(hl.Int(32), "step")
     width, height = mask.width(), mask.height()
-    clamped = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
+    clamped = clamp_likely(x, width), hl.clamp(y, 0, height - 1)
     usable = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (mask[clamped] != 0)
     there = x + u * step, y + v * step
 

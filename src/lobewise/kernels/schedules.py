@@ -65,21 +65,30 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     """
     x, y, c = funcs.x, funcs.y, funcs.c
     lanes = target.natural_vector_size(hl.Float(32))
-    rows = 8
-    xo, yo, xi, yi = hl.Var("xo"), hl.Var("yo"), hl.Var("xi"), hl.Var("yi")
-    out, tail = funcs.out, hl.TailStrategy.GuardWithIf
-    out.bound(c, 0, funcs.channels).reorder(c, x, y).unroll(c)
-    strip = 32
-    ys, yt = hl.Var("ys"), hl.Var("yt")
-    out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, lanes, rows, tail)
-    out.reorder(c, xi, yi, xo, yo, ys).vectorize(xi).parallel(ys).never_partition_all()
-
-    sums = funcs.sums
-    sums.compute_at(out, yi).vectorize(x, lanes)
-    update = sums.update()
-    update.reorder(x, funcs.taps.x, funcs.taps.y).vectorize(x, lanes)
+    out, row, tail = funcs.out, funcs.row, hl.TailStrategy.GuardWithIf
+    xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
+    rows, strip, columns = 8, 32, 8 * lanes
+    written = funcs.channels if funcs.rest is None else COLORS
+    out.bound(c, 0, written).reorder(c, x, y).unroll(c)
+    for func in (out, funcs.rest):
+        if func is not None:
+            func.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
+            func.split(xi, xv, xw, lanes, tail).reorder(xw, xv, yi, xo, yo, ys)
+            func.vectorize(xw).parallel(ys).never_partition([xw, yi, xo, yo, ys])
+    out.reorder(c, xw)
+    if funcs.last:
+        # A known stride makes whole stores of interleaved vectors.
+        out.output_buffer().dim(1).set_stride(written)
+    if funcs.rest is not None:
+        assert funcs.finish is not None
+        funcs.rest.compute_with(out, xv)
+        funcs.finish.compute_at(out, xv).vectorize(x, lanes)
+    sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes)
+    sums.update().split(x, xv, xw, lanes).reorder(xw, xv, y, funcs.outer.x).vectorize(xw)
+    row.compute_at(sums, xv).vectorize(x, lanes)
+    row.update().reorder(x, funcs.inner.x).vectorize(x, lanes)
     for stage in funcs.stages:
-        stage.compute_at(sums, funcs.taps.y).vectorize(x, lanes)
+        stage.compute_at(sums, xv).vectorize(x, lanes)
 
     for func, channels in ((funcs.image, funcs.channels), (funcs.planes, funcs.plane_count)):
         if func is not None:
@@ -97,7 +106,7 @@ def _keep_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl
     """
     x, y, c = variables
     func.bound(c, 0, channels).reorder_storage(x, c, y).align_storage(x, lanes).reorder(c, x, y)
-    func.vectorize(x, lanes).unroll(c).never_partition_all()
+    func.vectorize(x, lanes).unroll(c).never_partition([y])
 
 
 def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:

@@ -49,6 +49,7 @@ def schedule_gpu(funcs: PassFuncs) -> None:
     variables = funcs.x, funcs.y, funcs.c
     thread = spread_channels(funcs.out, funcs.channels, variables)
     funcs.sums.compute_at(funcs.out, thread)
+    funcs.row.compute_at(funcs.sums, funcs.outer.x)
     keep_planes(funcs.image, funcs.channels, variables)
     keep_planes(funcs.planes, funcs.plane_count, variables)
 
