@@ -13,6 +13,7 @@ from bench_page import load_machines, make_bench_page, write_pictures
 from interactive_page import make_interactive_page
 from quality_page import make_quality_page, make_readme_quality
 from quality_trials import make_trials_page
+from streaming_page import make_streaming_page
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -482,6 +483,8 @@ def main() -> None:
     trials, training = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
     (ROOT / "docs" / "quality.md").write_text(make_trials_page(trials, training))
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
+    streamed = json.loads((RESULTS / "streaming.json").read_text())
+    (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))
     machines = load_machines()
     write_pictures(machines)
     (ROOT / "docs" / "bench.md").write_text(make_bench_page(load_startup(), machines))

@@ -24,7 +24,7 @@ from tests.streaming.frames import add_bad_pixels, change_radiance, make_scene
 
 SHAPE = (83, 19)
 HEIGHTS = (1, 10, 33, 83)
-"""Rows of a band; 1 is a test of its own where filters are slow."""
+"""Rows of a band; fewer of them where filters are slow."""
 
 
 def compare(frame: Frame, folder: Path, heights: tuple[int, ...] = HEIGHTS, **settings: Any) -> lobewise.Result:
@@ -77,13 +77,13 @@ def test_every_form_and_option_of_fast(settings: dict[str, Any], tmp_path: Path)
 @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
 @pytest.mark.parametrize("halves", [True, False], ids=["halves", "checkerboard"])
 def test_balanced_in_bands_is_balanced(halves: bool, apart: bool, tmp_path: Path) -> None:
-    compare(make_bad(halves=halves, apart=apart), tmp_path, quality="balanced", similarity="sg")
+    compare(make_bad(halves=halves, apart=apart), tmp_path, (7, 33, 83), quality="balanced", similarity="sg")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("similarity", ["normal", "asg", "ggx", "sg_mixture"])
 def test_balanced_with_every_similarity(similarity: str, tmp_path: Path) -> None:
-    compare(make_bad(), tmp_path, quality="balanced", similarity=similarity)
+    compare(make_bad(), tmp_path, (10, 33), quality="balanced", similarity=similarity)
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_balanced_with_every_similarity(similarity: str, tmp_path: Path) -> None
     ("similarity", "halves"), [("ggx", True), ("normal", False), ("sg", True), ("asg", True), ("sg_mixture", True)]
 )
 def test_high_in_bands_is_high(similarity: str, halves: bool, tmp_path: Path) -> None:
-    compare(make_bad(halves=halves), tmp_path, (10, 33, 83), quality="high", similarity=similarity)
+    compare(make_bad(halves=halves), tmp_path, (10, 33), quality="high", similarity=similarity)
 
 
 def leave_out(frame: Frame, *names: str) -> Frame:

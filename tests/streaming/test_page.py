@@ -1,0 +1,82 @@
+"""docs/streaming.md: its code runs, its commands exist, its figures and reaches are true."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lobewise.denoising.recipe import ask, find_reach, resolve_all
+from lobewise.denoising.refilling import REFILL_REACH
+from lobewise.streaming.plan import FEWEST_ROWS, WHOLE
+from tests.streaming.frames import make_scene
+from tests.test_docs import BUNDLED, ROOT, load_publisher
+
+PAGE = ROOT / "docs" / "streaming.md"
+RESULT = ROOT / "benchmarks" / "results" / "streaming.json"
+
+
+def test_the_page_says_what_was_measured() -> None:
+    assert PAGE.read_text() == load_publisher().make_streaming_page(json.loads(RESULT.read_text()))
+
+
+def test_the_goal_was_met() -> None:
+    measured = json.loads(RESULT.read_text())
+    assert measured["size"] == [7680, 4320]
+    assert set(measured["rows"]) == {"fast", "balanced", "high"}
+    for row in measured["rows"].values():
+        assert row["bands"]["peak_gib"] < 4.0
+        assert row["within_limit"]
+
+
+def test_the_page_knows_how_far_filters_reach() -> None:
+    text = " ".join(PAGE.read_text().split())
+
+    def reach(**settings: Any) -> int:
+        return find_reach(resolve_all(make_scene((8, 8)), ask(None, settings)))
+
+    numbers = reach(quality="fast"), reach(quality="balanced"), reach(quality="high"), reach(form="atrous")
+    assert "{} to each side for `fast` at radius 8, {} for `balanced`, {} for `high`".format(*numbers) in text
+    assert f"; {numbers[3]} for the form `atrous`" in text
+    assert f"from up to {REFILL_REACH} pixels away" in text
+    assert f"bands then have {FEWEST_ROWS} rows" in text
+    assert f"more than {WHOLE:g} GiB" in text
+
+
+@pytest.mark.slow
+def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(BUNDLED, tmp_path / "frame.exr")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.S):
+        exec(compile(block, PAGE.name, "exec"), names)
+    assert names["done"].bands == -(-names["done"].shape[0] // 64)
+    assert (tmp_path / "clean.exr").exists()
+
+
+def test_tiles_differ_from_each_other_in_their_light_alone() -> None:
+    import numpy as np
+
+    load_publisher()
+    import streaming
+
+    rng = np.random.default_rng(1)
+    for name, noisy in (
+        ("R", True), ("diffuse.G", True), ("half_a.B", True), ("half_b.specular.R", True), ("indirect.R", True),
+        ("diffuse_albedo.R", False), ("hit_albedo.R", False), ("normal.X", False), ("coverage.0", False),
+    ):  # fmt: skip
+        assert streaming.is_radiance(name) == noisy
+    for kind in (np.float16, np.float32):
+        plane = rng.gamma(0.5, 1.0, (20, 30)).astype(kind)
+        plane[3] = 0.0
+        plane[4, 5] = np.nan
+        changed = streaming.vary("R", plane, rng)
+        assert changed.dtype == kind
+        assert (changed != plane).mean() > 0.5
+        np.testing.assert_allclose(changed, plane, rtol=0.005)
+        assert (changed[3] == 0.0).all()
+        np.testing.assert_array_equal(streaming.vary("normal.X", plane, rng), plane)
