@@ -44,9 +44,9 @@ and `progress`, which is called with what is done, the rows that are and the row
 {make_rows(measured)}
 
 Whole processes, from the command line, kernels from the disk. Peak memory is the largest resident set, program and kernels included. {machine["processor"]},
-{machine["cores"]} cores, commit {machine["commit"]}, beside other work, which lengthens the time and hardly the processor time; `python benchmarks/streaming.py`.
+{machine["cores"]} cores, beside other work, which lengthens the time and hardly the processor time; `python benchmarks/streaming.py`.
 
-Time per pixel grows by what is done twice: the file is read once more, to measure it, and the rows around every band are filtered with it; it falls by what a process does
+Time per pixel grows by what is done twice: the file is read once more, to measure it (`fast` need not, unless it judges noise by variances), and the rows around every band are filtered with it; it falls by what a process does
 once. How many rows come along is told by the settings: 8 to each side for `fast` at radius 8, 37 for `balanced`, 83 for `high`, in proportion to the radius; 62 for the form
 `atrous`. With a large radius of `high` they may fill the memory by themselves: bands then have 32 rows, and take more than 4 GiB. More memory makes taller
 bands: `denoise_file(..., memory=8)`.
@@ -80,7 +80,7 @@ cannot be otherwise.
 
 def make_rows(measured: Mapping[str, Any]) -> str:
     """Return the table of the qualities."""
-    header = ["", "peak memory", "time", "processor time", "time per pixel", "processor time per pixel"]
+    header = ["", "peak memory", "time", "processor time", "time per pixel", "processor time per pixel", "commit"]
     rows = []
     for name, row in measured["rows"].items():
         bands = row["bands"]

@@ -186,6 +186,32 @@ def test_progress_goes_over_the_frame_twice(tmp_path: Path) -> None:
     assert [what for what in told if what[0] == "Filtering"] == [("Filtering", rows, 83) for rows in (0, 27, 55, 83)]
 
 
+def test_a_frame_is_measured_where_something_hangs_on_it(tmp_path: Path) -> None:
+    # Nothing, the noise, levels; what is beyond the reach of all holes.
+    frame = make_scene(SHAPE)
+    bare = frame.with_changes(variance=None)
+    far = change_radiance(
+        leave_out(make_scene((420, 5)), "coverage").with_changes(variance=None), slice(9, 420), slice(None), np.nan
+    )
+    options: dict[str, Any] = {"similarity": "normal", "rows": 40}
+    for case, quality, expected in (
+        (bare, "fast", False),
+        (frame, "fast", True),
+        (bare, "balanced", True),
+        (far, "fast", True),
+    ):
+        write_frame(tmp_path / "in.exr", case)
+        told: list[str] = []
+        denoise_file(
+            tmp_path / "in.exr",
+            tmp_path / "out.exr",
+            quality=quality,
+            progress=lambda what, done, total, told=told: told.append(what),
+            **options,
+        )
+        assert ("Measuring" in told) == expected
+
+
 class Stop(BaseException):
     """As KeyboardInterrupt, which pytest takes for itself."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -119,18 +120,28 @@ def denoise_file(
         probe = reader.read_frame(0, 1)
         chosen = resolve_all(probe, asked, spp=1.0)
         most = choose_rows(reader, chosen, memory) if rows is None else rows
-        first_reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
-        measured = _measure(first_reader, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
-        if asked.quality == "fast" and needs_spp(asked):
-            chosen = resolve_all(probe, asked, spp=judge_noise(measured.variances, probe.spp))
         bands = cut_bands(height, most)
-        _filter(reader, writer, chosen, measured, bands, tell)
+
+        @cache
+        def measure() -> _Measured:
+            again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
+            return _measure(again, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
+
+        guided = asked.quality != "fast"
+        if not guided and needs_spp(asked):
+            noisy = ("variance", "color") in reader.images
+            variances = measure().variances if noisy else np.empty(0)
+            chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
+        levels = measure().levels if guided else None
+        finisher = _Finisher(lambda: measure().mean_color, chosen.device)
+        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell)
+        require_some_good(bad_count, reader.shape[0] * reader.shape[1], "pixel")
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
-        bad_pixel_count=measured.bad_pixel_count,
-        energy_lost=find_energy_lost(measured.tallies),
+        bad_pixel_count=bad_count,
+        energy_lost=find_energy_lost(measure().tallies) if guided else 0.0,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
     )
@@ -160,13 +171,12 @@ def _check(asked: DenoiseSettings, rows: int | None, memory: float) -> None:
 
 @dataclass(frozen=True)
 class _Measured:
-    """What is known of the whole frame before any of it is filtered."""
+    """What is known of the whole frame; of the quality "fast" only where it is asked for."""
 
     levels: tuple[float, ...]
     tallies: tuple[Rows, ...]
     variances: Rows
     mean_color: FloatArray
-    bad_pixel_count: int
 
 
 def _measure(reader: BandReader, settings: DenoiseSettings, bands: Bands, tell: Progress) -> _Measured:
@@ -199,33 +209,36 @@ def _measure(reader: BandReader, settings: DenoiseSettings, bands: Bands, tell: 
         tuple(np.concatenate(rows) for rows in zip(*tallies, strict=True)),
         np.concatenate(variances) if variances else np.empty(0),
         find_mean_color(np.concatenate(colors)),
-        bad_count,
     )
 
 
 def _filter(
     reader: BandReader,
     writer: BandWriter,
+    finisher: _Finisher,
     settings: DenoiseSettings,
-    measured: _Measured,
+    levels: Sequence[float] | None,
     bands: Bands,
     tell: Progress,
-) -> None:
-    """Filter band after band and hand what is finished to the writer."""
+) -> int:
+    """Filter band after band and hand what is finished to the writer; return how many pixels were bad."""
     height, _ = reader.shape
-    reach = find_reach(settings)
-    finisher = _Finisher(measured.mean_color, settings.device)
-    levels = measured.levels if settings.quality != "fast" else None
+    reach, bad_count = find_reach(settings), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
-        finisher.add(*_filter_band(reader, settings, levels, (top, bottom), slice(band[0] - top, band[1] - top)))
+        core = slice(band[0] - top, band[1] - top)
+        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core)
+        finisher.add(images, holes)
+        bad_count += bad
+        del images, holes
         last = number + 1 == len(bands)
         done = finisher.release(last=last)
         if done is not None:
             writer.add(done)
         reader.forget(writer.row if last else min(writer.row, widen(bands[number + 1], reach, height)[0]))
         tell("Filtering", band[1], height)
+    return bad_count
 
 
 def _filter_band(
@@ -234,25 +247,26 @@ def _filter_band(
     levels: Sequence[float] | None,
     rows: tuple[int, int],
     core: slice,
-) -> tuple[dict[str, FloatArray], NDArray[np.bool_]]:
-    """Return the images of the rows of ``core`` by their fields, and where the total is none."""
+) -> tuple[dict[str, FloatArray], NDArray[np.bool_], int]:
+    """Return the images of the rows of ``core`` by their fields, where the total is none, and how many were bad."""
     frame = reader.read_frame(*rows)
     if forgets(settings):
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), levels)
-    holes = found.find_holes(find_bad_pixels(frame))[core]
+    bad = find_bad_pixels(frame)
+    holes = found.find_holes(bad)[core].copy()
     images = {"color": found.image[core].copy()}
     if len(found.parts) == 2:
         for field, part in zip(("diffuse", "specular"), found.parts, strict=True):
             images[field] = blacken_bad(part[core]).copy()
-    return images, holes
+    return images, holes, int(np.count_nonzero(bad[core]))
 
 
 class _Finisher:
     """Rows that are filtered, until what surrounds their holes is there as well."""
 
-    def __init__(self, mean: FloatArray, device: str) -> None:
-        self._mean, self._device = mean, device
+    def __init__(self, find_mean: Callable[[], FloatArray], device: str) -> None:
+        self._find_mean, self._device = find_mean, device
         self._images: dict[str, FloatArray] = {}
         self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._context = 0
@@ -277,7 +291,7 @@ class _Finisher:
         if self._holes[first:stop].any():
             begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
             around = self._images["color"][begin:end], self._holes[begin:end]
-            done["color"] = refill(*around, self._mean, self._device)[first - begin : stop - begin]
+            done["color"] = refill(*around, self._find_mean(), self._device)[first - begin : stop - begin]
         keep = max(stop - REFILL_REACH, 0)
         # Copies, so that the rows above are let go.
         self._images = {field: image[keep:].copy() for field, image in self._images.items()}
