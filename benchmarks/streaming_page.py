@@ -86,7 +86,6 @@ def make_rows(measured: Mapping[str, Any]) -> str:
         bands = row["bands"]
         ratios = [f"{row[f'{key}_per_pixel_ratio']:.2f}" for key in ("seconds", "cpu_seconds")]
         times = [f"{bands[key]:.0f} s" for key in ("seconds", "cpu_seconds")]
-        rows.append(
-            [f"`{name}`" + (", `sg`" if name == "fast" else ""), f"{bands['peak_gib']:.2f} GiB", *times, *ratios]
-        )
+        kind = f"`{name}`" + (", `sg`" if name == "fast" else "")
+        rows.append([kind, f"{bands['peak_gib']:.2f} GiB", *times, *ratios, row["machine"]["commit"]])
     return make_table(header, rows)

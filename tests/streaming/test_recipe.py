@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from lobewise.denoising.recipe import ask
 from lobewise.errors import FileError, InputError, LobewiseError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import read_frame, write_frame, write_result
-from lobewise.io.bands import BandReader
+from lobewise.io.bands import BandReader, BandWriter
 from lobewise.streaming import denoise_file, list_images, needs_bands, plan
 from lobewise.streaming import recipe as streaming
 from lobewise.streaming.plan import choose_rows, estimate_bytes
@@ -231,6 +232,20 @@ def test_whatever_interrupts_leaves_no_trace(moment: tuple[str, int], tmp_path: 
         )
     assert sorted(os.listdir(tmp_path)) == ["in.exr", "out.exr"]
     assert (tmp_path / "out.exr").read_text() == "before"
+
+
+def test_a_full_disk_is_told_and_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_frame(tmp_path / "in.exr", make_scene(SHAPE))
+
+    def fill(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for moment in ("_encode", "_list_chunks"):
+        with monkeypatch.context() as patch:
+            patch.setattr(BandWriter, moment, fill)
+            with pytest.raises(FileError, match=r"out.exr.*no space left on device.*make room"):
+                denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", quality="fast", similarity="normal", rows=40)
+        assert os.listdir(tmp_path) == ["in.exr"]
 
 
 @pytest.mark.parametrize(
