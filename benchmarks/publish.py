@@ -11,6 +11,7 @@ from typing import Any
 
 from bench_page import load_machines, make_bench_page, write_pictures
 from interactive_page import make_interactive_page
+from performance_page import make_performance_page
 from quality_page import make_quality_page, make_readme_quality
 from quality_trials import make_trials_page
 from streaming_page import make_streaming_page
@@ -19,6 +20,8 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 INTERACTIVE = ("interactive_quality", "interactive", "viewer")
 """What docs/interactive.md is made of."""
+PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials")
+"""What docs/performance.md is made of."""
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
 COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")
 TITLES = {
@@ -485,6 +488,8 @@ def main() -> None:
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
     streamed = json.loads((RESULTS / "streaming.json").read_text())
     (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))
+    performance = (json.loads((RESULTS / f"{name}.json").read_text()) for name in PERFORMANCE)
+    (ROOT / "docs" / "performance.md").write_text(make_performance_page(*performance))
     machines = load_machines()
     write_pictures(machines)
     (ROOT / "docs" / "bench.md").write_text(make_bench_page(load_startup(), machines))

@@ -67,6 +67,18 @@ def test_interactive_page_says_what_was_measured() -> None:
     assert (ROOT / "docs" / "interactive.md").read_text() == publisher.make_interactive_page(*measured)
 
 
+def test_performance_page_says_what_was_measured() -> None:
+    from lobewise.kernels.devices import DEVICES
+
+    publisher = load_publisher()
+    results = ROOT / "benchmarks" / "results"
+    measured = (json.loads((results / f"{name}.json").read_text()) for name in publisher.PERFORMANCE)
+    text = (ROOT / "docs" / "performance.md").read_text()
+    assert text == publisher.make_performance_page(*measured)
+    for name in DEVICES:
+        assert f"`{name}`" in text
+
+
 def test_bench_page_says_what_was_measured() -> None:
     publisher = load_publisher()
     machines = publisher.load_machines()
