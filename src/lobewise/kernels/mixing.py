@@ -304,7 +304,7 @@ def find_features(
     extras : array, shape (height, width, count)
         What else is known, at least one number.
     level : float
-        Mean luminance of the middle candidate.
+        How bright the whole image is, of which this may be a part: about the mean luminance of a candidate.
     device : str
         A name from `list_devices`.
 
