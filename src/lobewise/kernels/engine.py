@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +23,8 @@ from lobewise.kernels.schedules import schedule_pass
 FORMS = ("full", "separable", "atrous")
 ATROUS_LEVELS = 5
 COLORS = 3
+LARGEST_SCRATCH = 1 << 29
+"""Bytes of an image between two passes that are kept for the next call."""
 ATROUS_REACH = ATROUS_RADIUS * (2**ATROUS_LEVELS - 1)
 """Pixels to each side from which the form "atrous" takes, all levels together."""
 
@@ -43,6 +47,25 @@ class FilterOutput:
     weight_sum: FloatArray
     effective_samples: FloatArray
     moment: FloatArray | None = None
+
+
+class _Scratch(threading.local):
+    """What passes hand on, by thread: memory that the system gave once costs nothing the next time."""
+
+    def __init__(self) -> None:
+        self._held: dict[int, FloatArray] = {}
+
+    def lend(self, slot: int, shape: tuple[int, ...]) -> FloatArray | None:
+        """Return memory of a shape, whose content is of no use; None where it would be too much to keep."""
+        count = math.prod(shape)
+        if 4 * count > LARGEST_SCRATCH:
+            return None
+        if slot not in self._held or self._held[slot].size < count:
+            self._held[slot] = np.empty(count, np.float32)
+        return self._held[slot][:count].reshape(shape)
+
+
+_scratch = _Scratch()
 
 
 def _split_output(pixels: FloatArray) -> FilterOutput:
@@ -140,7 +163,8 @@ def run_filter(
         if last:
             planes = [(height, width)] * (key.channels - COLORS)
             shapes = [(height, width, COLORS), *planes] if key.apart else [(height, width, key.channels)]
-        outputs = [make_output(shape, device) for shape in shapes]
+        memory = None if last or device != "cpu" else _scratch.lend(number % 2, shapes[0])
+        outputs = [make_output(shape, device, memory) for shape in shapes]
         tinted = tints if key.demodulate or key.modulate else []
         written = (buffer for buffer, _ in outputs)
         kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, *written)
