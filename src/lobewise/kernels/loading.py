@@ -13,6 +13,7 @@ import ctypes
 import hashlib
 import json
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -45,6 +46,8 @@ _CONSTRUCTORS = {
     "metal": ("_GLOBAL__sub_I_metal.cpp",),
 }
 """What initialises a device's part of the runtime; llvmlite runs no initialisers of object files."""
+_RUNTIME_NAMES = re.compile(rb"(?<=\0)_?(halide_\w+)(?=\0)")
+"""Names in an object file's table of symbols; some systems put a line before them."""
 _Told = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p)
 
 
@@ -118,8 +121,6 @@ class Runtime:
         self.device = device
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
-        machine = llvm.Target.from_default_triple().create_target_machine()
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         self._problems = threading.local()
         target = make_target(device)
         if device == "vulkan":
@@ -131,28 +132,35 @@ class Runtime:
             hl.compile_standalone_runtime(path, target)
 
         content, _ = fetch_object(f"runtime {target}", lambda: (_compile(compile_runtime), {}))
-        self.add(content)
+        self._engine = _load_object(content)
+        self._loaded: list[Any] = []
         for name in _CONSTRUCTORS.get(device, ()):
             self.get("void", name)()
         self._handlers = _Told(self._keep_problem), _Told(lambda _, text: None)
         set_handler = ctypes.CFUNCTYPE(ctypes.c_void_p, _Told)
         for name, handler in zip(("halide_set_error_handler", "halide_set_custom_print"), self._handlers, strict=True):
-            set_handler(self._engine.get_function_address(name))(handler)
+            set_handler(self.find(name))(handler)
 
     def _keep_problem(self, _: object, text: bytes) -> None:
         self._problems.text = text.decode("utf-8", "replace").strip()
 
-    def add(self, content: bytes) -> None:
-        """Load an object file."""
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(content))
-        self._engine.finalize_object()
+    def load(self, content: bytes, name: str) -> int:
+        """Load an object file that calls the runtime, and return the address of a function of its own.
+
+        Every file has an engine, and learns where the runtime's functions are as those of a foreign library, which it
+        may call however far away they lie; within one engine it would have to lie within 2 GiB of them.
+        """
+        for told in set(_RUNTIME_NAMES.findall(content)):
+            address = self._engine.get_function_address(told.decode())
+            if address:
+                llvm.add_symbol(told.decode(), address)
+        engine = _load_object(content)
+        self._loaded.append(engine)
+        return _find_function(engine, name)
 
     def find(self, name: str) -> int:
-        """Return the address of a function."""
-        address = int(self._engine.get_function_address(name))
-        if address == 0:
-            raise LookupError(name)
-        return address
+        """Return the address of a function of the runtime."""
+        return _find_function(self._engine, name)
 
     def get(self, result: str, name: str, *arguments: Any) -> Callable[..., Any]:
         """Return a function of the runtime that gives nothing ("void"), a code ("int") or a pointer."""
@@ -178,6 +186,23 @@ class Runtime:
                     action="try a smaller image" + ("" if self.device == "cpu" else ", or --device cpu"),
                 )
             )
+
+
+def _load_object(content: bytes) -> Any:
+    """Return an engine that holds an object file."""
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    # llvmlite's memory manager lays the sections of a file side by side, so that they reach each other.
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    return engine
+
+
+def _find_function(engine: Any, name: str) -> int:
+    address = int(engine.get_function_address(name))
+    if address == 0:
+        raise LookupError(name)
+    return address
 
 
 _runtime_lock = threading.Lock()
@@ -246,8 +271,7 @@ def _load(
         return content, {"kinds": kinds, "notes": getattr(funcs, "notes", [])}
 
     content, head = fetch_object(known, compile_kernel)
-    runtime.add(content)
-    return Kernel(runtime, runtime.find(f"{name}_argv"), head["kinds"], head["notes"])
+    return Kernel(runtime, runtime.load(content, f"{name}_argv"), head["kinds"], head["notes"])
 
 
 def _compile(write: Callable[[str], None]) -> bytes:
