@@ -21,6 +21,8 @@ from lobewise.kernels.paired_runs import Exponents, run_paired
 from lobewise.kernels.resolving import resolve_light
 from tests.streaming.frames import change_radiance, make_scene
 
+pytestmark = pytest.mark.slow  # every quality and form, whole and in bands
+
 WIDE: dict[str, Any] = {"similarity": "normal", "normal_exponent": 1.0, "position_sigma": 1e4}
 """Weights that fall off so slowly that the kernel's edge counts."""
 HEIGHT, WIDTH, MIDDLE = 61, 9, 30
