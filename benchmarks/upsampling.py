@@ -30,8 +30,9 @@ from common import describe_machine, fetch_frame, write_json
 from lobewise import TemporalFilter
 from lobewise.adaptive import find_unsupported, recompute
 from lobewise.bench.timing import time_best
+from lobewise.camera import Camera
 from lobewise.denoising import denoise
-from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
+from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
 from lobewise.metrics import Flicker, find_disoccluded, find_specular_pixels, make_error_map, rel_mse

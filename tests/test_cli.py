@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.cli.main import run
-from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
 from lobewise.io.materials import read_lobe_table, write_lobe_table
 from lobewise.metrics import evaluate

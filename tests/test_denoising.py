@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lobewise
+from lobewise.camera import Camera
 from lobewise.denoising import (
     DenoiseSettings,
     choose_beta,
@@ -20,7 +21,7 @@ from lobewise.denoising import (
     estimate_spp,
 )
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
-from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance
+from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
 SHAPE = (40, 50)

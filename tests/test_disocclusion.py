@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import Camera, GBuffer
+from lobewise.frame import GBuffer
 from lobewise.metrics import find_disoccluded
 from lobewise.motion import project_points
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance
 
 
 def make_camera(**changes: Any) -> Camera:

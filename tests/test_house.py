@@ -12,6 +12,7 @@ ROOMS = [
     "errors",
     "chunks",
     "lobe_table",
+    "camera",
     "frame",
     "sparse_frame",
     "motion",

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.display import choose_exposure, map_tones
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer, LobeKind, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.metrics import EPSILON, rel_mse
 
 pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")

@@ -8,8 +8,9 @@ from lobewise.errors import LobewiseError
 
 if TYPE_CHECKING:
     from lobewise.adaptive import find_unsupported, recompute
+    from lobewise.camera import Camera
     from lobewise.denoising import DenoiseSettings, denoise
-    from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance, Result
+    from lobewise.frame import Frame, GBuffer, LobeKind, Radiance, Result
     from lobewise.io.exr import read_frame, write_frame, write_result
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.kernels.features import Feature
@@ -52,7 +53,7 @@ __all__ = [
 
 # NumPy, Halide and OpenEXR load on first use, so that importing the package and asking the program for help are cheap.
 _LAZY = {
-    "Camera": "lobewise.frame",
+    "Camera": "lobewise.camera",
     "DenoiseSettings": "lobewise.denoising",
     "DenoisedFile": "lobewise.streaming",
     "Feature": "lobewise.kernels.features",

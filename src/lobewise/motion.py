@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import Camera, FloatArray
+from lobewise.frame import FloatArray
 
 
 def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int, height: int) -> FloatArray:

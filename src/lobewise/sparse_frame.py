@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.lobe_table import LobeTable
 
 MOST_SCALE = 16

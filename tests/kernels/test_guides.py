@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera, GBuffer
+from lobewise.camera import Camera
+from lobewise.frame import GBuffer
 from lobewise.kernels.guides import (
     find_footprints,
     find_inverse_hits,

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import Camera, GBuffer, LobeKind
+from lobewise.frame import GBuffer, LobeKind
 from lobewise.kernels.lobe_fields import make_lobe_field
 from lobewise.lobes.field import LobeField, build_lobe_field
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.frame import Camera, FloatArray
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
 from lobewise.kernels.history import SNAP
 from lobewise.kernels.places import find_surface_places
 from lobewise.motion import compute_motion

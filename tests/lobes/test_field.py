@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lobewise import chunks
+from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import Camera, GBuffer, LobeKind
+from lobewise.frame import GBuffer, LobeKind
 from lobewise.lobes.brdf import reflect, reflect_sg
 from lobewise.lobes.field import LobeField, build_lobe_field, default_tau
 from lobewise.lobes.roughness import sg_sharpness_from_ggx

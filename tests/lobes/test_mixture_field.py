@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lobewise import chunks
+from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Camera, GBuffer, LobeKind
+from lobewise.frame import GBuffer, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.mixture import make_ggx_mixture, make_lambert_lobe
 from lobewise.lobes.mixture_field import build_mixture_field

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Camera, Frame, LobeKind
+from lobewise.frame import Frame, LobeKind
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba

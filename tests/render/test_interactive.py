@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Camera
 from lobewise.metrics import rel_mse
 from lobewise.render import InteractiveSettings, Session, load_scene, make_orbit
 from lobewise.render.interactive_frame import STAGES

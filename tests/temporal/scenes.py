@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion, project_points
 
 SIZE = (48, 64)

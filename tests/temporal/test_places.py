@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from lobewise.frame import Camera, FloatArray
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
 
 WIDTH, HEIGHT = 48, 32

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.camera import Camera
+from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
 from lobewise.viewer import Viewer
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise.frame import Camera
+from lobewise.camera import Camera
 from lobewise.viewer.cameras import CameraMap, Pose, find_up
 from lobewise.viewer.looks import FrameLook, SceneLook
 from lobewise.viewer.messages import Description, Window

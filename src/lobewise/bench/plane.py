@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.frame import Camera, Frame, GBuffer, LobeKind, Radiance
+from lobewise.camera import Camera
+from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.lobe_features import AsgFeature, GgxFeature, SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature

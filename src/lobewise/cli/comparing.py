@@ -13,7 +13,8 @@ from lobewise.cli.shared import show_progress
 from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError, describe_problem
 
 if TYPE_CHECKING:
-    from lobewise.frame import Camera, FloatArray, GBuffer
+    from lobewise.camera import Camera
+    from lobewise.frame import FloatArray, GBuffer
     from lobewise.io.sequence import FramePattern
 
     Guides = tuple[GBuffer, Camera]

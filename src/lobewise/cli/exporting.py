@@ -86,7 +86,7 @@ def export(
         print_line(f"Wrote {output}: lobewise.{target}, README.md.")
         return
 
-    from lobewise.exporting.library import export_library
+    from lobewise.exporting.native import export_library
     from lobewise.kernels.ahead_of_time import FilterPlan
 
     command = export_library(output, FilterPlan(**given), target=target, name=name or "lobewise", force=force)

@@ -13,7 +13,7 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.render.scenes import list_scenes
 
 if TYPE_CHECKING:
-    from lobewise.frame import Camera
+    from lobewise.camera import Camera
 
 CAMERA_PATHS = ("orbit", "still")
 

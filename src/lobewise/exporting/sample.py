@@ -9,8 +9,9 @@ from importlib.resources import as_file, files
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose_tau
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer
+from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.io import read_frame
 from lobewise.kernels.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
 from lobewise.kernels.engine import run_filter

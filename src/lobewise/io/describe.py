@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
-from lobewise.frame import Camera
 from lobewise.io.container import Attribute, Container, Part, Window, read_container, show_name
 from lobewise.io.exr import plan_reading, read_camera, read_lobe_tables, read_spp
 from lobewise.io.files import PathLike

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError, LobewiseError, MissingChannelError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
+from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.io.container import Attribute, Container, Part, read_container, show_name
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_from_json, lobe_table_to_json

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lobewise.frame import Camera, Frame, GBuffer, Radiance
+from lobewise.camera import Camera
+from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.container import Part
 from lobewise.lobe_table import LobeTable
 

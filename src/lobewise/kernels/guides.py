@@ -8,7 +8,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray, GBuffer
 from lobewise.kernels.features import dot
 from lobewise.kernels.pointwise import Grid, Vector, is_finite, run_pointwise
 

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import halide as hl
 import numpy as np
 
-from lobewise.frame import Camera, GBuffer, LobeKind
+from lobewise.camera import Camera
+from lobewise.frame import GBuffer, LobeKind
 from lobewise.kernels.features import dot
 from lobewise.kernels.guides import get_ray_numbers, is_surface_depth, make_ray
 from lobewise.kernels.pointwise import Grid, Vector, is_finite, run_pointwise

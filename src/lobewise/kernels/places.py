@@ -11,7 +11,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera, FloatArray
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
 from lobewise.kernels.features import dot, subtract
 from lobewise.kernels.guides import get_ray_numbers, is_surface_depth, make_ray
 from lobewise.kernels.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError, MissingChannelError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
+from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.lobes.brdf import MIN_WARP_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES
 from lobewise.lobes.tangent import (

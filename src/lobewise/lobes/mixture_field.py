@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera, FloatArray, GBuffer, LobeKind
+from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import LobeField, build_lobe_field
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError, describe_problem
-from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.frame import FloatArray, GBuffer
 from lobewise.motion import compute_motion
 
 MOVING_PIXELS = 0.05

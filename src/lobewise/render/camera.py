@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Camera
 from lobewise.io.files import PathLike, require_readable
 from lobewise.render.bridge import mi
 from lobewise.render.camera import get_camera

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, LobeKind
+from lobewise.frame import FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material
 from lobewise.render.paths import Sums, dispatch_surface, find_seen_albedo, is_mirror

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
+from lobewise.camera import Camera
 from lobewise.denoising import DenoiseSettings
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera, Radiance, Result
+from lobewise.frame import Radiance, Result
 from lobewise.render.direct_filter import filter_direct
 from lobewise.render.interactive_frame import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
 from lobewise.render.methods import Methods

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from lobewise.camera import Camera
 from lobewise.denoising.settings import SIMILARITIES, DenoiseSettings
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, Frame, Radiance, Result
+from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.render.methods import METHODS
 from lobewise.render.stages import FirstHits
 from lobewise.render.views import VIEWS, make_view

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import Camera
 from lobewise.render.camera import get_camera, set_camera
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
 from lobewise.render.scenes import MovingScene

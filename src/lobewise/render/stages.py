@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
 from lobewise.render.bsdfs import list_lobe_tables, read_scene_materials

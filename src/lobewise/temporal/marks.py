@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.denoising.layers import find_surface, make_specular_features
 from lobewise.denoising.settings import DenoiseSettings, can_use_hits
-from lobewise.frame import Camera, FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.kernels.cross_filter import describe_structure
 from lobewise.kernels.features import Feature, NormalFeature, PlaneFeature
 from lobewise.kernels.guides import (

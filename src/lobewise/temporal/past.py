@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.camera import Camera
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
-from lobewise.frame import Camera, FloatArray, GBuffer
+from lobewise.frame import FloatArray, GBuffer
 from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS
 from lobewise.kernels.places import find_surface_places
 from lobewise.kernels.runs import run_reprojection

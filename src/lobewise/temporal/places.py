@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.frame import Camera, FloatArray
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
 from lobewise.kernels.places import find_curvature, find_image_places
 
 FAR = 1e6

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera
+from lobewise.camera import Camera
 from lobewise.viewer.messages import Description, Window
 
 Vector = NDArray[np.float64]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Camera
+from lobewise.camera import Camera
 from lobewise.viewer.looks import Look
 
 

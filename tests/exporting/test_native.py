@@ -15,8 +15,8 @@ from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
 from lobewise.exporting.arguments import MEANINGS
 from lobewise.exporting.example import LARGEST_DIFFERENCE, LARGEST_STEP_DIFFERENCE
-from lobewise.exporting.library import export_library
 from lobewise.exporting.names import TARGETS
+from lobewise.exporting.native import export_library
 from lobewise.exporting.sample import make_sample
 from lobewise.kernels.ahead_of_time import (
     OUTPUT_CHANNELS,
@@ -261,7 +261,7 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "lobewise-export.json").write_text("{}")
     (tmp_path / "new").mkdir()
-    monkeypatch.setattr("lobewise.exporting.library.compile_filter", fail)
+    monkeypatch.setattr("lobewise.exporting.native.compile_filter", fail)
     for path in ("old", "new", "fresh"):
         with pytest.raises(FileError, match="no space left"):
             export_library(tmp_path / path, QUICK, force=True)

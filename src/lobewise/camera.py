@@ -1,0 +1,130 @@
+"""The camera: where a pinhole stands, and which rays its pixels have."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, describe_problem
+
+
+def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(
+            describe_problem(name, expected="three finite numbers", got=str(value), action="pass (x, y, z)")
+        )
+    vector = vector.copy()
+    vector.flags.writeable = False
+    return vector
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera in world space.
+
+    Parameters
+    ----------
+    position : array_like, shape (3,)
+        Centre of projection, in the world unit of the G-buffer's positions.
+    forward : array_like, shape (3,)
+        Viewing direction; normalised on construction.
+    up : array_like, shape (3,)
+        Any vector that is not parallel to ``forward``; made orthonormal to it.
+    fov_y : float
+        Full vertical angle of view, radians, in (0, pi).
+    fov_x : float, optional
+        Full horizontal angle of view, radians; by default that of square pixels.
+
+    Raises
+    ------
+    InputError
+        If a vector is not three finite numbers, is zero, or ``up`` is parallel to ``forward``.
+    """
+
+    position: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    up: NDArray[np.float64]
+    fov_y: float
+    fov_x: float | None = None
+    band: tuple[int, int] | None = field(default=None, init=False, repr=False, compare=False)
+    """First row and whole height, where the images are but some rows of a taller one; see `crop_rows`."""
+
+    def __post_init__(self) -> None:
+        position = _as_vector("camera position", self.position)
+        forward = _as_vector("camera forward", self.forward)
+        up = _as_vector("camera up", self.up)
+        right = np.cross(forward, up)
+        if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
+            raise InputError(
+                describe_problem(
+                    "camera up",
+                    expected="a vector that is not parallel to forward",
+                    got=str(tuple(up)),
+                    action="pass another up",
+                )
+            )
+        for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):
+            if angle is not None and not 0.0 < angle < np.pi:
+                raise InputError(
+                    describe_problem(
+                        f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
+                    )
+                )
+        forward = forward / np.linalg.norm(forward)
+        up = np.cross(right / np.linalg.norm(right), forward)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "forward", _as_vector("camera forward", forward))
+        object.__setattr__(self, "up", _as_vector("camera up", up))
+
+    @property
+    def right(self) -> NDArray[np.float64]:
+        """Direction of increasing column in the image, shape (3,), unit length."""
+        return np.cross(self.forward, self.up)
+
+    def crop_rows(self, first: int, height: int) -> Camera:
+        """Return the same camera for images that are some rows, from ``first`` on, of one of ``height`` rows.
+
+        Every ray and angle is that of the whole image, to the bit.
+        """
+        camera = copy(self)
+        object.__setattr__(camera, "band", (first, height))
+        return camera
+
+    def get_rows(self, height: int) -> tuple[int, int]:
+        """Return which row of the whole image the first of ``height`` rows is, and how many the whole image has."""
+        return (0, height) if self.band is None else self.band
+
+    def get_half_extent(self, width: int, height: int) -> tuple[float, float]:
+        """Return the half width and half height of the image plane at distance 1."""
+        _, rows = self.get_rows(height)
+        half_height = float(np.tan(0.5 * self.fov_y))
+        half_width = half_height * width / rows if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
+        return half_width, half_height
+
+    def get_pixel_angle(self, height: int) -> float:
+        """Return the angle that one pixel at the image centre subtends vertically, radians."""
+        return float(2.0 * np.tan(0.5 * self.fov_y) / self.get_rows(height)[1])
+
+    def get_plane(self, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where pixel centres are on the image plane at distance 1: columns to the right, rows upwards."""
+        first, rows = self.get_rows(height)
+        half_width, half_height = self.get_half_extent(width, height)
+        x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
+        y = (1.0 - (np.arange(first, first + height) + 0.5) / rows * 2.0) * half_height
+        return x, y
+
+    def make_ray_directions(self, width: int, height: int) -> NDArray[np.float32]:
+        """Return the unit directions through the pixel centres, shape (height, width, 3), row 0 on top."""
+        x, y = self.get_plane(width, height)
+        rays = self.forward + x[None, :, None] * self.right + y[:, None, None] * self.up
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        return rays.astype(np.float32)
+
+    def make_positions(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the world positions, shape (height, width, 3), of ray distances ``depth``, shape (height, width)."""
+        rays = self.make_ray_directions(depth.shape[1], depth.shape[0])
+        return np.asarray(self.position.astype(np.float32) + depth[..., None] * rays, dtype=np.float32)
