@@ -14,9 +14,10 @@ import pytest
 from lobewise.errors import DeviceError
 from lobewise.kernels import loading
 from lobewise.kernels.buffers import Buffer
-from lobewise.kernels.cross_filter import PassKey, Taps
+from lobewise.kernels.cross_filter import PassKey
 from lobewise.kernels.features import NormalFeature, ScreenFeature
 from lobewise.kernels.fireflies import find_energy_lost
+from lobewise.kernels.forms import Taps
 from lobewise.kernels.loading import Runtime, describe_key, fetch_object, find_cache_folder, get_runtime
 
 pytestmark = pytest.mark.processor

@@ -12,9 +12,10 @@ from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, refill
 from lobewise.frame import FloatArray
 from lobewise.kernels import fireflies, mixing, noise_guides, resolving
-from lobewise.kernels.engine import ATROUS_REACH, run_filter
+from lobewise.kernels.engine import run_filter
 from lobewise.kernels.features import ScreenFeature
 from lobewise.kernels.fireflies import bound_fireflies
+from lobewise.kernels.forms import ATROUS_REACH
 from lobewise.kernels.mixing import find_features
 from lobewise.kernels.noise_guides import make_noise_guide
 from lobewise.kernels.paired_runs import Exponents, run_paired

@@ -10,8 +10,9 @@ import numpy as np
 from lobewise.bench.plane import SIMILARITIES, make_features
 from lobewise.bench.timing import time_best
 from lobewise.frame import Frame
-from lobewise.kernels.engine import ATROUS_LEVELS, run_filter
+from lobewise.kernels.engine import run_filter
 from lobewise.kernels.features import Feature
+from lobewise.kernels.forms import ATROUS_LEVELS
 
 Calls = dict[str, Callable[[], Any]]
 

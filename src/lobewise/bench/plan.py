@@ -15,7 +15,7 @@ from lobewise.bench.machine import count_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture, make_place
 from lobewise.denoising import denoise
 from lobewise.frame import Frame, Radiance
-from lobewise.kernels.engine import FORMS
+from lobewise.kernels.forms import FORMS
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import DEFAULT_RADIUS, upsample

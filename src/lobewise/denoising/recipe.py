@@ -26,9 +26,10 @@ from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.kernels.buffers import comes_down
-from lobewise.kernels.engine import ATROUS_REACH, FilterOutput, run_filter
+from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import Feature
 from lobewise.kernels.fireflies import find_energy_lost
+from lobewise.kernels.forms import ATROUS_REACH
 from lobewise.peers import require_oidn
 
 

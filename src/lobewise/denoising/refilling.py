@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import ATROUS_REACH, run_filter
+from lobewise.kernels.engine import run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
+from lobewise.kernels.forms import ATROUS_REACH
 from lobewise.sparse_frame import AnyFrame
 
 SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)

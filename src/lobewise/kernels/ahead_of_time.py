@@ -20,9 +20,9 @@ import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
-from lobewise.kernels.cross_filter import PassInputs, PassKey, Taps, begin_at_zero, describe_structure, make_pass
-from lobewise.kernels.engine import ATROUS_LEVELS, FORMS
+from lobewise.kernels.cross_filter import PassInputs, PassKey, begin_at_zero, describe_structure, make_pass
 from lobewise.kernels.features import LOG2_E, Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.kernels.forms import FORMS, list_passes
 from lobewise.kernels.lobe_features import GGX_UNIT, AsgFeature, DiffuseFeature, GgxFeature, SgFeature
 from lobewise.kernels.lobe_fields import _define_lobes
 from lobewise.kernels.mixture_features import SgMixtureFeature
@@ -156,15 +156,6 @@ def _list_parts(plan: FilterPlan) -> list[_Part]:
         lambda real, sigma, angle: real(math.sqrt(0.5 * LOG2_E)) / (sigma * angle),
     )
     return [*([] if plan.form == "atrous" else [screen]), position, of_lobes[plan.similarity]]
-
-
-def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
-    """Return taps, radius and step of every pass of a form."""
-    if form == "full":
-        return [(Taps.SQUARE, radius, 1)]
-    if form == "separable":
-        return [(Taps.HORIZONTAL, radius, 1), (Taps.VERTICAL, radius, 1)]
-    return [(Taps.ATROUS, 0, 2**level) for level in range(ATROUS_LEVELS)]
 
 
 def list_filter_arguments(plan: FilterPlan) -> list[Argument]:

@@ -13,38 +13,21 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any
 
 import halide as hl
 
 from lobewise.kernels import expressions
 from lobewise.kernels.features import Feature, Pixel, Stage, dot
+from lobewise.kernels.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
 from lobewise.lobes.vectors import LUMINANCE
 
 SUM_CHANNELS = 5
 WEIGHT = 3
 SQUARED_WEIGHT = 4
 
-ATROUS_RADIUS = 2
-# Cubic B-spline (1, 4, 6, 4, 1)/16 over its peak, so that a matching centre counts 1.
-ATROUS_PROFILE = (1.0, 2.0 / 3.0, 1.0 / 6.0)
-
 ALBEDO_FLOOR = 1e-3
 """Albedo below which a pixel says nothing about the light it receives; it gets weight 0."""
-
-
-class Taps(Enum):
-    """The neighbours that one pass sums over."""
-
-    SQUARE = "square"
-    """All of (2r+1)^2."""
-    HORIZONTAL = "horizontal"
-    """2r+1 in the row."""
-    VERTICAL = "vertical"
-    """2r+1 in the column."""
-    ATROUS = "atrous"
-    """5x5, ``step`` pixels apart, with B-spline weights."""
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
-from lobewise.kernels.cross_filter import ATROUS_RADIUS, PassKey, Taps, describe_structure, make_pass
+from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
+from lobewise.kernels.forms import FORMS, list_passes
 from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
 from lobewise.kernels.schedules import schedule_pass
 
-FORMS = ("full", "separable", "atrous")
-ATROUS_LEVELS = 5
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29
 """Bytes of an image between two passes that are kept for the next call."""
-ATROUS_REACH = ATROUS_RADIUS * (2**ATROUS_LEVELS - 1)
-"""Pixels to each side from which the form "atrous" takes, all levels together."""
 
 
 @dataclass(frozen=True)
@@ -119,14 +116,8 @@ def run_filter(
     FilterOutput
     """
     structure = tuple(describe_structure(feature) for feature in features)
-    passes: list[tuple[Taps, int, int]]
-    if form == "full":
-        passes = [(Taps.SQUARE, radius, 1)]
-    elif form == "separable":
-        passes = [(Taps.HORIZONTAL, radius, 1), (Taps.VERTICAL, radius, 1)]
-    else:
-        require_choice("form", form, FORMS)
-        passes = [(Taps.ATROUS, 0, 2**level) for level in range(ATROUS_LEVELS)]
+    require_choice("form", form, FORMS)
+    passes = list_passes(form, radius)
     height, width = mask.shape
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
     held: list[NDArray[Any]] = [take_mask(mask), *take_arrays(features, (height, width))]
