@@ -18,7 +18,7 @@ from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeatur
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.hits import HitField
 
-SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41)]
+SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41), (3, 277)]
 FORMS = ["full", "separable", "atrous"]
 KINDS = [
     "screen",

@@ -51,6 +51,8 @@ class PassKey:
     """Raises the weights of every centre's taps to a power of its own."""
     apart: bool = False
     """Writes what supports the radiance of a last pass into images of their own."""
+    paired: bool = False
+    """Weighs two pixels of a row once, for both: only for ``Taps.HORIZONTAL`` of a radius above 0, not ``strict``."""
 
     @property
     def channels(self) -> int:
@@ -86,6 +88,10 @@ class PassFuncs:
     sums: hl.Func
     row: hl.Func
     """Sums over one row of taps, or over the column of a vertical pass."""
+    weights: hl.Func | None
+    """Of a pixel and those to its right, where pairs are weighed once."""
+    vertical: bool
+    """Whether all taps are above each other."""
     channels: int
     image: hl.Func
     guides: hl.Func | None
@@ -337,20 +343,34 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
     stages.append(log_weight)
 
     # A row of taps (or the column that a vertical pass has) is summed by itself, so that its sums stay in registers.
-    inner = hl.RDom([(-across, 2 * across + 1)] if across else [(-down, 2 * down + 1)], "inner")
     outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
-    u_tap, v_tap = (inner.x, v) if across else (v, inner.x)
     row = hl.Func("row")
     at = x, y, v
     zeros = [hl.f32(0.0)] * key.channels
-    row[at] = hl.Tuple(zeros)
-    weight = expressions.exp2(log_weight[x, y, u_tap, v_tap])
-    # Radiance counts once: its weight and squared weight are one plane.
-    planes = [min(k, WEIGHT) if key.first and k < SUM_CHANNELS else k for k in range(key.channels)]
-    taken = [image[x + u_tap * spread, k, y + v_tap * spread] for k in planes]
-    factors = [weight] * key.channels
-    factors[SQUARED_WEIGHT] = weight * weight
-    row[at] = hl.Tuple([row[at][k] + factors[k] * taken[k] for k in range(key.channels)])
+
+    def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
+        # Radiance counts once: its weight and squared weight are one plane.
+        planes = [min(k, WEIGHT) if key.first and k < SUM_CHANNELS else k for k in range(key.channels)]
+        factors = [weight] * key.channels
+        factors[SQUARED_WEIGHT] = weight * weight
+        return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
+
+    weights = None
+    if key.paired:
+        weights = hl.Func("weights")
+        weights[x, y, u] = expressions.exp2(log_weight[x, y, u, 0])
+        inner = hl.RDom([(1, across)], "inner")
+        row[at] = hl.Tuple(take(weights[x, y, 0], x, y))
+        after = take(weights[x, y, inner.x], x + inner.x, y)
+        before = take(weights[x - inner.x, y, inner.x], x - inner.x, y)
+        taken = [after[k] + before[k] for k in range(key.channels)]
+    else:
+        inner = hl.RDom([(-across, 2 * across + 1)] if across else [(-down, 2 * down + 1)], "inner")
+        u_tap, v_tap = (inner.x, v) if across else (v, inner.x)
+        row[at] = hl.Tuple(zeros)
+        weight = expressions.exp2(log_weight[x, y, u_tap, v_tap])
+        taken = take(weight, x + u_tap * spread, y + v_tap * spread)
+    row[at] = hl.Tuple([row[at][k] + taken[k] for k in range(key.channels)])
     sums = hl.Func("sums")
     sums[x, y] = hl.Tuple(zeros)
     sums[x, y] = hl.Tuple([sums[x, y][k] + row[x, y, outer.x][k] for k in range(key.channels)])
@@ -395,6 +415,8 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         last=key.last,
         sums=sums,
         row=row,
+        weights=weights,
+        vertical=key.taps is Taps.VERTICAL,
         channels=key.channels,
         image=image,
         guides=side.guides,

@@ -17,7 +17,7 @@ from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
 from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
-from lobewise.kernels.forms import FORMS, list_passes
+from lobewise.kernels.forms import FORMS, Taps, list_passes
 from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
 from lobewise.kernels.schedules import schedule_pass
 
@@ -142,6 +142,7 @@ def run_filter(
             strict=strictness is not None,
             # Several images from one kernel would be computed several times elsewhere.
             apart=last and device == "cpu",
+            paired=device == "cpu" and strictness is None and taps is Taps.HORIZONTAL and reach > 0,
         )
 
         def make(target: hl.Target, key: PassKey = key) -> Compilable:

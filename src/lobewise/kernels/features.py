@@ -73,6 +73,8 @@ class Feature(ABC):
     ) -> hl.Expr:
         """Return the base-2 logarithm of the similarity, in (-inf, 0], to the power beta.
 
+        Symmetric in i and j, with the offset negated: rows of taps ask once for both.
+
         Parameters
         ----------
         i, j : sequence of halide.Expr

@@ -61,7 +61,9 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     What it rests on: every stage of the log-similarity has a loop of its own over a row of taps, whose results stay in
     the first-level cache, so that neither loop runs out of vector registers; planes of a strip lie row by row beside
     each other, padded to whole vectors, because planes a power of two apart would share cache sets; strips of 32 rows
-    are independent, so memory is bounded and threads change nothing.
+    are independent, so memory is bounded and threads change nothing; a column of taps goes down vector by vector, whose
+    rows stay in the first-level cache; what a tile sums has a size known beforehand and lies on the stack, because
+    asking for memory in a loop costs as much as a dozen taps.
     """
     x, y, c = funcs.x, funcs.y, funcs.c
     lanes = target.natural_vector_size(hl.Float(32))
@@ -82,13 +84,17 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     if funcs.rest is not None:
         assert funcs.finish is not None
         funcs.rest.compute_with(out, xv)
-        funcs.finish.compute_at(out, xv).vectorize(x, lanes)
-    sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes)
-    sums.update().split(x, xv, xw, lanes).reorder(xw, xv, y, funcs.outer.x).vectorize(xw)
-    row.compute_at(sums, xv).vectorize(x, lanes)
+        funcs.finish.compute_at(out, xv).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
+    sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
+    across, within = ([xw, y, xv], y) if funcs.vertical else ([xw, xv, y], xv)
+    sums.update().split(x, xv, xw, lanes).reorder(*across, funcs.outer.x).vectorize(xw)
+    row.compute_at(sums, within).vectorize(x, lanes)
     row.update().reorder(x, funcs.inner.x).vectorize(x, lanes)
+    if funcs.weights is not None:
+        u = funcs.weights.args()[2]
+        weights = funcs.weights.compute_at(sums, y).split(x, xv, xw, lanes).reorder(xw, u, xv, y).vectorize(xw)
     for stage in funcs.stages:
-        stage.compute_at(sums, xv).vectorize(x, lanes)
+        (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
 
     for func, channels in ((funcs.image, funcs.channels), (funcs.planes, funcs.plane_count)):
         if func is not None:
@@ -126,7 +132,7 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
     out.reorder(c, xi, yi, xo, yo, ys).unroll(c).vectorize(xi, lanes).parallel(ys).never_partition_all()
     sums, row = funcs.sums, funcs.row
-    sums.compute_at(out, xo).vectorize(x, lanes)
+    sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
     sums.update().split(x, xv, xw, lanes).reorder(xw, xv, y, funcs.down.x).vectorize(xw)
     row.compute_at(sums, xv).vectorize(x, lanes)
     row.update().reorder(x, funcs.across.x).vectorize(x, lanes)
