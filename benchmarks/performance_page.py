@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from interactive_page import make_table
@@ -27,7 +27,7 @@ def make_performance_page(
     peaks = roofline["peaks"]
     return f"""# Performance
 
-Written by `benchmarks/publish.py`; no figure is typed by hand. {machine["processor"]}, {machine["cores"]} cores, AVX-512. How fast your machine is: `lobewise bench`
+Written by `benchmarks/publish.py`; no figure is typed by hand. {machine["processor"]}, {machine["cores"]} cores, vectors of {roofline["lanes"]} floats. How fast your machine is: `lobewise bench`
 ([bench.md](bench.md)). What the qualities cost beside Open Image Denoise: [quality_results.md](quality_results.md).
 
 ## Devices
@@ -85,9 +85,7 @@ Separable, radius 8, {scaling["threads"]} threads; nanoseconds per pixel. `pytho
 
 ## What was tried
 
-{trials["what"][0].upper()}{trials["what"][1:]}. {trials["machine"]}.
-
-{make_trial_rows(trials)}
+{make_trials(trials["groups"])}
 
 What one tap costs is set by the number of vector operations: `normal` has fewest of them. Whatever makes the part faster that all have in common therefore raises the ratios above.
 """
@@ -181,12 +179,22 @@ def make_scaling_goals(scaling: Mapping[str, Any]) -> str:
     )
 
 
-def make_trial_rows(trials: Mapping[str, Any]) -> str:
-    """Return the table of trials."""
-    rows = []
-    for row in trials["rows"]:
-        full = [f"{value:.3f}" for value in row["full"]] if row["full"] else ["", "", ""]
-        rows.append([row["name"], *full, *(f"{value:.1f}" for value in row["separable"]), row["verdict"]])
+def make_trials(groups: Sequence[Mapping[str, Any]]) -> str:
+    """Return what was tried, group by group, each measured in its own way."""
     names = ("normal", "sg", "ggx")
-    header = ["what", *(f"full, `{name}`" for name in names), *(f"separable, `{name}`" for name in names), ""]
-    return make_table(header, rows)
+    parts = []
+    for group in groups:
+        forms = [form for form in ("full", "separable") if any(row.get(form) for row in group["rows"])]
+        header = ["what", *(f"{form}, `{name}`" for form in forms for name in names), "verdict"]
+        rows = [
+            [
+                row["name"],
+                *(cell for form in forms for cell in map(str, row.get(form) or ("", "", ""))),
+                row["verdict"],
+            ]
+            for row in group["rows"]
+        ]
+        parts.append(
+            f"{group['what'][0].upper()}{group['what'][1:]}. {group['machine']}.\n\n{make_table(header, rows)}"
+        )
+    return "\n\n".join(parts)

@@ -16,14 +16,19 @@ def lack(reason: str) -> None:
     pytest.skip(reason)
 
 
+def find_program(name: str, package: str) -> str:
+    """Return where a program is, or skip or fail and name the Debian package that has it."""
+    found = shutil.which(name)
+    if found is None:
+        lack(f"no {name}; install {package}")
+    assert found is not None
+    return found
+
+
 @pytest.fixture(scope="session")
 def compiler() -> str:
     """Return the system's C compiler."""
-    found = shutil.which("cc")
-    if found is None:
-        lack("no C compiler cc; install gcc")
-    assert found is not None
-    return found
+    return find_program("cc", "gcc")
 
 
 @pytest.fixture(scope="session")
@@ -44,8 +49,4 @@ def graphics() -> Any:
 @pytest.fixture(scope="session")
 def glslang() -> str:
     """Return the reference compiler of GLSL and HLSL."""
-    found = shutil.which("glslangValidator")
-    if found is None:
-        lack("no glslangValidator; install glslang-tools")
-    assert found is not None
-    return found
+    return find_program("glslangValidator", "glslang-tools")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import FilterOutput, run_filter
+from lobewise.kernels.engine import FilterOutput, _list_bands, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
 from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.reference import filter_reference
@@ -159,6 +161,22 @@ def test_demodulation(form: str) -> None:
     lit = albedo > 1e-3
     np.testing.assert_allclose(out.image[lit], (2.5 * albedo)[lit], rtol=1e-5)
     assert (out.image[albedo == 0.0] == 0.0).all()
+
+
+@pytest.mark.processor
+def test_bands_of_the_separable_form_join(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    shape = (1100, 5)
+    bands = _list_bands("separable", shape[0], "cpu")
+    assert [first for first, _ in bands] == [0, 512, 1024]
+    assert [last for _, last in bands] == [512, 1024, 1100]
+    mask = np.random.default_rng(1).random(shape) > 0.1
+    features, radiance = [make_feature("sg", shape)], make_radiance(shape)
+    albedo = np.random.default_rng(2).uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
+    out = run_filter(radiance, mask, features, form="separable", radius=RADIUS, albedo=albedo)
+    image, total, *_ = filter_reference(radiance, mask, features, form="separable", radius=RADIUS, albedo=albedo)
+    np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance("sg", "separable"))
+    np.testing.assert_allclose(out.image, image, rtol=2.0 * get_tolerance("sg", "separable"))
 
 
 def make_strictness(shape: tuple[int, int], low: float, high: float) -> FloatArray:

@@ -70,13 +70,14 @@ _HOST_DIRTY, _DEVICE_DIRTY = 1, 2
 class Buffer:
     """NumPy memory as kernels take it, axes in the opposite order, and what a device has of it.
 
-    It holds the array; who takes memory of a device gives it back.
+    It holds the array; who takes memory of a device gives it back. ``first`` is what kernels call its first row.
     """
 
-    def __init__(self, array: Image) -> None:
+    def __init__(self, array: Image, first: int = 0) -> None:
         self.array = array
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
+        self._dimensions[-1].min = first
         code, bits = _TYPE_CODES[array.dtype.kind], 8 * array.itemsize
         self._raw = _make_raw(array.ctypes.data, code, bits, self._dimensions)
         self.address = ctypes.addressof(self._raw)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import halide as hl
@@ -14,7 +16,16 @@ from numpy.typing import NDArray
 
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray
-from lobewise.kernels.buffers import comes_down, lend, make_output, take_arrays, take_image, take_mask, take_parameters
+from lobewise.kernels.buffers import (
+    Buffer,
+    comes_down,
+    lend,
+    make_output,
+    take_arrays,
+    take_image,
+    take_mask,
+    take_parameters,
+)
 from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
 from lobewise.kernels.forms import FORMS, Taps, list_passes
@@ -24,6 +35,9 @@ from lobewise.kernels.schedules import schedule_pass
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29
 """Bytes of an image between two passes that are kept for the next call."""
+STRIPS = 32
+"""Rows that a thread of the processor takes at a time."""
+LEAST_STRIPS = 16
 
 
 @dataclass(frozen=True)
@@ -115,51 +129,78 @@ def run_filter(
     -------
     FilterOutput
     """
-    structure = tuple(describe_structure(feature) for feature in features)
     require_choice("form", form, FORMS)
     passes = list_passes(form, radius)
+    keys = [
+        PassKey(
+            taps,
+            reach,
+            tuple(describe_structure(feature) for feature in features),
+            first=number == 0,
+            last=number == len(passes) - 1,
+            demodulate=albedo is not None and number == 0,
+            modulate=albedo is not None and number == len(passes) - 1 and modulate,
+            moment=moment,
+            strict=strictness is not None,
+            # Several images from one kernel would be computed several times elsewhere.
+            apart=number == len(passes) - 1 and device == "cpu",
+            paired=device == "cpu" and strictness is None and taps is Taps.HORIZONTAL and reach > 0,
+        )
+        for number, (taps, reach, _) in enumerate(passes)
+    ]
     height, width = mask.shape
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
     held: list[NDArray[Any]] = [take_mask(mask), *take_arrays(features, (height, width))]
     parameters = take_parameters(features)
-    fixed = [lend(array, device) for array in held]
     tint = take_image("albedo", albedo, (height, width, 3)) if albedo is not None else None
-    tints = [lend(tint, device)] if tint is not None else []
     power = take_image("strictness", strictness, (height, width)) if strictness is not None else None
-    powers = [lend(power, device)] if power is not None else []
-    source = take_image("radiance", radiance, (height, width, 3))
-    for number, (taps, reach, step) in enumerate(passes):
-        first, last = number == 0, number == len(passes) - 1
-        key = PassKey(
-            taps,
-            reach,
-            structure,
-            first,
-            last,
-            demodulate=albedo is not None and first,
-            modulate=albedo is not None and last and modulate,
-            moment=moment,
-            strict=strictness is not None,
-            # Several images from one kernel would be computed several times elsewhere.
-            apart=last and device == "cpu",
-            paired=device == "cpu" and strictness is None and taps is Taps.HORIZONTAL and reach > 0,
-        )
+    image = take_image("radiance", radiance, (height, width, 3))
+    shapes: list[tuple[int, ...]] = [(height, width, keys[-1].channels)]
+    if keys[-1].apart:
+        shapes = [(height, width, COLORS), *[(height, width)] * (keys[-1].channels - COLORS)]
+    results = [make_output(shape, device) for shape in shapes]
+    for first, last in _list_bands(form, height, device):
+        begin, end = max(first - radius, 0), min(last + radius, height)
 
-        def make(target: hl.Target, key: PassKey = key) -> Compilable:
-            funcs = make_pass(key, features)
-            schedule_pass(funcs, target)
-            return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)
+        def crop(whole: FloatArray, begin: int = begin, end: int = end) -> FloatArray:
+            return whole if end - begin == height else whole[begin:end]
 
-        kernel = get_kernel(device, key, make)
-        shapes: list[tuple[int, ...]] = [(height, key.channels, width)]
-        if last:
-            planes = [(height, width)] * (key.channels - COLORS)
-            shapes = [(height, width, COLORS), *planes] if key.apart else [(height, width, key.channels)]
-        memory = None if last or device != "cpu" else _scratch.lend(number % 2, shapes[0])
-        outputs = [make_output(shape, device, memory) for shape in shapes]
-        tinted = tints if key.demodulate or key.modulate else []
-        written = (buffer for buffer, _ in outputs)
-        kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, *written)
-        source = outputs[0][1]
-    images = [image for _, image in outputs]
+        fixed = [lend(crop(array), device) for array in held]
+        tints = [lend(crop(tint), device)] if tint is not None else []
+        powers = [lend(crop(power), device)] if power is not None else []
+        source = crop(image)
+        for number, (key, (_, _, step)) in enumerate(zip(keys, passes, strict=True)):
+            kernel = get_kernel(device, key, partial(_make_scheduled, key, features))
+            if not key.last:
+                shape = (end - begin, key.channels, width)
+                memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
+                outputs = [make_output(shape, device, memory)]
+            elif last - first == height:
+                outputs = results
+            else:
+                outputs = [(Buffer(whole[first:last], first - begin), whole) for _, whole in results]
+            tinted = tints if key.demodulate or key.modulate else []
+            written = (buffer for buffer, _ in outputs)
+            kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, *written)
+            source = outputs[0][1]
+    images = [each for _, each in results]
     return FilterOutput(*images) if len(images) > 1 else _split_output(images[0])
+
+
+def _list_bands(form: str, height: int, device: str) -> list[tuple[int, int]]:
+    """Return the rows that are filtered one after the other, from and to.
+
+    The separable form goes band by band, so that what its first pass writes takes little memory, and the same for all
+    bands; each gives every thread some strips.
+    """
+    if form != "separable" or device != "cpu":
+        return [(0, height)]
+    rows = STRIPS * max(LEAST_STRIPS, 2 * (os.cpu_count() or 1))
+    return [(first, min(first + rows, height)) for first in range(0, height, rows)]
+
+
+def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Compilable:
+    """Return a pass, ready to be compiled."""
+    funcs = make_pass(key, features)
+    schedule_pass(funcs, target)
+    return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)
