@@ -16,7 +16,7 @@ from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulat
 from lobewise.kernels.loading import get_kernel
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS
 from lobewise.kernels.pointwise import LARGEST_FLOAT
-from lobewise.kernels.schedules_gpu import ALIGNMENT, COLUMNS, keep_planes, spread_channels, spread_pixels
+from lobewise.kernels.schedules_gpu import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
 
 BLUR_RADIUS = 3
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
@@ -110,10 +110,10 @@ class _Sums:
         self.arguments: list[Any] = [*halves, *([albedo] if tinted else []), mask]
         out.bound(lane, 0, lanes)
         if target.has_gpu_feature():
+            # A processor of narrow vectors has fewer lanes than a tile has columns: what is beyond is not written.
+            names = [hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")]
             for stage in (out, out.update()):
-                stage.gpu_tile(
-                    lane, y, *(hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")), COLUMNS, 8
-                )
+                stage.gpu_tile(lane, y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)
             return
         out.vectorize(lane).parallel(y)
         out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
