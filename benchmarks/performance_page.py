@@ -28,7 +28,8 @@ def make_performance_page(
     return f"""# Performance
 
 Written by `benchmarks/publish.py`; no figure is typed by hand. {machine["processor"]}, {machine["cores"]} cores, vectors of {roofline["lanes"]} floats. How fast your machine is: `lobewise bench`
-([bench.md](bench.md)). What the qualities cost beside Open Image Denoise: [quality_results.md](quality_results.md).
+([bench.md](bench.md)). What the qualities cost beside Open Image Denoise: [quality_results.md](quality_results.md). Measured with the sources of
+commits {filters["machine"]["commit"]} (ratios, Open Image Denoise), {roofline["machine"]["commit"]} (roofline) and {scaling["machine"]["commit"]} (sizes and threads); what changed since stands in the last tables.
 
 ## Devices
 

@@ -67,9 +67,14 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
     return np.broadcast_to(np.where(np.arange(shape[1]) < shape[1] // 2, 1.3, 0.55)[None, :, None], (*shape, 3))
 
 
-@pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
 @pytest.mark.parametrize(
-    "form", ["full", *(pytest.param(form, marks=pytest.mark.slow) for form in ("separable", "atrous"))]
+    ("form", "apart"),
+    [
+        pytest.param("full", True, id="full-apart"),
+        pytest.param("full", False, id="full-combined"),
+        pytest.param("separable", True, id="separable-apart", marks=pytest.mark.slow),
+        pytest.param("atrous", True, id="atrous-apart", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("similarity", ["sg", "sg_mixture", "asg", "ggx"])
 def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart: bool) -> None:
