@@ -14,7 +14,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
 from lobewise.exporting.arguments import MEANINGS
-from lobewise.exporting.example import LARGEST_DIFFERENCE, LARGEST_STEP_DIFFERENCE
+from lobewise.exporting.example import LARGEST_DIFFERENCE, choose_bound
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.native import export_library
 from lobewise.exporting.sample import make_sample
@@ -323,10 +323,11 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
 )
 def test_every_similarity_agrees_with_python(plan: FilterPlan, tmp_path: Path, compiler: str) -> None:
     folder = tmp_path / "export"
-    build(folder, export_library(folder, plan, target="x86-64-linux-avx2-fma" if _has_avx2() else "host"), compiler)
+    target = "x86-64-linux-avx2-fma" if _has_avx2() else "host"
+    build(folder, export_library(folder, plan, target=target), compiler)
     code, difference = run_example(folder)
     assert code == 0
-    assert difference <= (LARGEST_STEP_DIFFERENCE if plan.similarity in ("asg", "sg_mixture") else LARGEST_DIFFERENCE)
+    assert difference <= choose_bound(plan, parse_target(target).to_string())
 
 
 def _has_avx2() -> bool:
