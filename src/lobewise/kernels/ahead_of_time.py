@@ -22,7 +22,7 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
 from lobewise.kernels.cross_filter import PassInputs, PassKey, begin_at_zero, describe_structure, make_pass
 from lobewise.kernels.features import LOG2_E, Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.forms import FORMS, Taps, list_passes
+from lobewise.kernels.forms import FORMS, can_pair, list_passes
 from lobewise.kernels.lobe_features import GGX_UNIT, AsgFeature, DiffuseFeature, GgxFeature, SgFeature
 from lobewise.kernels.lobe_fields import _define_lobes
 from lobewise.kernels.mixture_features import SgMixtureFeature
@@ -313,7 +313,7 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
             last,
             demodulate=plan.albedo and first,
             modulate=plan.albedo and last,
-            paired=not target.has_gpu_feature() and taps is Taps.HORIZONTAL and reach > 0,
+            paired=not target.has_gpu_feature() and can_pair(taps, reach),
         )
         funcs = make_pass(key, features, given)
         if not last:

@@ -52,7 +52,7 @@ class PassKey:
     apart: bool = False
     """Writes what supports the radiance of a last pass into images of their own."""
     paired: bool = False
-    """Weighs two pixels of a row once, for both: only for ``Taps.HORIZONTAL`` of a radius above 0, not ``strict``."""
+    """Weighs two pixels of a row once, for both: only where `can_pair` says so, not ``strict``."""
 
     @property
     def channels(self) -> int:

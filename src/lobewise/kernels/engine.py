@@ -28,16 +28,15 @@ from lobewise.kernels.buffers import (
 )
 from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
-from lobewise.kernels.forms import FORMS, Taps, list_passes
+from lobewise.kernels.forms import FORMS, can_pair, list_passes
 from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
-from lobewise.kernels.schedules import schedule_pass
+from lobewise.kernels.schedules import STRIP_ROWS, schedule_pass
 
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29
 """Bytes of an image between two passes that are kept for the next call."""
-STRIPS = 32
-"""Rows that a thread of the processor takes at a time."""
 LEAST_STRIPS = 16
+"""Strips of rows of a band of the separable form, at least."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,7 @@ def run_filter(
             strict=strictness is not None,
             # Several images from one kernel would be computed several times elsewhere.
             apart=number == len(passes) - 1 and device == "cpu",
-            paired=device == "cpu" and strictness is None and taps is Taps.HORIZONTAL and reach > 0,
+            paired=device == "cpu" and strictness is None and can_pair(taps, reach),
         )
         for number, (taps, reach, _) in enumerate(passes)
     ]
@@ -195,7 +194,7 @@ def _list_bands(form: str, height: int, device: str) -> list[tuple[int, int]]:
     """
     if form != "separable" or device != "cpu":
         return [(0, height)]
-    rows = STRIPS * max(LEAST_STRIPS, 2 * (os.cpu_count() or 1))
+    rows = STRIP_ROWS * max(LEAST_STRIPS, 2 * (os.cpu_count() or 1))
     return [(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 

@@ -26,6 +26,11 @@ class Taps(Enum):
     """5x5, ``step`` pixels apart, with B-spline weights."""
 
 
+def can_pair(taps: Taps, radius: int) -> bool:
+    """Return whether a processor's pass weighs the two pixels of a pair once: only rows gain (docs/performance.md)."""
+    return taps is Taps.HORIZONTAL and radius > 0
+
+
 def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
     """Return taps, radius and step of every pass of a form of `FORMS`."""
     if form == "full":

@@ -18,6 +18,9 @@ from lobewise.kernels.schedules_gpu import (
     schedule_reprojection_gpu,
 )
 
+STRIP_ROWS = 32
+"""Rows of an image that a thread of the processor takes at a time."""
+
 
 def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
     """Schedule a pass of the cross filter for a target."""
@@ -54,13 +57,11 @@ def schedule_reprojection(funcs: ReprojectionFuncs, target: hl.Target) -> None:
 def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     """Rows in parallel, columns in vectors, the log-similarity of one row of taps at a time in cache.
 
-    Measured (benchmarks/results/filters.json: EPYC with AVX-512, 2 threads), full form, radius 8, 512x512: ``normal``
-    31.3 ms, ``sg`` 38.8 ms, ``ggx`` 67.9 ms, that is 0.41, 0.51 and 0.90 ns per tap and pixel; separable, radius 8,
-    1920x1080: 94 ms for ``sg``.
+    What it takes, and what was tried: docs/performance.md.
 
     What it rests on: every stage of the log-similarity has a loop of its own over a row of taps, whose results stay in
     the first-level cache, so that neither loop runs out of vector registers; planes of a strip lie row by row beside
-    each other, padded to whole vectors, because planes a power of two apart would share cache sets; strips of 32 rows
+    each other, padded to whole vectors, because planes a power of two apart would share cache sets; strips of rows
     are independent, so memory is bounded and threads change nothing; a column of taps goes down vector by vector, whose
     rows stay in the first-level cache; what a tile sums has a size known beforehand and lies on the stack, because
     asking for memory in a loop costs as much as a dozen taps.
@@ -69,12 +70,12 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     lanes = target.natural_vector_size(hl.Float(32))
     out, row, tail = funcs.out, funcs.row, hl.TailStrategy.GuardWithIf
     xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
-    rows, strip, columns = 8, 32, 8 * lanes
+    rows, columns = 8, 8 * lanes
     written = funcs.channels if funcs.rest is None else COLORS
     out.bound(c, 0, written).reorder(c, x, y).unroll(c)
     for func in (out, funcs.rest):
         if func is not None:
-            func.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
+            func.split(y, ys, yt, STRIP_ROWS, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
             func.split(xi, xv, xw, lanes, tail).reorder(xw, xv, yi, xo, yo, ys)
             func.vectorize(xw).parallel(ys).never_partition([xw, yi, xo, yo, ys])
     out.reorder(c, xw)
