@@ -122,6 +122,7 @@ def test_more_rounds_follow_until_the_time_is_up(monkeypatch: pytest.MonkeyPatch
     assert now == 11.0
 
 
+@pytest.mark.slow
 def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(filters, "list_threads", lambda: [1, 2])
     seen: list[tuple[int, int]] = []

@@ -227,6 +227,7 @@ class TestDenoise:
         told = describe_result(replace(result, energy_lost=0.01234, bad_pixels=ones > 0.0))
         assert told.endswith("0.50 s; 6 bad pixels refilled; fireflies bounded, 1.2 % of the light lost")
 
+    @pytest.mark.slow
     def test_materials_replace_those_of_the_file(self, frame_file, full_frame, tmp_path):
         from lobewise import denoise
 
@@ -286,6 +287,7 @@ class TestUpsample:
 
 
 @pytest.mark.mitsuba
+@pytest.mark.slow
 def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
     sparse, out = tmp_path / "sparse.exr", tmp_path / "out.exr"
     size = ["--width", "24", "--height", "20"]

@@ -25,7 +25,7 @@ from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
 SHAPE = (40, 50)
-BOTH = pytest.mark.parametrize("quality", ["fast", "balanced"])
+BOTH = pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
 """Of what `denoise` promises however the noise enters; tests of how guides alone weigh say "fast"."""
 
 
@@ -128,6 +128,7 @@ def test_hit_distance_needs_the_channel(quality: str) -> None:
         denoise(make_frame(), hit_distance=True, quality=quality)
 
 
+@pytest.mark.slow
 def test_default_is_what_auto_says() -> None:
     frame = make_frame()
     result = lobewise.denoise(frame)

@@ -40,6 +40,7 @@ def test_edge_of_gloss_stays_where_the_guides_have_it(similarity: str, scale: in
     assert lobes < 0.05 * screen
 
 
+@pytest.mark.slow
 def test_every_pixel_shaded_is_filtering() -> None:
     from lobewise.denoising import denoise
 

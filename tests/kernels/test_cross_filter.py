@@ -20,14 +20,21 @@ from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, m
 # and the diffuse overlap is a fit to 1.3e-3, which matters where it is small.
 RELATIVE = {"ggx": 0.02, "diffuse": 0.02}
 DEFAULT_RELATIVE = 1e-3
-# Kinds whose code is mostly that of another one run among the slow tests, and without the three kernels of "atrous".
+# Kinds whose code is mostly that of another one run among the slow tests. A form is the same code for every kind, so
+# "atrous", which has three kernels, runs with the shortest of them, a common one and the longest.
+ATROUS_KINDS = ("screen", "ggx", "mixture")
+QUICK_KINDS = ("sg", "ggx")
 LIKE_ANOTHER = [kind for kind in KINDS if kind in ("depth", "plane", "coaxial") or kind.endswith("_hits")]
 EVERY_KIND = [pytest.param(kind, marks=pytest.mark.slow) if kind in LIKE_ANOTHER else kind for kind in KINDS]
 EVERY_CASE = [
-    pytest.param(kind, form, marks=[pytest.mark.slow] if kind in LIKE_ANOTHER else [])
+    pytest.param(
+        kind,
+        form,
+        marks=[pytest.mark.slow] if kind in LIKE_ANOTHER or (form != "full" and kind not in QUICK_KINDS) else [],
+    )
     for kind in KINDS
     for form in FORMS
-    if form != "atrous" or kind not in LIKE_ANOTHER
+    if form != "atrous" or kind in ATROUS_KINDS
 ]
 # One radius for all: each other one would compile every kernel again.
 RADIUS = 3

@@ -171,6 +171,7 @@ class TestMovingObjects:
 
     @pytest.mark.parametrize("name", ["showroom", "parlour"])
     @pytest.mark.parametrize("degrees", [0.0, -1.5])
+    @pytest.mark.slow
     def test_motion_leads_to_where_the_point_was(self, mi: Any, name: str, degrees: float) -> None:
         from lobewise.render import (
             MovingScene,

@@ -392,6 +392,7 @@ def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Gen
     np.testing.assert_allclose(np.array(tangent), np.clip(wide, SHARPEST_TAN, DIFFUSE_TAN), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_smooth_cones_see_a_lobe_without_noise(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
     """What is left to chance is where in a step a cone looks, not where it goes."""
     metal = {"type": "roughconductor", "alpha": 0.2, "material": "Al"}

@@ -101,6 +101,7 @@ class TestStill:
         assert error.max() < 1e-3
 
     @pytest.mark.parametrize("scale", [1, 4])
+    @pytest.mark.slow
     def test_noise_falls_as_frames_are_added(self, scale):
         errors = [rel_mse(result.image, find_truth()) for result in run(make_still(16, scale))]
         assert errors[15] < 0.4 * errors[0]

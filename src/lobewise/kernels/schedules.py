@@ -84,6 +84,10 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
         out.output_buffer().dim(1).set_stride(written)
     if funcs.rest is not None:
         assert funcs.finish is not None
+        # They are as large as each other; where the compiler does not know that, it writes every loop three times.
+        whole, beside = out.output_buffer(), funcs.rest.output_buffers()[0]
+        for axis in (0, 1):
+            beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
         funcs.rest.compute_with(out, xv)
         funcs.finish.compute_at(out, xv).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
     sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
