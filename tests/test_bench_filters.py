@@ -175,6 +175,7 @@ def test_what_is_timed_is_what_its_name_says() -> None:
     assert [count_taps(form, 8) for form in ("full", "separable", "atrous")] == [289, 34, 125]
 
 
+@pytest.mark.slow
 def test_lobes_with_own_axes_weigh_as_those_with_one() -> None:
     frame = make_frame(40, 24)
     mask = np.ones(frame.shape, dtype=bool)

@@ -71,7 +71,7 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
     ("form", "apart"),
     [
         pytest.param("full", True, id="full-apart"),
-        pytest.param("full", False, id="full-combined"),
+        pytest.param("full", False, id="full-combined", marks=pytest.mark.slow),
         pytest.param("separable", True, id="separable-apart", marks=pytest.mark.slow),
         pytest.param("atrous", True, id="atrous-apart", marks=pytest.mark.slow),
     ],
@@ -228,7 +228,13 @@ def test_coloured_metal_without_one_channel_stays_finite(quality: str) -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (17, 3)], ids=str)
 @pytest.mark.parametrize(
-    ("form", "quality"), [("full", "fast"), ("separable", "fast"), ("atrous", "fast"), ("full", "balanced")]
+    ("form", "quality"),
+    [
+        ("full", "fast"),
+        ("separable", "fast"),
+        pytest.param("atrous", "fast", marks=pytest.mark.slow),
+        pytest.param("full", "balanced", marks=pytest.mark.slow),
+    ],
 )
 def test_odd_sizes(shape: tuple[int, int], form: str, quality: str) -> None:
     result = denoise(make_frame(shape), form=form, quality=quality)

@@ -63,6 +63,7 @@ def make_flat(value: float = 1.0) -> Frame:
     return make_frame(alpha_u=alpha, alpha_v=alpha).with_changes(radiance=radiance, half_a=radiance, half_b=radiance)
 
 
+@pytest.mark.slow
 class TestNoise:
     @pytest.mark.parametrize("halves", [True, False], ids=["file", "neighbours"])
     def test_an_edge_of_light_that_no_guide_knows_stays(self, halves):
@@ -194,6 +195,7 @@ class TestFireflies:
         assert alone.energy_lost == pytest.approx((1000.0 - 2.0) / (pixels + 999.0), rel=1e-5)
 
 
+@pytest.mark.slow
 class TestCoverage:
     EDGE = SHAPE[1] // 2 - 1
     """The last column of the left side, of which half shows the right side."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
+from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
 from lobewise.kernels.features import (
     BandLimitFeature,
     Feature,
@@ -14,7 +15,7 @@ from lobewise.kernels.features import (
     PositionFeature,
     ScreenFeature,
 )
-from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, HitDistanceFeature, SgFeature
+from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature, SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.hits import HitField
 

@@ -23,19 +23,16 @@ DEFAULT_RELATIVE = 1e-3
 # Kinds whose code is mostly that of another one run among the slow tests. A form is the same code for every kind, so
 # "atrous", which has three kernels, runs with the shortest of them, a common one and the longest.
 ATROUS_KINDS = ("screen", "ggx", "mixture")
-QUICK_KINDS = ("sg", "ggx")
+SLOW_CASES = {(kind, form) for kind in KINDS for form in FORMS[1:]} - {("sg", "separable"), ("ggx", "atrous")}
 LIKE_ANOTHER = [kind for kind in KINDS if kind in ("depth", "plane", "coaxial") or kind.endswith("_hits")]
 EVERY_KIND = [pytest.param(kind, marks=pytest.mark.slow) if kind in LIKE_ANOTHER else kind for kind in KINDS]
 EVERY_CASE = [
-    pytest.param(
-        kind,
-        form,
-        marks=[pytest.mark.slow] if kind in LIKE_ANOTHER or (form != "full" and kind not in QUICK_KINDS) else [],
-    )
+    pytest.param(kind, form, marks=[pytest.mark.slow] if kind in LIKE_ANOTHER or (kind, form) in SLOW_CASES else [])
     for kind in KINDS
     for form in FORMS
     if form != "atrous" or kind in ATROUS_KINDS
 ]
+EVERY_FORM = ["full", "separable", pytest.param("atrous", marks=pytest.mark.slow)]
 # One radius for all: each other one would compile every kernel again.
 RADIUS = 3
 
@@ -133,7 +130,7 @@ def test_features_multiply() -> None:
     np.testing.assert_allclose(out.image, image, rtol=2e-3)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
     shape = (16, 21)
     radiance = make_radiance(shape).copy()
@@ -147,7 +144,7 @@ def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
     np.testing.assert_allclose(out.image, image, rtol=5e-3)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     shape = (16, 21)
     mask = np.random.default_rng(1).random(shape) > 0.4
@@ -167,7 +164,7 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     np.testing.assert_allclose(out.image, image, rtol=2.0 * get_tolerance("ggx", form))
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_demodulation(form: str) -> None:
     shape = (19, 18)
     rng = np.random.default_rng(2)
@@ -213,7 +210,7 @@ def run_strictly(
     return run_filter(radiance, usable, features, form=form, radius=RADIUS, moment=True, strictness=strictness)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 @pytest.mark.parametrize("shape", [(1, 7), (37, 29)], ids=str)
 def test_strictness_and_moment_agree_with_oracle(form: str, shape: tuple[int, int]) -> None:
     radiance = make_radiance(shape).copy()
@@ -229,7 +226,7 @@ def test_strictness_and_moment_agree_with_oracle(form: str, shape: tuple[int, in
         np.testing.assert_allclose(getattr(out, name), expected, rtol=tolerance, err_msg=name)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_constant_stays_constant_however_strict(form: str) -> None:
     shape = (33, 20)
     radiance = np.broadcast_to(np.array([0.37, 0.21, 1.4], np.float32), (*shape, 3))
@@ -238,7 +235,7 @@ def test_constant_stays_constant_however_strict(form: str) -> None:
     np.testing.assert_allclose(out.moment, float(np.dot(LUMINANCE, radiance[0, 0])) ** 2, rtol=3e-6)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_strictness_1_changes_nothing(form: str) -> None:
     shape = (33, 20)
     radiance = make_radiance(shape)
@@ -249,7 +246,7 @@ def test_strictness_1_changes_nothing(form: str) -> None:
         np.testing.assert_allclose(getattr(strict, name), getattr(plain, name), rtol=2e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_large_strictness_leaves_the_own_sample(form: str) -> None:
     shape = (33, 20)
     radiance = make_radiance(shape)

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from lobewise.kernels.lobe_features import GGX_UNIT, LAMBERT_COEFFICIENTS, TAIL_SQUARINGS
+from lobewise.kernels.covariance_features import GGX_UNIT, TAIL_SQUARINGS
+from lobewise.kernels.lobe_features import LAMBERT_COEFFICIENTS
 
 
 def correlate_ggx(offset: float) -> float:

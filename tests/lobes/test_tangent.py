@@ -274,7 +274,7 @@ def test_laws(function, seed, beta):
 
 @pytest.mark.parametrize("angle", [0.01, 0.3, 1.0, 2.0])
 def test_invariants_of_two_round_lobes(angle):
-    # with half its trace along the axis the turned covariance of a round lobe is v I: Q = 2 v |d|^2 and P = 4 v^2
+    # with v along the axis as well the turned covariance of a round lobe is v I: Q = 2 v |d|^2 and P = 4 v^2
     variance = 0.05
     axes = [np.array([np.sin(0.5 * a), 0.0, np.cos(0.5 * a)]) for a in (angle, -angle)]
     lobes = [TangentLobe(z, variance * (np.eye(3) - np.outer(z, z))[UPPER], np.asarray(variance**2)) for z in axes]

@@ -22,7 +22,7 @@ from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFil
 from lobewise.viewer.server import find_port
 from tests.viewer.slow_worker import SECONDS, run_slow_worker
 
-PATIENCE = 20.0
+PATIENCE = 120.0
 
 
 def wait_until(condition: Callable[[], object], patience: float = PATIENCE) -> None:

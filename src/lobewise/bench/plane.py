@@ -6,8 +6,9 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
+from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
 from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.lobe_features import AsgFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_features import SgFeature
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.field import build_lobe_field, default_tau
 from lobewise.lobes.mixture_field import build_mixture_field

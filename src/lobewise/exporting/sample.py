@@ -14,10 +14,11 @@ from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.io import read_frame
 from lobewise.kernels.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
+from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
 from lobewise.kernels.engine import run_filter
 from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.guides import find_places
-from lobewise.kernels.lobe_features import AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_features import DiffuseFeature, SgFeature
 from lobewise.kernels.lobe_fields import make_lobe_field
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.kernels.pointwise import run_pointwise

@@ -268,27 +268,59 @@ LobewiseCovariance lobewise_make_anisotropic_asg(vec3 normal, vec3 tangent, vec3
 }
 
 // What two covariances have in common. With R = tr(S) P - S, the covariance turned by a quarter about its axis, and d
-// the difference of the axes, x is Q = d^T (R_i + R_j) d and y is P = det_i + det_j + share t_i t_j - R_i:R_j, t the
-// traces of R: determinant and second invariant of the sum of the inverses, but for det_i det_j. No frame, no inverse.
-// R has the part along of its trace along the axis.
-vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j, float along) {
+// the difference of the axes, x is Q = d^T (R_i + R_j) d and y is P = det_i + det_j + t_i t_j - R_i:R_j, t the traces:
+// determinant and second invariant of the sum of the inverses, but for det_i det_j. No frame, no inverse.
+vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j) {
     let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
     let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
-    let float part_i = (1.0 - along) * trace_i;
-    let float part_j = (1.0 - along) * trace_j;
     let vec3 z = i.axis;
     let vec3 w = j.axis;
-    let vec3 diagonal_i = trace_i - part_i * z * z - i.diagonal;
-    let vec3 diagonal_j = trace_j - part_j * w * w - j.diagonal;
-    let vec3 beside_i = -part_i * vec3(z.x * z.y, z.x * z.z, z.y * z.z) - i.beside;
-    let vec3 beside_j = -part_j * vec3(w.x * w.y, w.x * w.z, w.y * w.z) - j.beside;
+    let vec3 diagonal_i = trace_i - trace_i * z * z - i.diagonal;
+    let vec3 diagonal_j = trace_j - trace_j * w * w - j.diagonal;
+    let vec3 beside_i = -trace_i * vec3(z.x * z.y, z.x * z.z, z.y * z.z) - i.beside;
+    let vec3 beside_j = -trace_j * vec3(w.x * w.y, w.x * w.z, w.y * w.z) - j.beside;
     let vec3 d = w - z;
     let vec3 crossed = vec3(d.x * d.y, d.x * d.z, d.y * d.z);
     let float quadratic = dot(diagonal_i + diagonal_j, d * d) + 2.0 * dot(beside_i + beside_j, crossed);
     let float inner = dot(diagonal_i, diagonal_j) + 2.0 * dot(beside_i, beside_j);
-    let float share = 1.0 + along * along;
-    let float second = share * trace_i * trace_j - inner + i.determinant + j.determinant;
+    let float second = trace_i * trace_j - inner + i.determinant + j.determinant;
     // sqrt(P) is at least the sum of the roots (Minkowski's inequality); rounding may hide that.
+    let float roots = sqrt(i.determinant) + sqrt(j.determinant);
+    return vec2(max(quadratic, 0.0), max(second, roots * roots));
+}
+
+// A covariance less value in every direction across its axis.
+LobewiseCovariance lobewise_subtract_round(LobewiseCovariance lobe, float value) {
+    let vec3 z = lobe.axis;
+    var LobewiseCovariance rest = lobe;
+    rest.diagonal = lobe.diagonal - value * (vec3(1.0, 1.0, 1.0) - z * z);
+    rest.beside = lobe.beside + value * vec3(z.x * z.y, z.x * z.z, z.y * z.z);
+    return rest;
+}
+
+// The eigenvalues a >= b of a covariance, from its deviation from its mean: free of cancellation.
+vec2 lobewise_eigenvalues(LobewiseCovariance lobe) {
+    let float half_trace = 0.5 * dot(lobe.diagonal, vec3(1.0, 1.0, 1.0));
+    let LobewiseCovariance rest = lobewise_subtract_round(lobe, half_trace);
+    let float half_gap = sqrt(0.5 * (dot(rest.diagonal, rest.diagonal) + 2.0 * dot(rest.beside, rest.beside)));
+    let float large = half_trace + half_gap;
+    return vec2(large, lobe.determinant / large);
+}
+
+// Q and P as in lobewise_compare, for GGX: P in a plane, and R with a along its axis as well, so that lobes which face
+// away from each other are unlike. With L = S - b P, whose rank is 1, R is a P - L.
+vec2 lobewise_compare_in_plane(LobewiseCovariance i, LobewiseCovariance j) {
+    let vec2 values_i = lobewise_eigenvalues(i);
+    let vec2 values_j = lobewise_eigenvalues(j);
+    let LobewiseCovariance rest_i = lobewise_subtract_round(i, values_i.y);
+    let LobewiseCovariance rest_j = lobewise_subtract_round(j, values_j.y);
+    let vec3 d = j.axis - i.axis;
+    let vec3 crossed = vec3(d.x * d.y, d.x * d.z, d.y * d.z);
+    let vec3 beside = rest_i.beside + rest_j.beside;
+    let float longer = dot(rest_i.diagonal + rest_j.diagonal, d * d) + 2.0 * dot(beside, crossed);
+    let float quadratic = (values_i.x + values_j.x) * dot(d, d) - longer;
+    let float inner = dot(rest_i.diagonal, rest_j.diagonal) + 2.0 * dot(rest_i.beside, rest_j.beside);
+    let float second = (values_i.x + values_j.y) * (values_j.x + values_i.y) - inner;
     let float roots = sqrt(i.determinant) + sqrt(j.determinant);
     return vec2(max(quadratic, 0.0), max(second, roots * roots));
 }
@@ -297,7 +329,7 @@ vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j, float along) {
 // (s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4; unequal sizes count with the exponent 0.6,
 // unequal shapes with 0.9, and the last factor is the autocorrelation of (1 + r^2)^-2 in a plane.
 float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
-    let vec2 compared = lobewise_compare(i, j, 0.5);
+    let vec2 compared = lobewise_compare_in_plane(i, j);
     let float root_i = sqrt(i.determinant);
     let float root_j = sqrt(j.determinant);
     let float product = sqrt(root_i) * sqrt(root_j);
@@ -311,7 +343,7 @@ float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta
 // eigenvectors: c = Q / (2 P) is the exponent of the product and softness corrects it to first order; the last terms
 // stand for the cosines and the hemispheres.
 float lobewise_asg_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
-    let vec2 compared = lobewise_compare(i, j, 0.0);
+    let vec2 compared = lobewise_compare(i, j);
     let vec3 d = j.axis - i.axis;
     let float square = dot(d, d);
     let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));

@@ -20,10 +20,11 @@ import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
+from lobewise.kernels.covariance_features import GGX_UNIT, AsgFeature, GgxFeature
 from lobewise.kernels.cross_filter import PassInputs, PassKey, begin_at_zero, describe_structure, make_pass
 from lobewise.kernels.features import LOG2_E, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.forms import FORMS, can_pair, list_passes
-from lobewise.kernels.lobe_features import GGX_UNIT, AsgFeature, DiffuseFeature, GgxFeature, SgFeature
+from lobewise.kernels.lobe_features import DiffuseFeature, SgFeature
 from lobewise.kernels.lobe_fields import _define_lobes
 from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.kernels.pointwise import Grid, Vector, _schedule

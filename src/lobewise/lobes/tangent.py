@@ -351,14 +351,22 @@ def tangent_ggx_similarity(
     return np.asarray(np.exp(beta.astype(q.dtype) * exponent))
 
 
-def _turn(lobe: TangentLobe) -> Array:
-    """Return the covariance turned by a quarter about its axis, ``tr(S) P - S``, with half its trace along the axis."""
+def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
+    """Return the eigenvalues a >= b of the covariance, and ``S - b P``, whose rank is 1."""
     trace = lobe.covariance[..., 0] + lobe.covariance[..., 3] + lobe.covariance[..., 5]
-    x, y, z = _split(lobe.axis)
-    # tr(S) (I - z z^T) + tr(S) / 2 z z^T
-    isotropic = np.stack([trace, 0.0 * trace, 0.0 * trace, trace, 0.0 * trace, trace], axis=-1)
-    outer = np.stack([x * x, x * y, x * z, y * y, y * z, z * z], axis=-1)
-    return np.asarray(isotropic - (0.5 * trace)[..., None] * outer - lobe.covariance)
+    mean = np.stack(_across(0.5 * trace, _split(lobe.axis)), axis=-1)
+    # from the deviation from the mean: free of cancellation between lobes that are nearly round
+    gap = np.sqrt(2.0 * _inner(lobe.covariance - mean, lobe.covariance - mean))
+    large = 0.5 * (trace + gap)
+    small = lobe.determinant / large
+    return large, small, lobe.covariance - np.stack(_across(small, _split(lobe.axis)), axis=-1)
+
+
+def _inner(a: Array, b: Array) -> Array:
+    """Return ``A:B`` of symmetric matrices of six components."""
+    diagonal, beside = [0, 3, 5], [1, 2, 4]
+    inner = np.sum(a[..., diagonal] * b[..., diagonal], axis=-1)
+    return np.asarray(inner + 2.0 * np.sum(a[..., beside] * b[..., beside], axis=-1))
 
 
 def tangent_approx_similarity(
@@ -368,26 +376,25 @@ def tangent_approx_similarity(
 
     With ``d = z_j - z_i`` and ``R = tr(S) P - S``, the covariances turned by a quarter about their axes,
     ``Q = d^T (R_i + R_j) d`` is the determinant of ``A_i + A_j``, ``A = S^-1`` in its plane, over ``det A_i det A_j``,
-    exactly (neither matrix has anything along its own axis), and ``P = det_i + det_j + t_i t_j - R_i:R_j``, t the
+    exactly (neither matrix has anything along its own axis), and ``P = det_i + det_j + T_i T_j - R_i:R_j``, T the
     traces, is their second invariant over the same; ``q = Q / P`` and ``det M = P``, exact in a plane and off by second
-    order in the angle of the axes. So that lobes which face away from each other are unlike, R gets half its trace
-    along its axis, which makes Q for round lobes the squared chord; P is then
-    ``det_i + det_j + 5/9 t_i t_j - R_i:R_j``. P is bounded below by ``(sqrt(det_i) + sqrt(det_j))^2``, which keeps
-    ``pre <= 1``. The kernel is ``(1 + q / 4)^-2.4``, whose exponent is eight times 0.3 (within 3.7e-3 of the other, the
-    same slope at 0).
+    order in the angle of the axes. With the eigenvalues ``a >= b`` of S and ``L = S - b P``, which has rank 1, R is
+    ``a P - L``. So that lobes which face away from each other are unlike, R gets a along its axis as well, which makes
+    Q for round lobes the squared chord, and P is taken in a plane:
+    ``Q = (a_i + a_j) |d|^2 - d^T (L_i + L_j) d``, ``P = (a_i + b_j) (a_j + b_i) - L_i:L_j``. P is bounded below by
+    ``(sqrt(det_i) + sqrt(det_j))^2``, which it never is below but for rounding. The kernel is ``(1 + q / 4)^-2.4``,
+    whose exponent is eight times 0.3 (within 3.7e-3 of the other, the same slope at 0).
 
-    Validity: the RMSE of S against quadrature is that of `tangent_ggx_similarity`: 0.018, 0.024 and 0.030.
+    Validity: the RMSE of S against quadrature is that of `tangent_ggx_similarity`, over the same pairs 0.021, 0.022 and
+    0.026.
     """
     (beta,) = as_reals(beta)
     difference = _separate(lobe_i, lobe_j, shift)
-    turned_i, turned_j = _turn(lobe_i), _turn(lobe_j)
-    quadratic = np.maximum(_quadratic(turned_i + turned_j, difference), 0.0)
-    diagonal, beside = [0, 3, 5], [1, 2, 4]
-    inner = np.sum(turned_i[..., diagonal] * turned_j[..., diagonal], axis=-1)
-    inner = inner + 2.0 * np.sum(turned_i[..., beside] * turned_j[..., beside], axis=-1)
-    traces = turned_i[..., diagonal].sum(axis=-1) * turned_j[..., diagonal].sum(axis=-1)
+    (large_i, small_i, rest_i), (large_j, small_j, rest_j) = (_split_eigenvalues(lobe) for lobe in (lobe_i, lobe_j))
+    quadratic = (large_i + large_j) * _dot3(_split(difference), _split(difference))
+    quadratic = np.maximum(quadratic - _quadratic(rest_i + rest_j, difference), 0.0)
     root_i, root_j = np.sqrt(lobe_i.determinant), np.sqrt(lobe_j.determinant)
-    invariant = traces * (5.0 / 9.0) - inner + lobe_i.determinant + lobe_j.determinant
+    invariant = (large_i + small_j) * (large_j + small_i) - _inner(rest_i, rest_j)
     invariant = np.maximum(invariant, (root_i + root_j) ** 2)
     pre = 2.0 * np.sqrt(root_i) * np.sqrt(root_j) / np.sqrt(invariant)
     exponent = _log_areas(pre, lobe_i, lobe_j) - 2.4 * np.log1p(0.25 * quadratic / invariant)
