@@ -33,7 +33,7 @@ from lobewise.bench.timing import time_best
 from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.devices import make_target
 from lobewise.kernels.forms import Taps
-from lobewise.kernels.schedules import schedule_pass
+from lobewise.kernels.schedules import count_lanes, schedule_pass
 
 NAMES = ("normal", "sg", "asg", "ggx", "sg_mixture, 3 coaxial")
 SIZE = 256
@@ -108,8 +108,8 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     features = make_features(make_frame(64, 64), ("normal", name))[name]
     structure = tuple(describe_structure(feature) for feature in features)
     key = PassKey(Taps.SQUARE, RADIUS, structure, first=True, last=True, demodulate=False)
-    funcs = make_pass(key, features)
     target = make_target("cpu").with_feature(hl.TargetFeature.NoRuntime)
+    funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "kernel.s"

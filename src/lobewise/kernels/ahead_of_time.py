@@ -21,14 +21,15 @@ import numpy as np
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray
 from lobewise.kernels.covariance_features import GGX_UNIT, AsgFeature, GgxFeature
-from lobewise.kernels.cross_filter import PassInputs, PassKey, begin_at_zero, describe_structure, make_pass
+from lobewise.kernels.cross_filter import PassInputs, PassKey, describe_structure, make_pass
 from lobewise.kernels.features import LOG2_E, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.kernels.forms import FORMS, can_pair, list_passes
 from lobewise.kernels.lobe_features import DiffuseFeature, SgFeature
 from lobewise.kernels.lobe_fields import _define_lobes
 from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.kernels.planes import begin_at_zero
 from lobewise.kernels.pointwise import Grid, Vector, _schedule
-from lobewise.kernels.schedules import schedule_pass
+from lobewise.kernels.schedules import count_lanes, schedule_pass
 from lobewise.kernels.targets import parse_target, refuse_target
 from lobewise.lobe_table import MAX_LOBES
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
@@ -316,7 +317,7 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
             modulate=plan.albedo and last,
             paired=not target.has_gpu_feature() and can_pair(taps, reach),
         )
-        funcs = make_pass(key, features, given)
+        funcs = make_pass(key, features, given, lanes=count_lanes(target))
         if not last:
             funcs.out.compute_root()
         schedule_pass(funcs, target)

@@ -18,8 +18,9 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.features import Feature, Pixel, Stage, dot
+from lobewise.kernels.features import Feature, Stage, dot
 from lobewise.kernels.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
+from lobewise.kernels.planes import Rows, Side, begin_at_zero, clamp_likely, list_inputs, make_image, make_side
 from lobewise.lobes.vectors import LUMINANCE
 
 SUM_CHANNELS = 5
@@ -94,10 +95,10 @@ class PassFuncs:
     """Whether all taps are above each other."""
     channels: int
     image: hl.Func
-    guides: hl.Func | None
-    guide_count: int
-    planes: hl.Func | None
-    plane_count: int
+    rows: Rows | None
+    """What image and planes are made of, on processors."""
+    side: Side
+    """The planes that taps read."""
     stages: list[hl.Func]
     inner: hl.RDom
     outer: hl.RDom
@@ -112,88 +113,11 @@ def describe_structure(feature: Feature) -> Hashable:
     return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())
 
 
-def _count_channels(feature: Feature) -> list[int]:
-    return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]
-
-
 def _tap_profile(offset: hl.Expr) -> hl.Expr:
     """Return log2 of the B-spline weight at -2..2."""
     centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
     return hl.select(distance == 0, centre, distance == 1, near, far)
-
-
-def _stack(name: str, values: Sequence[hl.Expr], x: hl.Var, c: hl.Var, y: hl.Var) -> hl.Func | None:
-    """Return a function whose channel c is the c-th value; None for no values."""
-    if not values:
-        return None
-    func = hl.Func(name)
-    func[x, c, y] = hl.mux(c, list(values)) if len(values) > 1 else values[0]
-    return func
-
-
-@dataclass
-class _Side:
-    """The guides and planes of one grid of pixels, and the parameters that hold its arrays."""
-
-    arrays: list[hl.ImageParam]
-    guides: hl.Func | None
-    guide_count: int
-    planes: hl.Func | None
-    plane_count: int
-    slices: list[slice]
-
-    def read(self, part: slice, x: hl.Expr, y: hl.Expr) -> Pixel:
-        """Return the planes ``part`` of a pixel."""
-        assert self.planes is not None or part.start == part.stop
-        return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
-
-
-def begin_at_zero(image: hl.ImageParam) -> None:
-    """Let the compiler know that an image's coordinates begin at 0, as those of every array do."""
-    for axis in range(image.dimensions()):
-        image.dim(axis).set_min(0)
-
-
-def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> list[hl.ImageParam]:
-    """Return the parameters that hold the arrays of every feature; ``flat`` ones have one axis for all pixels."""
-    inputs = []
-    for number, feature in enumerate(features):
-        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
-            param = hl.ImageParam(hl.Float(32), array.ndim - flat, f"{name}{number}_{slot}")
-            if array.ndim == 3:
-                # A known stride between pixels lets vectors of one channel be shuffled out of whole loads.
-                param.dim(1).set_stride(count)
-            begin_at_zero(param)
-            inputs.append(param)
-    return inputs
-
-
-def count_inputs(features: Sequence[Feature]) -> list[int]:
-    """Return the channels of the arrays of every feature, one after the other."""
-    return [count for feature in features for count in _count_channels(feature)]
-
-
-def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: hl.Expr) -> list[hl.Expr]:
-    """Return the input channels of a pixel, harmless where it has no meaning."""
-    neutral = [value for feature in features for value in feature.neutral]
-    return [hl.select(known, value, hl.f32(other)) for value, other in zip(channels, neutral, strict=True)]
-
-
-def prepare_planes(
-    features: Sequence[Feature], scalars: Sequence[Sequence[hl.Expr]], channels: Sequence[hl.Expr]
-) -> tuple[list[hl.Expr], list[slice]]:
-    """Return what taps read of a pixel, from its input channels, and which of it belongs to each feature."""
-    values: list[hl.Expr] = []
-    slices: list[slice] = []
-    given = 0
-    for feature, own in zip(features, scalars, strict=True):
-        count = sum(_count_channels(feature))
-        prepared = feature.prepare(channels[given : given + count], own) if count else []
-        given += count
-        slices.append(slice(len(values), len(values) + len(prepared)))
-        values.extend(prepared)
-    return values, slices
 
 
 def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
@@ -206,35 +130,6 @@ def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
         return func[tuple(at)]
 
     return stage
-
-
-def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
-    """Return x within an image; inside, where most of a row is, loads are then dense."""
-    return hl.clamp(hl.likely(x), 0, length - 1)
-
-
-def make_side(
-    name: str,
-    mask: hl.ImageParam,
-    features: Sequence[Feature],
-    scalars: Sequence[Sequence[hl.Expr]],
-    variables: tuple[hl.Var, hl.Var, hl.Var],
-    inside: bool = False,
-    arrays: list[hl.ImageParam] | None = None,
-) -> _Side:
-    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
-    x, y, c = variables
-    at = (x, y) if inside else (clamp_likely(x, mask.width()), hl.clamp(y, 0, mask.height() - 1))
-    arrays = list_inputs(name, features) if arrays is None else arrays
-    # Guides: the input channels of every feature side by side.
-    channels: list[hl.Expr] = []
-    for array, count in zip(arrays, count_inputs(features), strict=True):
-        deep = array.dimensions() == 3
-        channels += [array[k, at[0], at[1]] if deep else array[at] for k in range(count)]
-    guides = _stack(f"{name}_guides", neutralize(features, channels, mask[at] != 0), x, c, y)
-    read = [guides[x, k, y] for k in range(len(channels))] if guides is not None else []
-    values, slices = prepare_planes(features, scalars, read)
-    return _Side(arrays, guides, len(channels), _stack(f"{name}_planes", values, x, c, y), len(values), slices)
 
 
 def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
@@ -279,8 +174,10 @@ def make_pass_inputs(features: Sequence[Feature]) -> PassInputs:
     )
 
 
-def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | None = None) -> PassFuncs:
-    """Return the algorithm of one pass.
+def make_pass(
+    key: PassKey, features: Sequence[Feature], inputs: PassInputs | None = None, *, lanes: int = 0
+) -> PassFuncs:
+    """Return the algorithm of one pass, for processors with vectors of ``lanes`` pixels, or 0 for others.
 
     The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
     albedo (c, x, y) where demodulated; mask (x, y) uint8, 1 where a pixel may give and take; the arrays of every
@@ -297,24 +194,17 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
             inputs.source.dim(1).set_stride(3)
     source, mask, albedo, step, scalars = inputs.source, inputs.mask, inputs.albedo, inputs.step, inputs.scalars
     width, height = mask.width(), mask.height()
-    clamped = clamp_likely(x, width), hl.clamp(y, 0, height - 1)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    usable = inside & (mask[clamped[0], clamped[1]] != 0)
 
-    # Image: radiance over albedo and a weight of 1, or nothing at all where a pixel is bad.
-    image = hl.Func("image")
-    if key.first:
-        radiance, good = demodulate(source, albedo if key.demodulate else None, clamped, hl.f32(ALBEDO_FLOOR))
-        good = good & usable
+    def take_image(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
+        """Return radiance over albedo and a weight of 1, or nothing at all where a pixel is bad."""
+        if not key.first:
+            return hl.select(usable, source[at[0], c, at[1]], hl.f32(0.0))
+        radiance, good = demodulate(source, albedo if key.demodulate else None, at, hl.f32(ALBEDO_FLOOR))
         values = [*radiance, hl.f32(1.0), hl.f32(1.0)]
         if key.moment:
             luminance = find_luminance(radiance)
             values.append(luminance * luminance)
-        image[x, c, y] = hl.select(good, hl.mux(c, values), hl.f32(0.0))
-    else:
-        image[x, c, y] = hl.select(usable, source[clamped[0], c, clamped[1]], hl.f32(0.0))
-
-    side = make_side("tap", mask, features, scalars, (x, y, c), arrays=inputs.arrays)
+        return hl.select(good & usable, hl.mux(c, values), hl.f32(0.0))
 
     # Taps.
     r = key.radius
@@ -327,6 +217,9 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
     u, v = hl.Var("u"), hl.Var("v")
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
+    rows = Rows(width, spread * across, lanes) if lanes else None
+    image = make_image("image", mask, (x, y, c), rows, take_image)
+    side = make_side("tap", mask, features, scalars, (x, y, c), arrays=inputs.arrays, rows=rows)
     stages: list[hl.Func] = []
     stage = make_stage(stages, (x, y, u, v))
 
@@ -337,7 +230,7 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         i, j = side.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
     if key.strict:
-        exponent = exponent * inputs.strictness[clamped]
+        exponent = exponent * inputs.strictness[clamp_likely(x, width), hl.clamp(y, 0, height - 1)]
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent
     stages.append(log_weight)
@@ -419,10 +312,8 @@ def make_pass(key: PassKey, features: Sequence[Feature], inputs: PassInputs | No
         vertical=key.taps is Taps.VERTICAL,
         channels=key.channels,
         image=image,
-        guides=side.guides,
-        guide_count=side.guide_count,
-        planes=side.planes,
-        plane_count=side.plane_count,
+        rows=rows,
+        side=side,
         stages=stages,
         inner=inner,
         outer=outer,

@@ -30,7 +30,7 @@ from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
 from lobewise.kernels.forms import FORMS, can_pair, list_passes
 from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
-from lobewise.kernels.schedules import STRIP_ROWS, schedule_pass
+from lobewise.kernels.schedules import STRIP_ROWS, count_lanes, schedule_pass
 
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29
@@ -200,6 +200,6 @@ def _list_bands(form: str, height: int, device: str) -> list[tuple[int, int]]:
 
 def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Compilable:
     """Return a pass, ready to be compiled."""
-    funcs = make_pass(key, features)
+    funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)
     return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.kernels.buffers import comes_down, lend, make_output, take_image, take_mask
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR, begin_at_zero, demodulate, find_luminance
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.kernels.loading import get_kernel
+from lobewise.kernels.planes import begin_at_zero
 from lobewise.kernels.pointwise import LARGEST_FLOAT
 from lobewise.kernels.schedules_gpu import ALIGNMENT, spread_channels, spread_pixels
 

@@ -21,16 +21,9 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.cross_filter import (
-    SQUARED_WEIGHT,
-    begin_at_zero,
-    count_inputs,
-    list_inputs,
-    make_side,
-    neutralize,
-    prepare_planes,
-)
+from lobewise.kernels.cross_filter import SQUARED_WEIGHT
 from lobewise.kernels.features import Feature
+from lobewise.kernels.planes import begin_at_zero, count_inputs, list_inputs, make_side, neutralize, prepare_planes
 
 HISTORY_CHANNELS = 7
 MOMENT, FRAMES = 5, 6

@@ -21,18 +21,10 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.cross_filter import (
-    ALBEDO_FLOOR,
-    SQUARED_WEIGHT,
-    WEIGHT,
-    begin_at_zero,
-    demodulate,
-    find_luminance,
-    make_side,
-    make_stage,
-)
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR, SQUARED_WEIGHT, WEIGHT, demodulate, find_luminance, make_stage
 from lobewise.kernels.features import Feature
 from lobewise.kernels.history import FRAMES, HISTORY_CHANNELS, MOMENT
+from lobewise.kernels.planes import begin_at_zero, make_side
 
 SMALLEST_WEIGHT = 1e-12
 """Weight sum to which a smaller one is raised: a pixel that resembles nothing keeps the little that it has."""

@@ -21,8 +21,9 @@ from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
 from lobewise.kernels import expressions
 from lobewise.kernels.buffers import comes_down, lend, make_output, take_image
-from lobewise.kernels.cross_filter import begin_at_zero, find_luminance
+from lobewise.kernels.cross_filter import find_luminance
 from lobewise.kernels.loading import get_kernel
+from lobewise.kernels.planes import begin_at_zero
 from lobewise.kernels.schedules_gpu import keep_planes, spread_channels
 
 COLORS = 3

@@ -21,16 +21,9 @@ from typing import Any
 import halide as hl
 
 from lobewise.kernels import expressions
-from lobewise.kernels.cross_filter import (
-    ALBEDO_FLOOR,
-    begin_at_zero,
-    clamp_likely,
-    demodulate,
-    find_luminance,
-    make_side,
-    make_stage,
-)
+from lobewise.kernels.cross_filter import ALBEDO_FLOOR, demodulate, find_luminance, make_stage
 from lobewise.kernels.features import LOG2_E, Feature
+from lobewise.kernels.planes import Rows, Side, begin_at_zero, make_image, make_side
 
 COLORS = 3
 HALVES = 2
@@ -75,8 +68,10 @@ class PairedFuncs:
     images: hl.Func
     image_count: int
     guide: hl.Func | None
-    sides: list[tuple[hl.Func | None, int, hl.Func | None, int]]
-    """Of every group of features: planes and guides, with how many there are."""
+    sides: list[Side]
+    """Of every group of features."""
+    rows: Rows | None
+    """What images, guide and planes are made of, on processors."""
     stages: list[hl.Func]
     across: hl.RDom
     down: hl.RDom
@@ -87,8 +82,10 @@ class PairedFuncs:
     arguments: list[Any]
 
 
-def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFuncs:
+def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]], *, lanes: int = 0) -> PairedFuncs:
     """Return the algorithm of a paired pass for the features of place, of lobes and of what is seen.
+
+    For processors with vectors of ``lanes`` pixels, or 0 for others.
 
     The arguments of the compiled pass, in order: both halves (c, x, y); albedo (c, x, y) where demodulated; mask
     (x, y) uint8; guide (c, x, y) where guided, with `GUIDE_CHANNELS`; the arrays of every feature;
@@ -100,26 +97,26 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
     albedo, guide_input = _make_image("albedo", COLORS), _make_image("guide_input", GUIDE_CHANNELS)
     mask = hl.ImageParam(hl.UInt(8), 2, "mask")
     noise, step = hl.Param(hl.Float(32), "noise"), hl.Param(hl.Int(32), "step")
-    width, height = mask.width(), mask.height()
-    clamped = clamp_likely(x, width), hl.clamp(y, 0, height - 1)
-    usable = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (mask[clamped] != 0)
+    rows = Rows(mask.width(), step * key.radius, lanes) if lanes else None
     there = x + u * step, y + v * step
 
-    # Radiance over albedo, times the albedo's luminance, which is the weight; nothing at all where a pixel is bad.
-    images = hl.Func("images")
-    values: list[hl.Expr] = []
-    for half in halves:
-        radiance, good = demodulate(half, albedo if key.demodulate else None, clamped, hl.f32(ALBEDO_FLOOR))
-        share: hl.Expr = hl.f32(1.0)
-        if key.demodulate:
-            share = _find_share(albedo, clamped)
-            radiance = _fill_unknown(radiance, [albedo[k, clamped[0], clamped[1]] for k in range(COLORS)])
-        values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
-    if key.joined:
-        # Of both halves together; then the weight of one, for the sum of squares.
-        a, b = values[: COLORS + 1], values[COLORS + 1 :]
-        values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
-    images[x, c, y] = hl.mux(c, values)
+    def take_images(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
+        """Return radiance over albedo, times its luminance, which is the weight; nothing where a pixel is bad."""
+        values: list[hl.Expr] = []
+        for half in halves:
+            radiance, good = demodulate(half, albedo if key.demodulate else None, at, hl.f32(ALBEDO_FLOOR))
+            share: hl.Expr = hl.f32(1.0)
+            if key.demodulate:
+                share = _find_share(albedo, at)
+                radiance = _fill_unknown(radiance, [albedo[k, at[0], at[1]] for k in range(COLORS)])
+            values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
+        if key.joined:
+            # Of both halves together; then the weight of one, for the sum of squares.
+            a, b = values[: COLORS + 1], values[COLORS + 1 :]
+            values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
+        return hl.mux(c, values)
+
+    images = make_image("images", mask, (x, y, c), rows, take_images)
 
     scalars = [
         [
@@ -129,7 +126,7 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
         for group, features in enumerate(groups)
     ]
     sides = [
-        make_side(name, mask, features, own, (x, y, c))
+        make_side(name, mask, features, own, (x, y, c), rows=rows)
         for name, features, own in zip(("place", "lobes", "seen"), groups, scalars, strict=True)
     ]
     stages: list[hl.Func] = []
@@ -146,8 +143,7 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
     guide = None
     distance: hl.Expr = hl.f32(0.0)
     if key.guided:
-        guide = hl.Func("guide")
-        guide[x, c, y] = guide_input[c, clamped[0], clamped[1]]
+        guide = make_image("guide", mask, (x, y, c), rows, lambda at, _: guide_input[c, at[0], at[1]])
         own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((x, y), there))
         explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
         scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + noise * (own_noise + other_noise))
@@ -209,7 +205,8 @@ def make_paired(key: PairedKey, groups: Sequence[Sequence[Feature]]) -> PairedFu
         images=images,
         image_count=key.plane_count,
         guide=guide,
-        sides=[(side.planes, side.plane_count, side.guides, side.guide_count) for side in sides],
+        sides=sides,
+        rows=rows,
         stages=[*stages, log_weight],
         across=across,
         down=down,

@@ -31,7 +31,7 @@ from lobewise.kernels.paired import (
     PairedKey,
     make_paired,
 )
-from lobewise.kernels.schedules import schedule_paired
+from lobewise.kernels.schedules import count_lanes, schedule_paired
 
 
 class Exponents(NamedTuple):
@@ -126,7 +126,7 @@ def run_paired(
     )
 
     def make(target: hl.Target) -> PairedFuncs:
-        funcs = make_paired(key, groups)
+        funcs = make_paired(key, groups, lanes=count_lanes(target))
         schedule_paired(funcs, target)
         return funcs
 

@@ -11,6 +11,7 @@ from lobewise.kernels.cross_filter import PassFuncs
 from lobewise.kernels.history import ReprojectionFuncs
 from lobewise.kernels.joining import JoiningFuncs
 from lobewise.kernels.paired import COLORS, GUIDE_CHANNELS, PairedFuncs
+from lobewise.kernels.planes import Rows, Side
 from lobewise.kernels.schedules_gpu import (
     schedule_gpu,
     schedule_joining_gpu,
@@ -20,6 +21,11 @@ from lobewise.kernels.schedules_gpu import (
 
 STRIP_ROWS = 32
 """Rows of an image that a thread of the processor takes at a time."""
+
+
+def count_lanes(target: hl.Target) -> int:
+    """Return the pixels of a processor's vector; 0 for graphics cards, which have none."""
+    return 0 if target.has_gpu_feature() else int(target.natural_vector_size(hl.Float(32)))
 
 
 def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
@@ -101,13 +107,42 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
     for stage in funcs.stages:
         (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
 
-    for func, channels in ((funcs.image, funcs.channels), (funcs.planes, funcs.plane_count)):
-        if func is not None:
-            _keep_rows(func.compute_at(out, ys), channels, (x, y, c), lanes)
-    if funcs.guides is not None:
-        # Channels of a pixel lie together in memory; a vector of them is taken apart once, and not once per plane.
-        assert funcs.planes is not None
-        _keep_rows(funcs.guides.compute_at(funcs.planes, x), funcs.guide_count, (x, y, c), lanes)
+    assert funcs.rows is not None
+    _fill_rows(funcs.image.compute_at(out, ys), funcs.channels, (x, y, c), funcs.rows)
+    if funcs.side.planes is not None:
+        _fill_planes(funcs.side.planes.compute_at(out, ys), funcs.side, (x, y, c), funcs.rows)
+
+
+def _fill_planes(planes: hl.Func, side: Side, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
+    """Let planes lie row by row beside each other.
+
+    Channels of a pixel lie together in memory; a vector of them is taken apart once, and not once per plane.
+    """
+    x, y, c = variables
+    _fill_rows(planes, side.plane_count, variables, rows)
+    for guides, part in zip(side.row_guides, rows.parts, strict=False):
+        vector = part.dimensions() == 2
+        guides.compute_at(planes, part.y if vector else part.x)
+        guides.bound(c, 0, side.guide_count).reorder_storage(x, c, y).reorder(c, x, y).unroll(c)
+        guides.bound_storage(x, rows.lanes if vector else 1).bound_storage(y, 1)
+        if vector:
+            guides.vectorize(x, rows.lanes)
+
+
+def _fill_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
+    """Let the channels of a function lie row by row beside each other, from whole vectors where there are."""
+    x, y, c = variables
+    func.bound(c, 0, channels).reorder_storage(x, c, y).align_storage(x, rows.lanes).align_bounds(x, rows.lanes)
+    for number, domain in enumerate((*rows.margins, *rows.parts)):
+        update = func.update(number).unroll(c)
+        if number < len(rows.margins):
+            vectors, lane = hl.RVar("vectors"), hl.RVar("lane")
+            update.split(domain.x, vectors, lane, rows.lanes).reorder(c, lane, vectors, y).vectorize(lane)
+        elif domain.dimensions() == 2:
+            # No two lanes are one column.
+            update.reorder(c, domain.x, domain.y, y).allow_race_conditions().vectorize(domain.x)
+        else:
+            update.reorder(c, domain.x, y)
 
 
 def _keep_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl.Var], lanes: int) -> None:
@@ -143,14 +178,13 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     row.update().reorder(x, funcs.across.x).vectorize(x, lanes)
     for stage in funcs.stages:
         stage.compute_at(sums, xv).vectorize(x, lanes)
-    _keep_rows(funcs.images.compute_at(out, ys), funcs.image_count, (x, y, c), lanes)
+    assert funcs.rows is not None
+    _fill_rows(funcs.images.compute_at(out, ys), funcs.image_count, (x, y, c), funcs.rows)
     if funcs.guide is not None:
-        _keep_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), lanes)
-    for planes, plane_count, guides, guide_count in funcs.sides:
-        if planes is not None:
-            _keep_rows(planes.compute_at(out, ys), plane_count, (x, y, c), lanes)
-            if guides is not None:
-                _keep_rows(guides.compute_at(planes, x), guide_count, (x, y, c), lanes)
+        _fill_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), funcs.rows)
+    for side in funcs.sides:
+        if side.planes is not None:
+            _fill_planes(side.planes.compute_at(out, ys), side, (x, y, c), funcs.rows)
 
 
 def schedule_joining_cpu(funcs: JoiningFuncs, target: hl.Target) -> None:

@@ -51,7 +51,7 @@ def schedule_gpu(funcs: PassFuncs) -> None:
     funcs.sums.compute_at(funcs.out, thread)
     funcs.row.compute_at(funcs.sums, funcs.outer.x)
     keep_planes(funcs.image, funcs.channels, variables)
-    keep_planes(funcs.planes, funcs.plane_count, variables)
+    keep_planes(funcs.side.planes, funcs.side.plane_count, variables)
 
 
 def schedule_paired_gpu(funcs: PairedFuncs) -> None:
@@ -66,8 +66,8 @@ def schedule_paired_gpu(funcs: PairedFuncs) -> None:
         stage.compute_at(funcs.row, funcs.across.x)
     keep_planes(funcs.images, funcs.image_count, variables)
     keep_planes(funcs.guide, GUIDE_CHANNELS, variables)
-    for planes, count, _, _ in funcs.sides:
-        keep_planes(planes, count, variables)
+    for side in funcs.sides:
+        keep_planes(side.planes, side.plane_count, variables)
 
 
 def schedule_joining_gpu(funcs: JoiningFuncs) -> None:
