@@ -108,18 +108,18 @@ def schedule_cpu(funcs: PassFuncs, target: hl.Target) -> None:
         (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
 
     assert funcs.rows is not None
-    _fill_rows(funcs.image.compute_at(out, ys), funcs.channels, (x, y, c), funcs.rows)
+    fill_rows(funcs.image.compute_at(out, ys), funcs.channels, (x, y, c), funcs.rows)
     if funcs.side.planes is not None:
-        _fill_planes(funcs.side.planes.compute_at(out, ys), funcs.side, (x, y, c), funcs.rows)
+        fill_planes(funcs.side.planes.compute_at(out, ys), funcs.side, (x, y, c), funcs.rows)
 
 
-def _fill_planes(planes: hl.Func, side: Side, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
+def fill_planes(planes: hl.Func, side: Side, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
     """Let planes lie row by row beside each other.
 
     Channels of a pixel lie together in memory; a vector of them is taken apart once, and not once per plane.
     """
     x, y, c = variables
-    _fill_rows(planes, side.plane_count, variables, rows)
+    fill_rows(planes, side.plane_count, variables, rows)
     for guides, part in zip(side.row_guides, rows.parts, strict=False):
         vector = part.dimensions() == 2
         guides.compute_at(planes, part.y if vector else part.x)
@@ -129,7 +129,7 @@ def _fill_planes(planes: hl.Func, side: Side, variables: tuple[hl.Var, hl.Var, h
             guides.vectorize(x, rows.lanes)
 
 
-def _fill_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
+def fill_rows(func: hl.Func, channels: int, variables: tuple[hl.Var, hl.Var, hl.Var], rows: Rows) -> None:
     """Let the channels of a function lie row by row beside each other, from whole vectors where there are."""
     x, y, c = variables
     func.bound(c, 0, channels).reorder_storage(x, c, y).align_storage(x, rows.lanes).align_bounds(x, rows.lanes)
@@ -179,12 +179,12 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     for stage in funcs.stages:
         stage.compute_at(sums, xv).vectorize(x, lanes)
     assert funcs.rows is not None
-    _fill_rows(funcs.images.compute_at(out, ys), funcs.image_count, (x, y, c), funcs.rows)
+    fill_rows(funcs.images.compute_at(out, ys), funcs.image_count, (x, y, c), funcs.rows)
     if funcs.guide is not None:
-        _fill_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), funcs.rows)
+        fill_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, (x, y, c), funcs.rows)
     for side in funcs.sides:
         if side.planes is not None:
-            _fill_planes(side.planes.compute_at(out, ys), side, (x, y, c), funcs.rows)
+            fill_planes(side.planes.compute_at(out, ys), side, (x, y, c), funcs.rows)
 
 
 def schedule_joining_cpu(funcs: JoiningFuncs, target: hl.Target) -> None:
