@@ -1,8 +1,10 @@
-"""The text of docs/performance.md, from what ``filters.py``, ``roofline.py`` and ``scaling.py`` have measured."""
+"""The text of docs/performance.md, from what ``filters.py``, ``roofline.py``, ``scaling.py`` and ``taps.py`` have measured."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from statistics import mean
 from typing import Any
 
 from interactive_page import make_table
@@ -19,8 +21,16 @@ def judge(met: bool) -> str:
     return "met" if met else "missed"
 
 
+USUAL = "separable, radius 8"
+"""The way to take taps that others are compared with."""
+
+
 def make_performance_page(
-    filters: Mapping[str, Any], roofline: Mapping[str, Any], scaling: Mapping[str, Any], trials: Mapping[str, Any]
+    filters: Mapping[str, Any],
+    roofline: Mapping[str, Any],
+    scaling: Mapping[str, Any],
+    trials: Mapping[str, Any],
+    taps: Mapping[str, Any],
 ) -> str:
     """Return docs/performance.md."""
     machine = roofline["machine"]
@@ -84,12 +94,64 @@ Separable, radius 8, {scaling["threads"]} threads; nanoseconds per pixel. `pytho
 
 {make_scaling_goals(scaling)}
 
+## Other ways to take taps
+
+Time and error over those of `separable` with radius 8: both layers of the recipe `fast` with `ggx`, {taps["size"]}x{taps["size"]}; times are means over all frames of the run, errors (relative
+mean squared, against 512 samples per pixel) geometric means over frames of 4 and 16 samples per pixel. `python benchmarks/taps.py`.
+
+{make_tap_rows(taps)}
+
+*Sparse* takes its taps on a spiral that turns from row to row; *two levels* filters averages of two by two pixels and brings them to every pixel by what it has in common
+with them (without the time that averaging takes); *adaptive* is the full square as far as it holds 99 % of the weight of any pixel in a tile. {make_tap_verdict(taps)}
+
 ## What was tried
 
 {make_trials(trials["groups"])}
 
 What one tap costs is set by the number of vector operations: `normal` has fewest of them. Whatever makes the part faster that all have in common therefore raises the ratios above.
 """
+
+
+def compare_taps(taps: Mapping[str, Any]) -> dict[str, tuple[float, dict[str, float]]]:
+    """Return of every way its time and, by scene, its error, over those of `USUAL`."""
+    rows = taps["rows"]
+    usual = {(row["scene"], row["spp"]): row for row in rows if row["way"] == USUAL}
+    found = {}
+    for way in dict.fromkeys(row["way"] for row in rows):
+        own = [(row, usual[row["scene"], row["spp"]]) for row in rows if row["way"] == way]
+        errors: dict[str, list[float]] = {}
+        for row, other in own:
+            errors.setdefault(row["scene"], []).append(math.log(row["rel_mse"] / other["rel_mse"]))
+        time = mean(row["milliseconds"] / other["milliseconds"] for row, other in own)
+        found[way] = time, {scene: math.exp(mean(each)) for scene, each in errors.items()}
+    return found
+
+
+def make_tap_rows(taps: Mapping[str, Any]) -> str:
+    """Return the table of ways to take taps."""
+    found = compare_taps(taps)
+    scenes = list(found[USUAL][1])
+    rows = [[way, f"{time:.2f}", *(f"{errors[scene]:.2f}" for scene in scenes)] for way, (time, errors) in found.items()]
+    return make_table(["way", "time", *(f"error, {scene}" for scene in scenes)], rows)
+
+
+def make_tap_verdict(taps: Mapping[str, Any]) -> str:
+    """Return which ways beat every form in all scenes."""
+    found = compare_taps(taps)
+    forms = {way: each for way, each in found.items() if way.startswith(("full", "separable", "atrous"))}
+
+    def wins(way: str) -> bool:
+        time, errors = found[way]
+        return not any(
+            other <= time and errors_there[scene] <= error
+            for other, errors_there in forms.values()
+            for scene, error in errors.items()
+        )
+
+    winners = [way for way in found if way not in forms and wins(way)]
+    if winners:
+        return f"Better than every form that takes no longer, in all scenes: {', '.join(winners)}."
+    return "For each of them there is a form that takes no longer and has no more error in one of the scenes: none is kept."
 
 
 def make_roofline_rows(roofline: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 INTERACTIVE = ("interactive_quality", "interactive", "viewer")
 """What docs/interactive.md is made of."""
-PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials")
+PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials", "taps")
 """What docs/performance.md is made of."""
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
 COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")

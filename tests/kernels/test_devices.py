@@ -12,7 +12,7 @@ from lobewise import denoise
 from lobewise.denoising import DenoiseSettings
 from lobewise.errors import DeviceError, InputError
 from lobewise.kernels import devices
-from lobewise.kernels.buffers import DeviceImage, comes_down, lend, make_output, stay_on_device, to_host, transfers
+from lobewise.kernels.buffers import Buffer, DeviceImage, comes_down, lend, make_output, stay_on_device, to_host, transfers
 from lobewise.kernels.devices import DEVICES, Device, choose_device, list_devices
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import ScreenFeature
@@ -107,6 +107,16 @@ class TestStay:
             assert lend(image, vulkan) is image.buffer
             del image
         assert not transfers
+
+    def test_memory_goes_back_in_the_opposite_order(self, vulkan, rng, monkeypatch):
+        taken, given = [], []
+        take, give = Buffer.take_memory, Buffer.give_memory
+        monkeypatch.setattr(Buffer, "take_memory", lambda self, device: (taken.append(id(self)), take(self, device)))
+        monkeypatch.setattr(Buffer, "give_memory", lambda self, device: (given.append(id(self)), give(self, device)))
+        light = rng.random((8, 9, 3)).astype(np.float32)
+        run_filter(light, np.ones((8, 9), bool), [ScreenFeature(1.0)], form="separable", radius=1, device=vulkan)
+        assert len(taken) == 4  # radiance, mask, what the first pass writes, the result
+        assert given == taken[::-1]
 
     def test_an_image_outlives_its_stay(self, vulkan, rng):
         light = rng.random((8, 9, 3)).astype(np.float32)
