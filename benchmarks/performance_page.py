@@ -131,7 +131,9 @@ def make_tap_rows(taps: Mapping[str, Any]) -> str:
     """Return the table of ways to take taps."""
     found = compare_taps(taps)
     scenes = list(found[USUAL][1])
-    rows = [[way, f"{time:.2f}", *(f"{errors[scene]:.2f}" for scene in scenes)] for way, (time, errors) in found.items()]
+    rows = [
+        [way, f"{time:.2f}", *(f"{errors[scene]:.2f}" for scene in scenes)] for way, (time, errors) in found.items()
+    ]
     return make_table(["way", "time", *(f"error, {scene}" for scene in scenes)], rows)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import FilterOutput, _list_bands, run_filter
+from lobewise.kernels import engine
+from lobewise.kernels.engine import FilterOutput, _list_tiles, run_filter
 from lobewise.kernels.features import Feature, ScreenFeature
 from lobewise.kernels.loading import count_compiled_kernels
 from lobewise.kernels.reference import ReferenceOutput, filter_reference
@@ -180,12 +181,9 @@ def test_demodulation(form: str) -> None:
 
 
 @pytest.mark.processor
-def test_bands_of_the_separable_form_join(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("shape", [(1100, 5), (9, 2060)], ids=str)
+def test_tiles_of_the_separable_form_join(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    shape = (1100, 5)
-    bands = _list_bands("separable", shape[0], "cpu")
-    assert [first for first, _ in bands] == [0, 512, 1024]
-    assert [last for _, last in bands] == [512, 1024, 1100]
     mask = np.random.default_rng(1).random(shape) > 0.1
     features, radiance = [make_feature("sg", shape)], make_radiance(shape)
     albedo = np.random.default_rng(2).uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
@@ -193,6 +191,30 @@ def test_bands_of_the_separable_form_join(monkeypatch: pytest.MonkeyPatch) -> No
     image, total, *_ = filter_reference(radiance, mask, features, form="separable", radius=RADIUS, albedo=albedo)
     np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance("sg", "separable"))
     np.testing.assert_allclose(out.image, image, rtol=2.0 * get_tolerance("sg", "separable"))
+
+
+@pytest.mark.processor
+def test_tiles_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    shape = (150, 111)
+    mask = np.random.default_rng(1).random(shape) > 0.1
+    features, radiance = [make_feature("ggx", shape)], make_radiance(shape)
+    strictness = make_strictness(shape, 0.5, 2.0)
+    whole = run_filter(radiance, mask, features, form="separable", radius=RADIUS, strictness=strictness)
+    monkeypatch.setattr(engine, "WIDEST_TILE", 40)
+    monkeypatch.setattr(engine, "LEAST_STRIPS", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    assert len(_list_tiles(*shape)) == 9
+    tiles = run_filter(radiance, mask, features, form="separable", radius=RADIUS, strictness=strictness)
+    for name in ("image", "weight_sum", "effective_samples"):
+        np.testing.assert_array_equal(getattr(tiles, name), getattr(whole, name))
+
+
+def test_tiles_are_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    tiles = _list_tiles(1100, 5000)
+    assert [(rows.start, rows.stop) for rows, _ in tiles[::3]] == [(0, 512), (512, 1024), (1024, 1100)]
+    assert [(columns.start, columns.stop) for _, columns in tiles[:3]] == [(0, 1680), (1680, 3360), (3360, 5000)]
+    assert _list_tiles(1, 1) == [(slice(0, 1), slice(0, 1))]
 
 
 def make_strictness(shape: tuple[int, int], low: float, high: float) -> FloatArray:

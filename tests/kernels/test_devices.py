@@ -12,7 +12,16 @@ from lobewise import denoise
 from lobewise.denoising import DenoiseSettings
 from lobewise.errors import DeviceError, InputError
 from lobewise.kernels import devices
-from lobewise.kernels.buffers import Buffer, DeviceImage, comes_down, lend, make_output, stay_on_device, to_host, transfers
+from lobewise.kernels.buffers import (
+    Buffer,
+    DeviceImage,
+    comes_down,
+    lend,
+    make_output,
+    stay_on_device,
+    to_host,
+    transfers,
+)
 from lobewise.kernels.devices import DEVICES, Device, choose_device, list_devices
 from lobewise.kernels.engine import FilterOutput, run_filter
 from lobewise.kernels.features import ScreenFeature

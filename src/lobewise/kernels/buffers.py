@@ -70,14 +70,16 @@ _HOST_DIRTY, _DEVICE_DIRTY = 1, 2
 class Buffer:
     """NumPy memory as kernels take it, axes in the opposite order, and what a device has of it.
 
-    It holds the array; who takes memory of a device gives it back. ``first`` is what kernels call its first row.
+    It holds the array; who takes memory of a device gives it back. ``first`` is what kernels call its first row, column
+    and so on, where that is not 0.
     """
 
-    def __init__(self, array: Image, first: int = 0) -> None:
+    def __init__(self, array: Image, first: Sequence[int] = ()) -> None:
         self.array = array
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
-        self._dimensions[-1].min = first
+        for axis, least in enumerate(first):
+            self._dimensions[array.ndim - 1 - axis].min = least
         code, bits = _TYPE_CODES[array.dtype.kind], 8 * array.itemsize
         self._raw = _make_raw(array.ctypes.data, code, bits, self._dimensions)
         self.address = ctypes.addressof(self._raw)

@@ -29,14 +29,18 @@ from lobewise.kernels.buffers import (
 from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
 from lobewise.kernels.features import Feature
 from lobewise.kernels.forms import FORMS, can_pair, list_passes
-from lobewise.kernels.loading import Compilable, Scheduled, get_kernel
+from lobewise.kernels.loading import Compilable, Kernel, Scheduled, get_kernel
 from lobewise.kernels.schedules import STRIP_ROWS, count_lanes, schedule_pass
 
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29
 """Bytes of an image between two passes that are kept for the next call."""
 LEAST_STRIPS = 16
-"""Strips of rows of a band of the separable form, at least."""
+"""Strips of rows of a tile of the separable form, at least."""
+WIDEST_TILE = 2048
+"""Columns of a tile, at most: planes of a wider strip would lie in memory instead of in a cache."""
+WIDEST_VECTOR = 16
+"""Pixels of the widest vector of any processor."""
 
 
 @dataclass(frozen=True)
@@ -158,44 +162,94 @@ def run_filter(
     if keys[-1].apart:
         shapes = [(height, width, COLORS), *[(height, width)] * (keys[-1].channels - COLORS)]
     results = [make_output(shape, device) for shape in shapes]
-    for first, last in _list_bands(form, height, device):
-        begin, end = max(first - radius, 0), min(last + radius, height)
-
-        def crop(whole: FloatArray, begin: int = begin, end: int = end) -> FloatArray:
-            return whole if end - begin == height else whole[begin:end]
-
-        fixed = [lend(crop(array), device) for array in held]
-        tints = [lend(crop(tint), device)] if tint is not None else []
-        powers = [lend(crop(power), device)] if power is not None else []
-        source = crop(image)
-        for number, (key, (_, _, step)) in enumerate(zip(keys, passes, strict=True)):
-            kernel = get_kernel(device, key, partial(_make_scheduled, key, features))
+    kernels = [get_kernel(device, key, partial(_make_scheduled, key, features)) for key in keys]
+    given = _Given(held, parameters, tint, power)
+    if form == "separable" and device == "cpu":
+        for rows, columns in _list_tiles(height, width):
+            _run_tile(kernels, keys, given, image, [whole for _, whole in results], rows, columns)
+    else:
+        source = image
+        for number, (kernel, key, (_, _, step)) in enumerate(zip(kernels, keys, passes, strict=True)):
+            outputs = results
             if not key.last:
-                shape = (end - begin, key.channels, width)
+                shape = height, key.channels, width
                 memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
                 outputs = [make_output(shape, device, memory)]
-            elif last - first == height:
-                outputs = results
-            else:
-                outputs = [(Buffer(whole[first:last], first - begin), whole) for _, whole in results]
-            tinted = tints if key.demodulate or key.modulate else []
-            written = (buffer for buffer, _ in outputs)
-            kernel(lend(source, device), *tinted, *fixed, step, *parameters, *powers, *written)
+            given.call(kernel, key, step, lend(source, device), [buffer for buffer, _ in outputs], device)
             source = outputs[0][1]
     images = [each for _, each in results]
     return FilterOutput(*images) if len(images) > 1 else _split_output(images[0])
 
 
-def _list_bands(form: str, height: int, device: str) -> list[tuple[int, int]]:
-    """Return the rows that are filtered one after the other, from and to.
+@dataclass(frozen=True)
+class _Given:
+    """What all passes of a run read beside the image."""
 
-    The separable form goes band by band, so that what its first pass writes takes little memory, and the same for all
-    bands; each gives every thread some strips.
+    held: list[NDArray[Any]]
+    """Mask, and the arrays of every feature."""
+    parameters: list[float]
+    tint: FloatArray | None
+    power: FloatArray | None
+
+    def call(
+        self,
+        kernel: Kernel,
+        key: PassKey,
+        step: int,
+        source: Buffer,
+        outputs: Sequence[Buffer],
+        device: str,
+        part: tuple[slice, slice] | None = None,
+    ) -> None:
+        """Run a pass over the pixels ``part``, which ``source`` has already; over all without it."""
+
+        def take(array: NDArray[Any]) -> Buffer:
+            return lend(array if part is None else array[part], device)
+
+        tints = [take(self.tint)] if self.tint is not None and (key.demodulate or key.modulate) else []
+        powers = [take(self.power)] if self.power is not None else []
+        kernel(source, *tints, *map(take, self.held), step, *self.parameters, *powers, *outputs)
+
+
+def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
+    """Return the rows and columns that the separable form filters one after the other.
+
+    So that what its first pass writes takes little memory, and the same for all tiles; each gives every thread some
+    strips, and no strip is so wide that its planes lie far from the processor.
     """
-    if form != "separable" or device != "cpu":
-        return [(0, height)]
     rows = STRIP_ROWS * max(LEAST_STRIPS, 2 * (os.cpu_count() or 1))
-    return [(first, min(first + rows, height)) for first in range(0, height, rows)]
+    columns = -(-width // -(-width // WIDEST_TILE))
+    columns = -(-columns // WIDEST_VECTOR) * WIDEST_VECTOR
+    return [
+        (slice(top, min(top + rows, height)), slice(left, min(left + columns, width)))
+        for top in range(0, height, rows)
+        for left in range(0, width, columns)
+    ]
+
+
+def _run_tile(
+    kernels: Sequence[Kernel],
+    keys: Sequence[PassKey],
+    given: _Given,
+    image: FloatArray,
+    results: Sequence[FloatArray],
+    rows: slice,
+    columns: slice,
+) -> None:
+    """Filter a tile: along its rows and those that columns reach above and below, and then along its columns."""
+    radius = keys[0].radius
+    # Vectors begin and end where they do in the image, so that every pixel is computed as it is there.
+    beside = -(-radius // WIDEST_VECTOR) * WIDEST_VECTOR
+    tall = slice(max(rows.start - radius, 0), min(rows.stop + radius, image.shape[0]))
+    wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
+    shape = tall.stop - tall.start, keys[0].channels, columns.stop - columns.start
+    between = _scratch.lend(0, shape)
+    if between is None:
+        between = np.empty(shape, np.float32)
+    written = [Buffer(between, (0, 0, columns.start - wide.start))]
+    given.call(kernels[0], keys[0], 1, Buffer(image[tall, wide]), written, "cpu", (tall, wide))
+    written = [Buffer(whole[rows, columns], (rows.start - tall.start, 0)) for whole in results]
+    given.call(kernels[1], keys[1], 1, Buffer(between), written, "cpu", (tall, columns))
 
 
 def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Compilable:
