@@ -1,13 +1,16 @@
-"""The constants of the lobe features against their exact counterparts."""
+"""The constants of the lobe features against their exact counterparts, and the narrowest lobes against the oracle."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import pytest
 
-from lobewise.kernels.covariance_features import GGX_UNIT, TAIL_SQUARINGS
+from lobewise.kernels.covariance_features import GGX_UNIT, TAIL_SQUARINGS, GgxFeature
+from lobewise.kernels.engine import run_filter
 from lobewise.kernels.lobe_features import LAMBERT_COEFFICIENTS
+from lobewise.kernels.reference import filter_reference
 
 
 def correlate_ggx(offset: float) -> float:
@@ -39,3 +42,20 @@ def test_lambert_fit_is_the_overlap_of_two_cosines() -> None:
     logarithm = x * np.polynomial.polynomial.polyval(x, LAMBERT_COEFFICIENTS)
     assert np.max(np.abs(np.exp2(-logarithm) - exact)) < 3.8e-3
     assert np.all(np.diff(logarithm) > 0.0)
+
+
+@pytest.mark.parametrize("deviation", [1e-2, 1e-4, 1e-6])
+def test_ggx_compares_lobes_however_narrow(deviation: float) -> None:
+    rng = np.random.default_rng(3)
+    shape = (9, 21)
+    axis = np.dstack([deviation * rng.normal(size=(*shape, 2)), np.ones(shape)])
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    variance = deviation**2 * np.exp(0.5 * rng.normal(size=shape))
+    across = variance[..., None, None] * (np.eye(3) - axis[..., :, None] * axis[..., None, :])
+    covariance = across[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    feature = GgxFeature(*(each.astype(np.float32) for each in (axis, covariance, variance**2)), beta=2.0)
+    light, mask = rng.random((*shape, 3)).astype(np.float32), np.ones(shape, bool)
+    out = run_filter(light, mask, [feature], form="full", radius=3)
+    expected = filter_reference(light, mask, [feature], form="full", radius=3)
+    np.testing.assert_allclose(out.weight_sum, expected.weight_sum, rtol=5e-3)
+    assert expected.weight_sum.max() < 30.0  # of 49 taps: they are told apart

@@ -151,11 +151,10 @@ class GgxFeature(_CovarianceFeature):
         mean = i[8] + j[8]
         invariant = hl.max(invariant, mean * mean)
         # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
-        inverse = hl.f32(1.0) / (invariant * mean)
-        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic * mean * inverse, hl.f32(4e4))
+        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
         for _ in range(TAIL_SQUARINGS):
             tail = tail * tail
-        areas = invariant * invariant * inverse * hl.sqrt(invariant)
+        areas = invariant * hl.sqrt(invariant) / mean
         return i[9] + j[9] - parameters[0] * expressions.log2(stage(tail * areas))
 
     def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
