@@ -165,11 +165,11 @@ def schedule_paired_cpu(funcs: PairedFuncs, target: hl.Target) -> None:
     lanes = target.natural_vector_size(hl.Float(32))
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
     xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
-    rows, strip, columns = 8, 32, 8 * lanes
+    rows, columns = 8, 8 * lanes
     out.bound(c, 0, COLORS)
     for buffer in out.output_buffers():
         buffer.dim(1).set_stride(COLORS)
-    out.split(y, ys, yt, strip, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
+    out.split(y, ys, yt, STRIP_ROWS, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
     out.reorder(c, xi, yi, xo, yo, ys).unroll(c).vectorize(xi, lanes).parallel(ys).never_partition_all()
     sums, row = funcs.sums, funcs.row
     sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
@@ -202,9 +202,9 @@ def schedule_joining_cpu(funcs: JoiningFuncs, target: hl.Target) -> None:
     out, tail = funcs.out, hl.TailStrategy.GuardWithIf
     xi, xv, xw, xt = (hl.Var(name) for name in ("xi", "xv", "xw", "xt"))
     yi, yo, yt, ys = (hl.Var(name) for name in ("yi", "yo", "yt", "ys"))
-    rows, strip, vectors = 8, 32, 256 // lanes
+    rows, vectors = 8, 256 // lanes
     out.split(x, xv, xi, lanes, hl.TailStrategy.ShiftInwards).split(xv, xt, xw, vectors, tail)
-    out.split(y, ys, yt, strip, tail).split(yt, yo, yi, rows, tail)
+    out.split(y, ys, yt, STRIP_ROWS, tail).split(yt, yo, yi, rows, tail)
     out.reorder(xi, yi, xw, yo, xt, ys).vectorize(xi).parallel(ys).never_partition_all()
 
     for func, taps, weights in funcs.weights:

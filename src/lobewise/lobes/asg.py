@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from lobewise.lobes.brdf import ggx_dominant_visible_normal
 from lobewise.lobes.roughness import GGX_SHARPNESS_SCALES, asg_sharpness_from_sg
 from lobewise.lobes.tangent import MIN_COSINE
-from lobewise.lobes.vectors import Array, as_reals, divide_or, dot, reflect
+from lobewise.lobes.vectors import Array, as_reals, contract, divide_or, dot, reflect
 
 MIN_VARIANCE = 1e-9
 """Square radians; the least variance of a lobe made from a roughness, so that a mirror without band-limit is finite."""
@@ -27,7 +27,6 @@ GGX_LIMIT = 0.6
 INTEGRAL_NODES = 24
 """Per quarter circle: 1e-11 for sharpnesses up to 1e6 in any ratio."""
 
-OFF_DIAGONALS_TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0], dtype=np.float32)
 FROM_SIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
@@ -59,11 +58,6 @@ class AsgProduct(NamedTuple):
     """``exp(-c)``, shape (...); the exponent of the product is exact."""
     smooth: Array
     """``max(axis.z_i, 0) max(axis.z_j, 0)``, shape (...): what stands for the two cosines."""
-
-
-def _inner(m: Array, n: Array) -> Array:
-    """Return ``M:N``, the sum of the products of all nine components, of six components each."""
-    return dot(m * OFF_DIAGONALS_TWICE.astype(m.dtype), n)
 
 
 def _outer(a: Array) -> Array:
@@ -126,7 +120,7 @@ def asg_from_covariance(axis: ArrayLike, covariance: ArrayLike, determinant: Arr
 def asg_evaluate(direction: ArrayLike, lobe: AsgLobe) -> Array:
     """Return the value of a lobe in ``direction`` (unit vectors, shape (..., 3)). Exact."""
     direction, axis, precision = as_reals(direction, lobe.axis, lobe.precision)
-    exponent = _inner(precision, _outer(direction - axis))
+    exponent = contract(precision, _outer(direction - axis))
     return np.asarray(np.maximum(dot(direction, axis), 0.0) * np.exp(-exponent))
 
 
@@ -246,7 +240,7 @@ def asg_sg_product_integral(lobe: AsgLobe, sg_axis: ArrayLike, sg_sharpness: Arr
     square = dot(difference, difference)
     # 1 - (p.z)^2 without its cancellation
     sine_square = square * (1.0 - 0.25 * square)
-    exponent = half * (half * _inner(precision, _outer(difference)) + determinant * sine_square) / total
+    exponent = half * (half * contract(precision, _outer(difference)) + determinant * sine_square) / total
     return np.asarray(math.pi / np.sqrt(total) * np.maximum(dot(sg_axis, axis), 0.0) * np.exp(-exponent))
 
 
@@ -312,12 +306,12 @@ def asg_approx_similarity(
     size_i, size_j = np.sqrt(determinant_i), np.sqrt(determinant_j)
     shape_i, shape_j = precision_i / size_i[..., None], precision_j / size_j[..., None]
     change = shape_j - shape_i
-    unlike = np.maximum(_inner(change, change) - _trace(change) ** 2, 0.0)
+    unlike = np.maximum(contract(change, change) - _trace(change) ** 2, 0.0)
     product, total = size_i * size_j, size_i + size_j
     inverse = 1.0 / (total * total + 0.5 * product * unlike)
     if shift is not None:
         difference = difference + as_reals(shift)[0].astype(difference.dtype)
-    spread = _inner(size_j[..., None] * shape_i + size_i[..., None] * shape_j, _outer(difference))
+    spread = contract(size_j[..., None] * shape_i + size_i[..., None] * shape_j, _outer(difference))
     c = product * np.maximum(spread, 0.0) * inverse
     softness = (trace_i + trace_j) * inverse
     norms = (trace_i / determinant_i + trace_j / determinant_j) / 16.0

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.vectors import Array, as_reals, normalize
+from lobewise.lobes.vectors import Array, as_reals, contract, normalize
 
 GGX_LIMIT = 0.35
 """Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
@@ -356,17 +356,10 @@ def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
     trace = lobe.covariance[..., 0] + lobe.covariance[..., 3] + lobe.covariance[..., 5]
     mean = np.stack(_across(0.5 * trace, _split(lobe.axis)), axis=-1)
     # from the deviation from the mean: free of cancellation between lobes that are nearly round
-    gap = np.sqrt(2.0 * _inner(lobe.covariance - mean, lobe.covariance - mean))
+    gap = np.sqrt(2.0 * contract(lobe.covariance - mean, lobe.covariance - mean))
     large = 0.5 * (trace + gap)
     small = lobe.determinant / large
     return large, small, lobe.covariance - np.stack(_across(small, _split(lobe.axis)), axis=-1)
-
-
-def _inner(a: Array, b: Array) -> Array:
-    """Return ``A:B`` of symmetric matrices of six components."""
-    diagonal, beside = [0, 3, 5], [1, 2, 4]
-    inner = np.sum(a[..., diagonal] * b[..., diagonal], axis=-1)
-    return np.asarray(inner + 2.0 * np.sum(a[..., beside] * b[..., beside], axis=-1))
 
 
 def tangent_approx_similarity(
@@ -394,7 +387,7 @@ def tangent_approx_similarity(
     quadratic = (large_i + large_j) * _dot3(_split(difference), _split(difference))
     quadratic = np.maximum(quadratic - _quadratic(rest_i + rest_j, difference), 0.0)
     root_i, root_j = np.sqrt(lobe_i.determinant), np.sqrt(lobe_j.determinant)
-    invariant = (large_i + small_j) * (large_j + small_i) - _inner(rest_i, rest_j)
+    invariant = (large_i + small_j) * (large_j + small_i) - contract(rest_i, rest_j)
     invariant = np.maximum(invariant, (root_i + root_j) ** 2)
     pre = 2.0 * np.sqrt(root_i) * np.sqrt(root_j) / np.sqrt(invariant)
     exponent = _log_areas(pre, lobe_i, lobe_j) - 2.4 * np.log1p(0.25 * quadratic / invariant)

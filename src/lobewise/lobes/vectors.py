@@ -12,6 +12,8 @@ Array = NDArray[np.floating[Any]]
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue (ITU-R BT.709)."""
 
+OFF_DIAGONALS_TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0], dtype=np.float32)
+
 
 def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
     """Return ``values`` as arrays of one real dtype: float32 where every given array is float32, else float64.
@@ -27,6 +29,11 @@ def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
 def dot(a: Array, b: Array) -> Array:
     """Return the dot product over the last axis."""
     return np.asarray(np.einsum("...k,...k->...", a, b))
+
+
+def contract(m: Array, n: Array) -> Array:
+    """Return ``M:N``, the sum of the products of all nine components, of symmetric matrices of shape (..., 6)."""
+    return dot(m * OFF_DIAGONALS_TWICE.astype(m.dtype), n)
 
 
 def square_distance(a: Array, b: Array) -> Array:
