@@ -93,7 +93,8 @@ class Page:
         self.page.on("console", lambda message: message.type == "error" and self.errors.append(message.text))
         self.page.on("pageerror", lambda problem: self.errors.append(str(problem)))
         self.page.on("websocket", lambda socket: socket.on("close", self._count_closed))
-        self.page.goto(viewer.url)
+        # On a busy machine viser draws fewer pixels than the window has, and then more again.
+        self.page.goto(f"{viewer.url}/?fixedDpr=1")
 
     def _count_closed(self, *_: object) -> None:
         self.closed_sockets += 1
@@ -146,16 +147,30 @@ class Page:
             self.page.wait_for_timeout(50)
 
     def settle(self) -> np.ndarray:
-        """Return what is shown as soon as it stays: a page that was just opened comes up slowly."""
-        looks = [np.zeros(0), np.zeros(1)]
+        """Return what is shown as soon as the server has nothing more to send and it stays.
+
+        A picture comes with loss first and without a moment later: noise differs by several codes between them.
+        """
+        found = [np.zeros(0)]
 
         def stays() -> bool:
+            if not all(self.viewer.statistics["resting"]):
+                return False
+            # What was sent has to be drawn.
+            self.page.wait_for_timeout(500)
+            found[0] = self.look()
             self.page.wait_for_timeout(250)
-            looks[:] = [looks[1], self.look()]
-            return np.array_equal(*looks)
+            return np.array_equal(self.look(), found[0]) and all(self.viewer.statistics["resting"])
 
         self.wait(stays, "a picture that stays")
-        return looks[1]
+        return found[0]
+
+    def settle_after(self, before: np.ndarray, least: float = 1.0) -> np.ndarray:
+        """Return what is shown as soon as it differs from a picture that had settled, and stays."""
+        self.wait_for_change(before, least)
+        after = self.settle()
+        assert compare(after, before) > least
+        return after
 
     def wait_for_frames(self, count: int, since: int | None = None) -> None:
         """Return when so many more pictures were shown than now, or than ``since``."""

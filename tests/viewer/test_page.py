@@ -41,8 +41,7 @@ class TestFinishedFrame:
         noisy = page.settle()
         assert not page.shows("Radius")
         page.choose("Similarity", "normal-aware")
-        page.wait_for_change(noisy, least=5.0)
-        clean = page.settle()
+        clean = page.settle_after(noisy, least=5.0)
         roughness = [np.abs(np.diff(image.astype(float), axis=1)).mean() for image in (noisy, clean)]
         assert roughness[1] < 0.6 * roughness[0]
         assert page.shows("Radius")
@@ -50,40 +49,38 @@ class TestFinishedFrame:
         assert not page.shows("Auto band-limit")
         assert not page.shows("Kernel")
         page.choose("Quality", "fast")
-        page.wait_for_change(clean, least=0.2)
-        clean = page.settle()
+        clean = page.settle_after(clean, least=0.2)
         assert page.shows("Kernel")
         page.choose("Show", "weight sum")
-        page.wait_for_change(clean)
+        page.settle_after(clean)
         assert not page.shows("Exposure, stops")
 
     def test_wipe(self, floor_viewer, visit):
         page = visit(floor_viewer)
         noisy = page.settle().astype(float)
         page.tick("Compare A, B")
-        page.wait_for_change(noisy)
-        wiped = page.settle().astype(float)
+        wiped = page.settle_after(noisy).astype(float)
         # B filters: left of the line is what was there, right of it is smoother.
         edge = noisy.shape[1] // 2
         left, right = np.abs(wiped - noisy)[:, : edge - 60].mean(), np.abs(wiped - noisy)[:, edge + 60 :].mean()
         assert right > 3.0 * left
         page.slide("Line", "Home")
-        all_right = page.wait_for_change(wiped)
+        all_right = page.settle_after(wiped)
         assert np.abs(all_right.astype(float) - noisy)[:, 60 : edge - 60].mean() > 3.0 * left
 
     def test_exposure_and_zoom(self, floor_viewer, visit):
         page = visit(floor_viewer)
         before = page.settle()
         page.slide("Exposure, stops", "ArrowRight", times=10)
-        brighter = page.wait_for_change(before, least=5.0)
+        brighter = page.settle_after(before, least=5.0)
         assert brighter.mean() > before.mean()
         page.page.get_by_role("button", name="Auto exposure").click()
-        page.wait_for_change(brighter, least=3.0)
+        exposed = page.settle_after(brighter, least=3.0)
         page.page.mouse.move(200, 300)
         page.page.mouse.wheel(0, -600)
-        zoomed = page.wait_for_change(before, least=5.0)
+        zoomed = page.settle_after(exposed, least=5.0)
         page.page.get_by_role("button", name="Show all").click()
-        page.wait_for_change(zoomed, least=5.0)
+        np.testing.assert_array_equal(page.settle_after(zoomed, least=5.0), exposed)
 
     def test_saving(self, floor_viewer, floor_file, visit, tmp_path):
         from PIL import Image
@@ -94,7 +91,7 @@ class TestFinishedFrame:
         assert Image.open(io.BytesIO(data)).size == (48, 32)
         before = page.settle()
         page.choose("Similarity", "normal-aware")
-        page.wait_for_change(before, least=5.0)
+        page.settle_after(before, least=5.0)
         name, data = page.save("EXR")
         assert name == "floor-lobewise.exr"
         saved = tmp_path / name
@@ -107,7 +104,7 @@ class TestFinishedFrame:
         first.wait(lambda: floor_viewer.statistics["browsers"] == 2, "two browsers")
         before = [page.settle() for page in (first, second)]
         first.choose("Show", "normals")
-        first.wait_for_change(before[0], least=5.0)
+        first.settle_after(before[0], least=5.0)
         second.page.wait_for_timeout(300)
         np.testing.assert_array_equal(second.look(), before[1])
 

@@ -8,7 +8,7 @@ import pytest
 from lobewise.display import map_tones, map_tones_quickly
 from lobewise.viewer.looks import FrameLook, SceneLook, name_sides
 from lobewise.viewer.messages import Window
-from lobewise.viewer.pictures import BARS, LEGENDS, VIEWS, fit_window, paint, wipe
+from lobewise.viewer.pictures import BARS, LEGENDS, MOST_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
 
 
 class TestTones:
@@ -23,6 +23,15 @@ class TestTones:
     def test_what_is_no_radiance(self):
         image = np.array([[[np.nan, -1.0, np.inf], [1e38, -np.inf, 0.0]]], dtype=np.float32)
         np.testing.assert_array_equal(map_tones_quickly(image, 2.0), [[[0, 0, 255], [255, 0, 0]]])
+
+
+class TestStops:
+    @pytest.mark.parametrize("level", [1e-6, 0.03, 1.0, 2.7, 1e6])
+    def test_it_is_a_step_of_the_slider(self, level):
+        stops = choose_stops(np.full((8, 8, 3), level, np.float32))
+        expected = np.clip(np.log2(0.8 / level), -MOST_STOPS, MOST_STOPS)
+        assert stops == round(stops, 1)
+        assert stops == pytest.approx(expected, abs=0.0501)
 
 
 class TestPaint:

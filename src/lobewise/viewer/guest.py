@@ -54,6 +54,11 @@ class Guest:
         """Whether the camera moved a moment ago."""
         return time.monotonic() - self.moved_at < STILL_AFTER
 
+    @property
+    def is_resting(self) -> bool:
+        """Whether the last picture was sent without loss, so that nothing follows unless it is asked for."""
+        return self.picture is not None and self.picture is self._kept
+
     def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
         """Return what the browser would see next; None where there is nothing to see.
 
@@ -118,13 +123,16 @@ class Guest:
         unfinished = panel.accumulate and picture.accumulated < MOST_ACCUMULATED
         return unfinished or picture.size != self._choose_size(found, window, 1.0)
 
-    def take_last(self) -> Picture | None:
-        """Return, once, a picture that nothing followed for a while."""
+    def get_last(self) -> Picture | None:
+        """Return a picture that nothing followed for a while and that was not yet sent without loss."""
         picture = self.picture
         if picture is None or picture is self._kept or time.monotonic() - self._times[-1] < STILL_AFTER:
             return None
-        self._kept = picture
         return picture
+
+    def keep(self, picture: Picture) -> None:
+        """Take notice of a picture that was sent without loss."""
+        self._kept = picture
 
     def get_rate(self, last: int | None = None) -> float | None:
         """Return pictures per second: of the last ``last``, or of the last seconds; None where there are too few."""

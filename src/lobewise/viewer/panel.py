@@ -8,7 +8,7 @@ from typing import Any
 
 from lobewise.viewer.looks import FrameLook, Look, SceneLook
 from lobewise.viewer.messages import Description
-from lobewise.viewer.pictures import LEGENDS, VIEWS
+from lobewise.viewer.pictures import LEGENDS, MOST_STOPS, VIEWS
 from lobewise.viewer.status import write_message
 
 METHOD_NAMES = {"paths": "paths", "voxel_cones": "voxel cones", "virtual_lights": "virtual lights"}
@@ -221,7 +221,9 @@ class Panel:
             names = [VIEWS[name] for name in found.views]
             self._view = gui.add_dropdown("Show", names, hint="The image, or what happens inside.")
             self._legend = gui.add_html("", visible=False)
-            self._stops = gui.add_slider("Exposure, stops", -10.0, 10.0, 0.1, 0.0, hint="Each stop doubles the light.")
+            self._stops = gui.add_slider(
+                "Exposure, stops", -MOST_STOPS, MOST_STOPS, 0.1, 0.0, hint="Each stop doubles the light."
+            )
             self._expose = gui.add_button("Auto exposure", hint="Put the brightest 2 % above the shoulder.", icon=None)
             hint = FLY_HINT if scene else ZOOM_HINT
             reset = gui.add_button("Reset camera" if scene else "Show all", hint=hint)
@@ -278,7 +280,7 @@ class Panel:
 
     def set_stops(self, stops: float) -> None:
         """Show an exposure that was chosen."""
-        self._stops.value = round(min(max(stops, -10.0), 10.0), 1)
+        self._stops.value = stops
 
     def _connect(self, reset: Any, save: Any) -> None:
         actions = self._actions

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display import make_error_palette, map_tones_quickly
+from lobewise.display import choose_exposure, make_error_palette, map_tones_quickly
 from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]
 
 MOST_SAMPLES = 256.0
 """Effective samples that are shown as 1."""
+MOST_STOPS = 10.0
+"""The page's exposures go from minus to plus this, in steps of a tenth."""
 
 VIEWS = {
     "image": "image",
@@ -50,6 +53,18 @@ BARS = (16, 17, 20)
 """Colour of what lies outside the picture."""
 _LABEL_MARGIN = 6
 _MOST_MAGNIFIED = 24
+
+
+def choose_stops(image: NDArray[np.float32]) -> float:
+    """Return the exposure of an image, base-2 logarithm, as the page's slider can show and ask for it.
+
+    Raises
+    ------
+    InputError
+        If no pixel is finite.
+    """
+    stops = math.log2(choose_exposure(np.ascontiguousarray(image[::4, ::4])))
+    return round(min(max(stops, -MOST_STOPS), MOST_STOPS), 1)
 
 
 def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:

@@ -140,7 +140,8 @@ class Viewer:
 
         ``frames``: pictures shown; ``browsers``; ``process``, ``memory`` and ``restarts`` of the process that renders:
         its id, bytes, and how often it died. Lists with an entry for each browser: ``fps`` of the last 20 pictures;
-        ``size``, ``accumulated`` and ``seconds`` of the last one; ``eyes``: where the camera is, in its own unit.
+        ``size``, ``accumulated`` and ``seconds`` of the last one; ``eyes``: where the camera is, in its own unit;
+        ``resting``: whether the last picture was sent without loss and no other is asked for.
         """
         with self._lock:
             guests = list(self._guests.values())
@@ -156,6 +157,7 @@ class Viewer:
                 "accumulated": [picture.accumulated for picture in pictures],
                 "seconds": [picture.seconds for picture in pictures],
                 "eyes": [tuple(map(float, guest.pose.position)) for guest in guests],
+                "resting": [guest.is_resting and not self._link.is_waiting(guest.client.client_id) for guest in guests],
             }
 
     def wait(self) -> None:
@@ -382,8 +384,9 @@ class Viewer:
                     continue
                 if guest.needs_more(found):
                     self._ask(guest)
-                elif (picture := guest.take_last()) is not None:
+                elif (picture := guest.get_last()) is not None:
                     guest.client.scene.set_background_image(picture.pixels, format="png")
+                    guest.keep(picture)
             order, busy = self._link.get_busy()
             if order is not None and busy > _SLOW_AFTER and time.monotonic() - told > 0.5:
                 told = time.monotonic()

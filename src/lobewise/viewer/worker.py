@@ -5,7 +5,6 @@ Compilers hold Python's lock for seconds and a renderer may abort its process; n
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import sys
@@ -14,8 +13,6 @@ import time
 from multiprocessing import connection, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from lobewise.errors import InputError, LobewiseError, describe_problem
 from lobewise.viewer.messages import (
@@ -128,14 +125,11 @@ class Worker:
             self._send(Problem(describe_failure(problem), order.client, ours=True))
 
     def _draw(self, order: Request, shots: list[Shot], *, final: bool) -> Picture:
-        from lobewise.display import choose_exposure
         from lobewise.viewer.looks import name_sides
-        from lobewise.viewer.pictures import fit_window, paint, wipe
+        from lobewise.viewer.pictures import choose_stops, fit_window, paint, wipe
 
         first = shots[0]
-        stops = order.stops
-        if stops is None:
-            stops = math.log2(choose_exposure(np.ascontiguousarray(first.image[::4, ::4])))
+        stops = choose_stops(first.image) if order.stops is None else order.stops
         start = time.perf_counter()
         plain = [paint(order.view, shot.get_view(order.view), 2.0**stops) for shot in shots]
         pictures = [fit_window(picture, order.window) for picture in plain]
