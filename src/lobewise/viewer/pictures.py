@@ -16,7 +16,7 @@ Pixels = NDArray[np.uint8]
 MOST_SAMPLES = 256.0
 """Effective samples that are shown as 1."""
 MOST_STOPS = 10.0
-"""The page's exposures go from minus to plus this, in steps of a tenth."""
+"""Exposures of the page go from minus this to this, in steps of a tenth."""
 
 VIEWS = {
     "image": "image",
