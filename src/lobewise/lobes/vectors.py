@@ -12,7 +12,8 @@ Array = NDArray[np.floating[Any]]
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue (ITU-R BT.709)."""
 
-OFF_DIAGONALS_TWICE = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0], dtype=np.float32)
+_SIX_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0, 2.0, 1.0], dtype=np.float32)
+"""How often xx, xy, xz, yy, yz, zz stand in a symmetric matrix."""
 
 
 def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
@@ -33,7 +34,7 @@ def dot(a: Array, b: Array) -> Array:
 
 def contract(m: Array, n: Array) -> Array:
     """Return ``M:N``, the sum of the products of all nine components, of symmetric matrices of shape (..., 6)."""
-    return dot(m * OFF_DIAGONALS_TWICE.astype(m.dtype), n)
+    return dot(m * _SIX_WEIGHTS.astype(m.dtype), n)
 
 
 def square_distance(a: Array, b: Array) -> Array:
