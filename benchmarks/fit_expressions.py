@@ -1,4 +1,4 @@
-"""Fit the polynomials of ``lobewise.kernels.expressions``: run it, compare with what stands there.
+"""Fit the polynomials of ``lobewise.backend.expressions``: run it, compare with what stands there.
 
 Lawson's algorithm (iteratively reweighted least squares) converges to the minimax polynomial. The exponential's values
 at both ends are left free. The logarithm's are fixed: with a step at every power of two, where the logarithm of what is

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from common import describe_machine, write_json
+from lobewise.fitting.fit import fit_lobes, make_nodes
+from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import write_merl
 from lobewise.lobes.brdf import ggx_brdf, lambert_brdf
-from lobewise.lobes.fit import fit_lobes, make_nodes
-from lobewise.lobes.merl import make_merl
 from lobewise.lobes.table import evaluate_lobes, evaluate_table
 
 ALPHAS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.3, 0.5, 0.8)

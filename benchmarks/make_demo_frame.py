@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lobewise.demo import FRAME, REFERENCE, REFERENCE_SEED, restore_positions
+from lobewise.cli.demo import FRAME, REFERENCE, REFERENCE_SEED, restore_positions
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
 from lobewise.render import load_scene, render_frame, render_reference

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from lobewise.denoising import denoise
-from lobewise.display import choose_exposure, map_tones
 from lobewise.io.png import encode_png
+from lobewise.reporting.display import choose_exposure, map_tones
 from similarities import fetch, fetch_reference
 
 ROOT = Path(__file__).parents[1]

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.fitting.merl import MerlBrdf, make_merl
 from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.merl import MerlBrdf, make_merl
 from lobewise.render import load_mitsuba
 
 DIFFUSE_SHARE = 0.35

@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from common import describe_machine
-from lobewise.display import choose_exposure, map_tones
 from lobewise.errors import MissingDependencyError
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import flip, mse, rel_mse, smape
+from lobewise.reporting.display import choose_exposure, map_tones
 from quality_frames import FEWEST, SAMPLES, SCENES, SEEDS, Bench, Mask, classify_pixels
 from quality_methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS, TUNING_SEED, Tuning, tune
 from quality_pictures import make_pictures
@@ -49,7 +49,7 @@ WIDE = (1920, 1080)
 def compute_ssim(image: FloatArray, reference: FloatArray) -> float:
     """Return the mean structural similarity of what a screen shows of two images, at most 1, which is equality.
 
-    Of the sRGB-encoded luma under the reference's exposure (`lobewise.display`), in [0, 1].
+    Of the sRGB-encoded luma under the reference's exposure (`lobewise.reporting.display`), in [0, 1].
 
     Notes
     -----

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from common import describe_machine
-from lobewise.display import choose_exposure, map_tones
 from lobewise.frame import FloatArray
+from lobewise.reporting.display import choose_exposure, map_tones
 from quality_frames import SAMPLES, SEEDS, Bench, Mask, classify_pixels
 from quality_methods import METHODS, Tuning
 

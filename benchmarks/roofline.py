@@ -27,13 +27,13 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from common import describe_machine, write_json
+from lobewise.backend.devices import make_target
 from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
-from lobewise.kernels.cross_filter import PassKey, describe_structure, make_pass
-from lobewise.kernels.devices import make_target
-from lobewise.kernels.forms import Taps
-from lobewise.kernels.schedules import count_lanes, schedule_pass
+from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
+from lobewise.filters.forms import Taps
+from lobewise.filters.schedules.cpu import count_lanes, schedule_pass
 
 NAMES = ("normal", "sg", "asg", "ggx", "sg_mixture, 3 coaxial")
 SIZE = 256

@@ -21,9 +21,9 @@ from typing import Any
 
 import halide as hl
 import numpy as np
+from benchmarks.common import write_json
 
 import lobewise
-from benchmarks.common import write_json
 from lobewise import Camera, Frame, Radiance
 
 TABLE = Path(__file__).parent / "results" / "same_bits.json"
@@ -55,8 +55,11 @@ def enrich(frame: Frame) -> Frame:
     rng = np.random.default_rng(20150915)
     height, width = frame.shape
     guides = frame.gbuffer
-    assert guides.normal is not None and guides.alpha_u is not None and guides.depth is not None
-    assert guides.diffuse_albedo is not None and guides.specular_albedo is not None
+    assert guides.normal is not None
+    assert guides.alpha_u is not None
+    assert guides.depth is not None
+    assert guides.diffuse_albedo is not None
+    assert guides.specular_albedo is not None
     y, x = np.mgrid[:height, :width] / 32.0
     helper = np.cross(guides.normal, np.array([0.3, 0.9, 0.1]))
     tangent = helper / np.maximum(np.linalg.norm(helper, axis=-1, keepdims=True), 1e-6)

@@ -29,20 +29,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common import describe_machine, fetch_frame, fetch_image, write_json
+from lobewise.backend import expressions
+from lobewise.backend.buffers import Buffer, take_mask
+from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.bench.timing import time_best
 from lobewise.denoising import DenoiseSettings
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.settings import resolve_settings
+from lobewise.features.arrays import take_arrays, take_parameters
+from lobewise.features.base import Feature, ScreenFeature
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, WEIGHT, demodulate, make_pass_inputs, make_stage
+from lobewise.filters.planes import Rows, begin_at_zero, make_image, make_side
+from lobewise.filters.runs import SampleGrid
+from lobewise.filters.schedules.cpu import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.frame import FloatArray, Frame
-from lobewise.kernels import expressions
-from lobewise.kernels.buffers import Buffer, take_arrays, take_mask, take_parameters
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR, WEIGHT, demodulate, make_pass_inputs, make_stage
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import Feature, ScreenFeature
-from lobewise.kernels.loading import Kernel, Scheduled, get_kernel
-from lobewise.kernels.planes import Rows, begin_at_zero, make_image, make_side
-from lobewise.kernels.runs import SampleGrid
-from lobewise.kernels.schedules import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, render_frame, render_reference
 
@@ -193,7 +194,7 @@ class TwoLevels:
 
 
 def run_form(form: str, radius: int, layer: Layer) -> FloatArray:
-    """Filter a layer with a form of `lobewise.kernels.forms`."""
+    """Filter a layer with a form of `lobewise.filters.forms`."""
     return run_filter(layer.radiance, layer.mask, layer.features, form=form, radius=radius, albedo=layer.albedo).image
 
 

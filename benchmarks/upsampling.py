@@ -592,7 +592,7 @@ def watch(places: Mapping[str, tuple[Any, str]], spent: dict[str, float]) -> Ite
 
 def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
     """1920x1080 from 480x270: time of a frame with history, by stage, beside upsampling without."""
-    from lobewise.kernels.runs import SampleGrid
+    from lobewise.filters.runs import SampleGrid
     from lobewise.temporal import past, recipe
 
     places = {

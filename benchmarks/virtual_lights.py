@@ -24,10 +24,10 @@ import numpy as np
 import lobewise
 from common import describe_machine, fetch_frame, write_json
 from lobewise.denoising import denoise
-from lobewise.display import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
+from lobewise.reporting.display import choose_exposure, map_tones
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "virtual_lights.md"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 import lobewise
-from lobewise.kernels.expressions import log2
+from lobewise.backend.expressions import log2
 from lobewise.metrics import rel_mse
 
 

@@ -68,7 +68,7 @@ def test_interactive_page_says_what_was_measured() -> None:
 
 
 def test_performance_page_says_what_was_measured() -> None:
-    from lobewise.kernels.devices import DEVICES
+    from lobewise.backend.devices import DEVICES
 
     publisher = load_publisher()
     results = ROOT / "benchmarks" / "results"

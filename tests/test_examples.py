@@ -11,7 +11,7 @@ import pytest
 
 import lobewise
 from lobewise.errors import InputError
-from lobewise.kernels.engine import run_filter
+from lobewise.filters.cross_filter import run_filter
 
 FOLDER = Path(__file__).parents[1] / "examples"
 FEATURES = [FOLDER / "object_id.py", FOLDER / "spectral_lobe.py"]

@@ -11,11 +11,11 @@ import pytest
 
 from lobewise.cli.fitting import choose_plot
 from lobewise.cli.main import run
-from lobewise.fit_plot import draw_fit
+from lobewise.fitting.fit import fit_lobes
+from lobewise.fitting.merl import FILE_BYTES, make_merl
 from lobewise.io.materials import read_lobe_table, write_merl
 from lobewise.lobes.brdf import ggx_brdf, lambert_brdf
-from lobewise.lobes.fit import fit_lobes
-from lobewise.lobes.merl import FILE_BYTES, make_merl
+from lobewise.reporting.fit_plot import draw_fit
 
 
 @pytest.fixture(scope="module")
@@ -113,8 +113,8 @@ class TestMistakes:
             raise ZeroDivisionError
 
         table = fit_lobes(lambert_brdf, cosines=[1.0], lobes=1)
-        monkeypatch.setattr("lobewise.lobes.fit.fit_lobes", lambda *_arguments, **_settings: table)
-        monkeypatch.setattr("lobewise.fit_plot.draw_fit", explode)
+        monkeypatch.setattr("lobewise.fitting.fit.fit_lobes", lambda *_arguments, **_settings: table)
+        monkeypatch.setattr("lobewise.reporting.fit_plot.draw_fit", explode)
         assert run(["fit", str(material), "-o", str(tmp_path / "out.lobes"), "--lobes", "1"]) == 1
         assert not list(tmp_path.iterdir())
 
@@ -130,7 +130,7 @@ def test_plots_of_few_views(cosines):
 
 def test_nothing_heavy_is_imported_before_it_is_needed():
     code = (
-        "import lobewise.lobes.fit, lobewise.fit_plot, lobewise.io.materials, lobewise.cli.fitting, sys;"
+        "import lobewise.fitting.fit, lobewise.reporting.fit_plot, lobewise.io.materials, lobewise.cli.fitting, sys;"
         "print(sorted(set(sys.modules) & {'scipy', 'matplotlib', 'rich.table'}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -27,10 +27,10 @@ from lobewise.denoising.high import (
 )
 from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
+from lobewise.filters.dual_buffer_runs import Paired
+from lobewise.filters.mixing import Network, count_features
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io import describe_file, read_frame, write_frame, write_result
-from lobewise.kernels.mixing import Network, count_features
-from lobewise.kernels.paired_runs import Paired
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample

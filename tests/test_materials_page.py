@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from lobewise.cli.commands import app
+from lobewise.fitting.fit import fit_lobes
+from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import lobe_table_to_json, write_merl
 from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.fit import fit_lobes
-from lobewise.lobes.merl import make_merl
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "materials.md").read_text()

@@ -12,9 +12,9 @@ from lobewise.denoising import DenoiseSettings, denoise
 from lobewise.denoising.guided import make_noisy_layers, resolve_guided
 from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError
+from lobewise.features.base import ScreenFeature
+from lobewise.filters.compositing import resolve_light
 from lobewise.frame import Frame, Radiance
-from lobewise.kernels.features import ScreenFeature
-from lobewise.kernels.resolving import resolve_light
 from lobewise.lobes.field import default_tau
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter

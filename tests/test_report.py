@@ -15,13 +15,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from lobewise import demo
-from lobewise.display import choose_exposure, index_errors, make_error_palette, map_tones
+from lobewise.cli import demo
 from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate
-from lobewise.report import Picture, Report, make_page
+from lobewise.reporting.display import choose_exposure, index_errors, make_error_palette, map_tones
+from lobewise.reporting.report import Picture, Report, make_page
 
 
 def decode_png(data: bytes) -> tuple[np.ndarray, np.ndarray | None]:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
+from lobewise.filters.mixing import Network, count_features, find_features, mix_candidates
 from lobewise.frame import Frame
-from lobewise.kernels.mixing import Network, count_features, find_features, mix_candidates
 from lobewise.metrics import EPSILON
 from tests.kernels.test_mixing import CANDIDATES, EXTRAS, make_inputs
 

@@ -10,10 +10,10 @@ if TYPE_CHECKING:
     from lobewise.adaptive import find_unsupported, recompute
     from lobewise.camera import Camera
     from lobewise.denoising import DenoiseSettings, denoise
+    from lobewise.features.base import Feature
     from lobewise.frame import Frame, GBuffer, LobeKind, Radiance, Result
     from lobewise.io.exr import read_frame, write_frame, write_result
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
-    from lobewise.kernels.features import Feature
     from lobewise.lobe_table import LobeTable
     from lobewise.sparse_frame import SparseFrame, make_sparse
     from lobewise.streaming import DenoisedFile, denoise_file
@@ -56,7 +56,7 @@ _LAZY = {
     "Camera": "lobewise.camera",
     "DenoiseSettings": "lobewise.denoising",
     "DenoisedFile": "lobewise.streaming",
-    "Feature": "lobewise.kernels.features",
+    "Feature": "lobewise.features.base",
     "Frame": "lobewise.frame",
     "GBuffer": "lobewise.frame",
     "LobeKind": "lobewise.frame",

@@ -15,10 +15,10 @@ from lobewise.denoising.layers import Layer, find_support, make_layers, make_res
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.features.base import Feature, TentFeature
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.runs import run_upsampling
 from lobewise.frame import Frame, Result
-from lobewise.kernels.engine import FilterOutput
-from lobewise.kernels.features import Feature, TentFeature
-from lobewise.kernels.runs import run_upsampling
 from lobewise.sparse_frame import SparseFrame
 
 DEFAULT_RADIUS = 5

@@ -11,21 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lobewise.backend.devices import list_devices
+from lobewise.backend.targets import parse_target
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
-from lobewise.exporting.arguments import MEANINGS
-from lobewise.exporting.example import LARGEST_DIFFERENCE, choose_bound
-from lobewise.exporting.names import TARGETS
-from lobewise.exporting.native import export_library
-from lobewise.exporting.sample import make_sample
-from lobewise.kernels.ahead_of_time import (
+from lobewise.exporting.ahead_of_time import (
     OUTPUT_CHANNELS,
     FilterPlan,
     list_filter_arguments,
     list_lobe_arguments,
 )
-from lobewise.kernels.devices import list_devices
-from lobewise.kernels.targets import parse_target
+from lobewise.exporting.arguments import MEANINGS
+from lobewise.exporting.example import LARGEST_DIFFERENCE, choose_bound
+from lobewise.exporting.names import TARGETS
+from lobewise.exporting.native import export_library
+from lobewise.exporting.sample import make_sample
 from lobewise.lobes.mixture_field import build_mixture_field
 
 WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
@@ -276,10 +276,10 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
 
 
 def test_mixture_kernel_is_the_mixture_field() -> None:
+    from lobewise.backend.pointwise import run_pointwise
+    from lobewise.exporting.ahead_of_time import define_mixture
     from lobewise.frame import GBuffer
     from lobewise.io import read_frame
-    from lobewise.kernels.ahead_of_time import define_mixture
-    from lobewise.kernels.pointwise import run_pointwise
 
     rng = np.random.default_rng(7)
     shape, tau = (40, 48), 0.01

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError
+from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import (
     lobe_table_from_json,
     lobe_table_to_json,
@@ -19,7 +20,6 @@ from lobewise.io.materials import (
 )
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.brdf import lambert_brdf
-from lobewise.lobes.merl import make_merl
 
 
 @pytest.fixture

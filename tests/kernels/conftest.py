@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from lobewise.kernels.devices import list_devices
+from lobewise.backend.devices import list_devices
 
 RUNS = (
     "run_filter",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
-from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
-from lobewise.kernels.features import (
+from lobewise.features.base import (
     BandLimitFeature,
     Feature,
     NormalFeature,
@@ -15,8 +13,10 @@ from lobewise.kernels.features import (
     PositionFeature,
     ScreenFeature,
 )
-from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature, SgFeature
-from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.features.covariance import AsgFeature, GgxFeature
+from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature, SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 
 SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41), (3, 277)]

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from lobewise.backend.jit import count_compiled_kernels
+from lobewise.features.base import Feature, ScreenFeature
+from lobewise.filters import cross_filter as engine
+from lobewise.filters.cross_filter import FilterOutput, _list_tiles, run_filter
 from lobewise.frame import FloatArray
-from lobewise.kernels import engine
-from lobewise.kernels.engine import FilterOutput, _list_tiles, run_filter
-from lobewise.kernels.features import Feature, ScreenFeature
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.reference import ReferenceOutput, filter_reference
 from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import FORMS, KINDS, SIZES, make_feature, make_mask, make_radiance
+from tests.kernels.reference import ReferenceOutput, filter_reference
 
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4: 3e-4 relative. GGX expands 1/|m|^2 to third order
 # and the diffuse overlap is a fit to 1.3e-3, which matters where it is small.

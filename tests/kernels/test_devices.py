@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from lobewise import denoise
-from lobewise.denoising import DenoiseSettings
-from lobewise.errors import DeviceError, InputError
-from lobewise.kernels import devices
-from lobewise.kernels.buffers import (
+from lobewise.backend import devices
+from lobewise.backend.buffers import (
     Buffer,
     DeviceImage,
     comes_down,
@@ -22,9 +20,11 @@ from lobewise.kernels.buffers import (
     to_host,
     transfers,
 )
-from lobewise.kernels.devices import DEVICES, Device, choose_device, list_devices
-from lobewise.kernels.engine import FilterOutput, run_filter
-from lobewise.kernels.features import ScreenFeature
+from lobewise.backend.devices import DEVICES, Device, choose_device, list_devices
+from lobewise.denoising import DenoiseSettings
+from lobewise.errors import DeviceError, InputError
+from lobewise.features.base import ScreenFeature
+from lobewise.filters.cross_filter import FilterOutput, run_filter
 
 pytestmark = pytest.mark.processor  # each test says itself what it runs on
 

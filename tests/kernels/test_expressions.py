@@ -8,8 +8,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend import expressions
 from lobewise.frame import FloatArray
-from lobewise.kernels import expressions
 
 
 def evaluate(function: Callable[[hl.Expr], hl.Expr], values: FloatArray) -> FloatArray:

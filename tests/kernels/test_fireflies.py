@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.fireflies import AGREEMENT, FEWEST_NEIGHBOURS, RATIO, REACH, bound_fireflies
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.fireflies import AGREEMENT, FEWEST_NEIGHBOURS, RATIO, REACH, bound_fireflies
 from lobewise.lobes.vectors import LUMINANCE
 
 Image = NDArray[np.float32]

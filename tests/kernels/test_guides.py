@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import GBuffer
-from lobewise.kernels.guides import (
+from lobewise.guides.surfaces import (
     find_footprints,
     find_inverse_hits,
     find_places,

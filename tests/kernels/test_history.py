@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.features.base import Feature
+from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS, SNAP
+from lobewise.filters.runs import run_reprojection
 from lobewise.frame import FloatArray
-from lobewise.kernels.features import Feature
-from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS, SNAP
-from lobewise.kernels.reference import reproject_reference
-from lobewise.kernels.runs import run_reprojection
 from tests.kernels.frames import SIZES, make_feature, make_mask
+from tests.kernels.reference import reproject_reference
 
 SQUARED_WEIGHT = 4
 # As in test_cross_filter; the sum of squared weights has twice the error.

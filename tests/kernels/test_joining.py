@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
+from lobewise.filters.reprojection import HISTORY_CHANNELS
+from lobewise.filters.runs import JoinedOutput, SampleGrid
 from lobewise.frame import FloatArray
-from lobewise.kernels.history import HISTORY_CHANNELS
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.runs import JoinedOutput, SampleGrid
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import summarize
 from tests.kernels.frames import make_feature, make_mask, make_radiance

@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.backend import jit as loading
+from lobewise.backend.buffers import Buffer
+from lobewise.backend.jit import Runtime, describe_key, fetch_object, find_cache_folder, get_runtime
 from lobewise.errors import DeviceError
-from lobewise.kernels import loading
-from lobewise.kernels.buffers import Buffer
-from lobewise.kernels.cross_filter import PassKey
-from lobewise.kernels.features import NormalFeature, ScreenFeature
-from lobewise.kernels.fireflies import find_energy_lost
-from lobewise.kernels.forms import Taps
-from lobewise.kernels.loading import Runtime, describe_key, fetch_object, find_cache_folder, get_runtime
+from lobewise.features.base import NormalFeature, ScreenFeature
+from lobewise.filters.cross_pass import PassKey
+from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.forms import Taps
 
 pytestmark = pytest.mark.processor
 
 PROGRAM = """
 import numpy as np
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import NormalFeature, ScreenFeature
-from lobewise.kernels.loading import _compile
-import lobewise.kernels.loading as loading
+from lobewise.filters.cross_filter import run_filter
+from lobewise.features.base import NormalFeature, ScreenFeature
+from lobewise.backend.jit import _compile
+import lobewise.backend.jit as loading
 made = []
 loading._compile = lambda write: (made.append(1), _compile(write))[1]
 Own = type("Own", (ScreenFeature,), {{}})

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from lobewise.kernels.covariance_features import GGX_UNIT, TAIL_SQUARINGS, GgxFeature
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.lobe_features import LAMBERT_COEFFICIENTS
-from lobewise.kernels.reference import filter_reference
+from lobewise.features.covariance import GGX_UNIT, TAIL_SQUARINGS, GgxFeature
+from lobewise.features.lobe import LAMBERT_COEFFICIENTS
+from lobewise.filters.cross_filter import run_filter
+from tests.kernels.reference import filter_reference
 
 
 def correlate_ggx(offset: float) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
-from lobewise.kernels.lobe_fields import make_lobe_field
+from lobewise.guides.lobe_fields import make_lobe_field
 from lobewise.lobes.field import LobeField, build_lobe_field
 
 CAMERA = Camera(position=(0.5, -0.3, 5.0), forward=(-0.1, 0.05, -1.0), up=(0.0, 1.0, 0.1), fov_y=0.8, fov_x=0.9)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import convolve1d
 from scipy.special import softmax
 
+from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
+from lobewise.filters.mixing import Network, count_features, find_features, mix_candidates
 from lobewise.frame import FloatArray
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.mixing import Network, count_features, find_features, mix_candidates
 from tests.kernels.frames import make_radiance
 
 Pairs = list[tuple[FloatArray, FloatArray]]

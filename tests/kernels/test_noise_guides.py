@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
+from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
 from tests.kernels.frames import make_radiance
 
 DARKEST = 0.04

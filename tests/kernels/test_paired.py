@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
+from lobewise.features.base import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
+from lobewise.features.lobe import DiffuseFeature
+from lobewise.features.seen import SeenFeature
+from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
 from lobewise.frame import FloatArray
-from lobewise.kernels.features import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.lobe_features import DiffuseFeature
-from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
-from lobewise.kernels.seen_features import SeenFeature
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 
 FloatImage = NDArray[np.float64]

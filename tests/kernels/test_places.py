@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
+from lobewise.filters.reprojection import SNAP
 from lobewise.frame import FloatArray
-from lobewise.kernels.history import SNAP
-from lobewise.kernels.places import find_surface_places
+from lobewise.guides.places import find_surface_places
 from lobewise.motion import compute_motion
 
 SIZE = (37, 64)

@@ -6,15 +6,15 @@ import halide as hl
 import numpy as np
 import pytest
 
-from lobewise.errors import InputError
-from lobewise.kernels.loading import count_compiled_kernels
-from lobewise.kernels.pointwise import (
+from lobewise.backend.jit import count_compiled_kernels
+from lobewise.backend.pointwise import (
     Grid,
     Vector,
     is_finite,
     run_pointwise,
     select_or_nan,
 )
+from lobewise.errors import InputError
 
 SIZES = [(1, 1), (1, 7), (3, 16), (2, 17), (17, 3), (5, 33), (64, 67)]
 

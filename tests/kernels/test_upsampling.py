@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
+from lobewise.features.base import Feature, TentFeature
+from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.filters.runs import run_upsampling
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import FilterOutput, run_filter
-from lobewise.kernels.features import Feature, TentFeature
-from lobewise.kernels.runs import run_upsampling
 from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import make_feature, make_mask, make_radiance
 

@@ -10,10 +10,10 @@ import pytest
 from scipy.integrate import quad
 
 from lobewise.errors import InputError, MissingDependencyError
+from lobewise.fitting.fit import COSINES, fit_lobes, make_nodes
+from lobewise.fitting.fit_shapes import GAUSSIANS
+from lobewise.fitting.merl import make_merl
 from lobewise.lobes.brdf import beckmann_brdf, ggx_brdf, ggx_directional_albedo, lambert_brdf, oren_nayar_brdf
-from lobewise.lobes.fit import COSINES, fit_lobes, make_nodes
-from lobewise.lobes.fit_shapes import GAUSSIANS
-from lobewise.lobes.merl import make_merl
 from lobewise.lobes.sg import sg_integral
 from lobewise.lobes.table import evaluate_lobes, evaluate_table
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError, InputError
-from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.merl import (
+from lobewise.fitting.merl import (
     BINS,
     FILE_BYTES,
     SCALES,
@@ -21,6 +20,7 @@ from lobewise.lobes.merl import (
     to_bytes,
     to_half_difference,
 )
+from lobewise.lobes.brdf import ggx_brdf
 
 
 def draw_pairs(rng, count=4000):

@@ -13,9 +13,9 @@ import pytest
 
 from lobewise import denoise
 from lobewise.errors import MissingDependencyError, UnsupportedBsdfError
+from lobewise.fitting.fit import LUMINANCE
 from lobewise.frame import Frame, GBuffer, LobeKind
 from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.fit import LUMINANCE
 from lobewise.lobes.table import evaluate_lobes, evaluate_table
 from tests.render.measured_file import write_measured
 from tests.render.python_bsdf import register_lobes

@@ -10,16 +10,17 @@ import pytest
 from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, refill
+from lobewise.features.base import ScreenFeature
+from lobewise.filters import compositing as resolving
+from lobewise.filters import fireflies, mixing, noise_guides
+from lobewise.filters.compositing import resolve_light
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.dual_buffer_runs import Exponents, run_paired
+from lobewise.filters.fireflies import bound_fireflies
+from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.mixing import find_features
+from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.frame import FloatArray
-from lobewise.kernels import fireflies, mixing, noise_guides, resolving
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import ScreenFeature
-from lobewise.kernels.fireflies import bound_fireflies
-from lobewise.kernels.forms import ATROUS_REACH
-from lobewise.kernels.mixing import find_features
-from lobewise.kernels.noise_guides import make_noise_guide
-from lobewise.kernels.paired_runs import Exponents, run_paired
-from lobewise.kernels.resolving import resolve_light
 from tests.streaming.frames import change_radiance, make_scene
 
 pytestmark = pytest.mark.slow  # every quality and form, whole and in bands

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.filters.accumulation import SMALLEST_WEIGHT
+from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.filters.reprojection import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import FilterOutput, run_filter
-from lobewise.kernels.history import HISTORY_CHANNELS
-from lobewise.kernels.joining import SMALLEST_WEIGHT
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import (
     FRAMES,

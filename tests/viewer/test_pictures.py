@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.display import map_tones, map_tones_quickly
+from lobewise.reporting.display import map_tones, map_tones_quickly
 from lobewise.viewer.looks import FrameLook, SceneLook, name_sides
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import BARS, LEGENDS, MOST_STOPS, VIEWS, choose_stops, fit_window, paint, wipe

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from multiprocessing import get_context
 from typing import Any
 
+from lobewise.backend.devices import choose_device, list_devices
 from lobewise.bench.machine import describe_machine
 from lobewise.bench.plan import (
     FULL,
@@ -25,7 +26,6 @@ from lobewise.bench.plan import (
 )
 from lobewise.bench.timing import time_best
 from lobewise.errors import LobewiseError
-from lobewise.kernels.devices import choose_device, list_devices
 from lobewise.peers import has_oidn
 
 Progress = Callable[[int, int], None]
@@ -42,7 +42,7 @@ def measure_filters(
     Parameters
     ----------
     devices : sequence of str, optional
-        Names from `lobewise.kernels.devices.list_devices`; by default all that run here and are no software.
+        Names from `lobewise.backend.devices.list_devices`; by default all that run here and are no software.
     extent : Extent
         How much is measured.
     progress : callable, optional

@@ -9,10 +9,10 @@ import numpy as np
 
 from lobewise.bench.plane import SIMILARITIES, make_features
 from lobewise.bench.timing import time_best
+from lobewise.features.base import Feature
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.forms import ATROUS_LEVELS
 from lobewise.frame import Frame
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import Feature
-from lobewise.kernels.forms import ATROUS_LEVELS
 
 Calls = dict[str, Callable[[], Any]]
 
@@ -59,7 +59,7 @@ def time_kernels(
     frame : Frame
         See `lobewise.bench.plane.make_frame`.
     radius, form, device
-        See `lobewise.kernels.engine.run_filter`.
+        See `lobewise.filters.cross_filter.run_filter`.
     seconds : float
         See `lobewise.bench.timing.time_best`.
     names : tuple of str

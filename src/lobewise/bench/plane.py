@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise.camera import Camera
+from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.features.covariance import AsgFeature, GgxFeature
+from lobewise.features.lobe import SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
-from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
-from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.lobe_features import SgFeature
-from lobewise.kernels.mixture_features import SgMixtureFeature
 from lobewise.lobes.field import build_lobe_field, default_tau
 from lobewise.lobes.mixture_field import build_mixture_field
 

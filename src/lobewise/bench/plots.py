@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from lobewise.bench.summary import Row, is_peer, name_series, pick
-from lobewise.plotting import encode_figure, make_figure
+from lobewise.reporting.plotting import encode_figure, make_figure
 
 PIXELS, RADIUS, LOBES, THREADS = PLOTS = ("pixels", "radius", "lobes", "threads")
 COLORS = {

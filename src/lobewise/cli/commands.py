@@ -56,8 +56,8 @@ def demo(
     device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
 ) -> None:
     """Write a page that compares the filters on one noisy frame, beside its reference."""
+    from lobewise.cli.demo import make_demo
     from lobewise.cli.output import print_line
-    from lobewise.demo import make_demo
 
     with show_progress() as progress:
         page = make_demo(
@@ -102,7 +102,7 @@ def inspect(
 @app.command()
 def devices() -> None:
     """List where filters can run, and why one cannot."""
+    from lobewise.backend.devices import list_devices
     from lobewise.cli.output import print_devices
-    from lobewise.kernels.devices import list_devices
 
     print_devices([(device.name, device.available, device.reason) for device in list_devices()])

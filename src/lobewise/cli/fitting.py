@@ -11,7 +11,7 @@ import typer
 from lobewise.errors import InputError, describe_problem
 
 if TYPE_CHECKING:
-    from lobewise.lobes.fit import Evaluate
+    from lobewise.fitting.fit import Evaluate
 
 
 def fit(
@@ -80,7 +80,7 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
         If a plot is wanted and Matplotlib is not installed.
     """
     from lobewise.io.files import require_writable
-    from lobewise.plotting import require_matplotlib
+    from lobewise.reporting.plotting import require_matplotlib
 
     target = require_writable(output)
     if not wanted:
@@ -119,13 +119,13 @@ def fit_material(
     Parameters
     ----------
     evaluate : callable
-        The material; see `lobewise.lobes.fit.Evaluate`.
+        The material; see `lobewise.fitting.fit.Evaluate`.
     name : str
         What it is called.
     output : Path
         The lobe file.
     lobes, kind
-        See `lobewise.lobes.fit.fit_lobes`.
+        See `lobewise.fitting.fit.fit_lobes`.
     plot : Path, optional
         The PNG file, if any.
     grid : mapping, optional
@@ -133,10 +133,10 @@ def fit_material(
     """
     from lobewise.cli.output import print_fit, print_line
     from lobewise.cli.shared import show_progress
-    from lobewise.fit_plot import draw_fit
+    from lobewise.fitting.fit import fit_lobes
     from lobewise.io.files import open_atomic
     from lobewise.io.materials import write_lobe_table
-    from lobewise.lobes.fit import fit_lobes
+    from lobewise.reporting.fit_plot import draw_fit
 
     with show_progress() as advance:
 

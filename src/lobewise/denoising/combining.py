@@ -13,8 +13,8 @@ import numpy as np
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.high import load_networks
+from lobewise.filters.mixing import mix_candidates
 from lobewise.frame import FloatArray, Frame
-from lobewise.kernels.mixing import mix_candidates
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn
 

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
 from lobewise.denoising.noise import find_halves
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
+from lobewise.features.base import Feature
+from lobewise.features.seen import SeenFeature
+from lobewise.filters.compositing import REACH as COVERAGE_REACH
+from lobewise.filters.compositing import resolve_light
+from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
+from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
+from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
+from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray, Frame
-from lobewise.kernels.features import Feature
-from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
-from lobewise.kernels.fireflies import BoundedHalves, bound_fireflies
-from lobewise.kernels.noise_guides import BLUR_RADIUS as GUIDE_REACH
-from lobewise.kernels.noise_guides import find_level, make_noise_guide, measure_light
-from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
-from lobewise.kernels.resolving import REACH as COVERAGE_REACH
-from lobewise.kernels.resolving import resolve_light
-from lobewise.kernels.seen_features import SeenFeature
 from lobewise.lobes.field import default_tau
 
 
@@ -158,7 +158,7 @@ class CleanLayer:
     image : (height, width, 3)
         Filtered radiance, albedo included; the noisy one where nothing was gathered.
     weight_sum, effective_samples : (height, width)
-        See `lobewise.kernels.paired_runs.Paired`.
+        See `lobewise.filters.dual_buffer_runs.Paired`.
     """
 
     image: FloatArray

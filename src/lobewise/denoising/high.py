@@ -24,15 +24,15 @@ from lobewise.denoising.guided import (
     make_pass_guide,
 )
 from lobewise.denoising.settings import DenoiseSettings
+from lobewise.filters.compositing import REACH as COVERAGE_REACH
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
+from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.filters.mixing import REACH as MIXING_REACH
+from lobewise.filters.mixing import Network, mix_candidates
+from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
+from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.frame import FloatArray, Frame
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
-from lobewise.kernels.mixing import REACH as MIXING_REACH
-from lobewise.kernels.mixing import Network, mix_candidates
-from lobewise.kernels.noise_guides import BLUR_RADIUS as GUIDE_REACH
-from lobewise.kernels.noise_guides import make_noise_guide
-from lobewise.kernels.paired_runs import Exponents, Paired, run_paired
-from lobewise.kernels.resolving import REACH as COVERAGE_REACH
 from lobewise.lobes.vectors import LUMINANCE
 
 PILOT = Pass(5, 6.0, 40.0, lobes=4.0)

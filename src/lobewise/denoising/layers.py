@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import MissingChannelError, describe_problem
+from lobewise.features.base import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.features.covariance import AsgFeature, GgxFeature
+from lobewise.features.lobe import DiffuseFeature, SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray
-from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.features import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.guides import find_inverse_hits, find_places, find_surface_pixels
-from lobewise.kernels.lobe_features import DiffuseFeature, SgFeature
-from lobewise.kernels.lobe_fields import make_lobe_field
-from lobewise.kernels.mixture_features import SgMixtureFeature
+from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.field import LobeField
 from lobewise.lobes.hits import HitField
 from lobewise.lobes.mixture_field import build_mixture_field

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.kernels.halves import mark_bad, split_checkerboard
+from lobewise.guides.halves import mark_bad, split_checkerboard
 
 PARTS = ("color", "diffuse", "specular")
 """Radiance that is filtered, in total and by part."""

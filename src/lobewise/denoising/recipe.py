@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.buffers import comes_down
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
 from lobewise.denoising.guided import (
@@ -24,12 +25,11 @@ from lobewise.denoising.layers import Layer, Support, find_support, make_layers
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
 from lobewise.errors import require_choice
+from lobewise.features.base import Feature
+from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.kernels.buffers import comes_down
-from lobewise.kernels.engine import FilterOutput, run_filter
-from lobewise.kernels.features import Feature
-from lobewise.kernels.fireflies import find_energy_lost
-from lobewise.kernels.forms import ATROUS_REACH
 from lobewise.peers import require_oidn
 
 
@@ -54,7 +54,7 @@ def denoise(
     settings : DenoiseSettings, optional
         Parameters; by default those that won the comparison.
     features : sequence of Feature
-        More distributions that two pixels must share, of your own or from `lobewise.kernels.features`; their
+        More distributions that two pixels must share, of your own or from `lobewise.features.base`; their
         similarities multiply the others in every layer.
     **changes
         Single parameters, by name, that replace those of ``settings``.

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
+from lobewise.features.base import Feature, ScreenFeature
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import Feature, ScreenFeature
-from lobewise.kernels.forms import ATROUS_REACH
 from lobewise.sparse_frame import AnyFrame
 
 SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.devices import choose_device
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.kernels.devices import choose_device
-from lobewise.kernels.forms import FORMS
+from lobewise.filters.forms import FORMS
 from lobewise.lobe_table import MAX_LOBES
 from lobewise.lobes.field import default_tau
 from lobewise.sparse_frame import AnyFrame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lobewise.kernels.ahead_of_time import Argument
+from lobewise.exporting.ahead_of_time import Argument
 
 
 @dataclass(frozen=True)

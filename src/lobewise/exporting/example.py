@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from lobewise.backend.targets import get_gpu_api
+from lobewise.exporting.ahead_of_time import Argument, FilterPlan
 from lobewise.exporting.sample import Sample
-from lobewise.kernels.ahead_of_time import Argument, FilterPlan
-from lobewise.kernels.targets import get_gpu_api
 
 LARGEST_DIFFERENCE = 1e-5
 """Relative, between C and Python."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from lobewise.exporting.ahead_of_time import Argument
 from lobewise.exporting.arguments import describe_shape, get_meaning
-from lobewise.kernels.ahead_of_time import Argument
 
 _HELPERS = """\
 /* Describes an image of floats whose rows lie one after the other, and in a row the channels of each pixel; with 0

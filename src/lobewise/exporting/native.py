@@ -11,15 +11,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import lobewise
+from lobewise.backend.targets import get_runtime_headers, parse_target
 from lobewise.errors import InputError, describe_problem
-from lobewise.exporting.arguments import describe_shape, get_meaning
-from lobewise.exporting.example import choose_bound, list_frame_images, make_example
-from lobewise.exporting.folder import MARK, open_folder, require_folder
-from lobewise.exporting.header import make_header
-from lobewise.exporting.readme import describe_build, describe_plan, make_readme
-from lobewise.exporting.sample import make_sample
-from lobewise.io.files import PathLike
-from lobewise.kernels.ahead_of_time import (
+from lobewise.exporting.ahead_of_time import (
     Argument,
     FilterPlan,
     compile_filter,
@@ -27,7 +21,13 @@ from lobewise.kernels.ahead_of_time import (
     list_filter_arguments,
     list_lobe_arguments,
 )
-from lobewise.kernels.targets import get_runtime_headers, parse_target
+from lobewise.exporting.arguments import describe_shape, get_meaning
+from lobewise.exporting.example import choose_bound, list_frame_images, make_example
+from lobewise.exporting.folder import MARK, open_folder, require_folder
+from lobewise.exporting.header import make_header
+from lobewise.exporting.readme import describe_build, describe_plan, make_readme
+from lobewise.exporting.sample import make_sample
+from lobewise.io.files import PathLike
 
 Function = tuple[str, str, Sequence[Argument]]
 
@@ -44,7 +44,7 @@ def export_library(
     plan : FilterPlan
         The filter.
     target : str
-        A name from `lobewise.kernels.ahead_of_time.TARGETS`, or another one that Halide knows.
+        A name from `lobewise.exporting.ahead_of_time.TARGETS`, or another one that Halide knows.
     name : str
         What files and functions begin with: an identifier of C.
     force : bool

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
+from lobewise.backend.targets import get_gpu_api
+from lobewise.exporting.ahead_of_time import Argument, FilterPlan
 from lobewise.exporting.arguments import describe_shape, get_meaning
 from lobewise.exporting.example import list_frame_images
 from lobewise.exporting.sample import Sample
-from lobewise.kernels.ahead_of_time import Argument, FilterPlan
-from lobewise.kernels.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
-from lobewise.kernels.targets import get_gpu_api
 
 DOCS = "https://github.com/lobewise/lobewise/blob/main/docs/export.md"
 

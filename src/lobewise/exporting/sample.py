@@ -9,19 +9,19 @@ from importlib.resources import as_file, files
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.pointwise import run_pointwise
 from lobewise.camera import Camera
 from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.exporting.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
+from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.features.covariance import AsgFeature, GgxFeature
+from lobewise.features.lobe import DiffuseFeature, SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.guides.surfaces import find_places
 from lobewise.io import read_frame
-from lobewise.kernels.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
-from lobewise.kernels.covariance_features import AsgFeature, GgxFeature
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.kernels.guides import find_places
-from lobewise.kernels.lobe_features import DiffuseFeature, SgFeature
-from lobewise.kernels.lobe_fields import make_lobe_field
-from lobewise.kernels.mixture_features import SgMixtureFeature
-from lobewise.kernels.pointwise import run_pointwise
 from lobewise.lobes.field import default_tau
 
 FRAME = "showroom-4spp.exr"
@@ -39,7 +39,7 @@ class Sample:
     numbers: Mapping[str, float]
     """Rounded to float32."""
     expected: FloatArray
-    """What `lobewise.kernels.engine.run_filter` gives, (height, width, 5)."""
+    """What `lobewise.filters.cross_filter.run_filter` gives, (height, width, 5)."""
 
     @property
     def size(self) -> tuple[int, int]:

@@ -13,8 +13,8 @@ from string import Template
 from lobewise.errors import require_choice
 from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
+from lobewise.features.lobe import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
-from lobewise.kernels.lobe_features import LAMBERT_COEFFICIENTS
 from lobewise.lobes.brdf import MIN_WARP_COSINE
 from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS

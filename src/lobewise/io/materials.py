@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
 from lobewise.io.files import PathLike, open_atomic, require_readable, write_text
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
 
 FORMAT = "lobewise lobes"
 VERSION = 1

@@ -8,8 +8,8 @@ import numpy as np
 
 from lobewise.denoising.layers import make_layers
 from lobewise.denoising.settings import DenoiseSettings, resolve_settings
+from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame, Radiance
-from lobewise.kernels.engine import run_filter
 from lobewise.render.stages import DirectLight, FirstHits
 
 RADIUS = 2

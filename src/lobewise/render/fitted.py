@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.fitting.fit import Evaluate, fit_lobes, make_nodes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.fit import Evaluate, fit_lobes, make_nodes
 from lobewise.lobes.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.lobes.vectors import LUMINANCE, Array
 from lobewise.render.bridge import dr, mi

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError, describe_problem
-from lobewise.lobes.fit import COSINES, Evaluate
+from lobewise.fitting.fit import COSINES, Evaluate
 from lobewise.lobes.vectors import Array
 from lobewise.render.bsdfs import list_nested
 from lobewise.render.fitted import (
@@ -34,7 +34,7 @@ class SceneMaterial:
     name : str
         What it was asked for by.
     evaluate : callable
-        See `lobewise.lobes.fit.Evaluate`; the frame's x is the BSDF's tangent.
+        See `lobewise.fitting.fit.Evaluate`; the frame's x is the BSDF's tangent.
     cosines : (V,)
         n.v of the views.
     azimuths : (P,), optional

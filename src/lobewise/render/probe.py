@@ -67,7 +67,7 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv
 
 
 def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0) -> Callable[..., Array]:
-    """Return `evaluate_bsdf` of one BSDF as `lobewise.lobes.fit.Evaluate`.
+    """Return `evaluate_bsdf` of one BSDF as `lobewise.fitting.fit.Evaluate`.
 
     Parameters
     ----------

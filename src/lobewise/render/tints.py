@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.lobes.fit import make_nodes
+from lobewise.fitting.fit import make_nodes
 from lobewise.lobes.vectors import Array
 from lobewise.render.probe import Parts, evaluate_bsdf, sample_bsdf, spread_points
 

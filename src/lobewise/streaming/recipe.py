@@ -17,12 +17,12 @@ from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, judge_noise, list_relative_variances, needs_spp
 from lobewise.errors import InputError, describe_problem
+from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.io.bands import BandReader, BandWriter
 from lobewise.io.files import PathLike, open_spool, require_writable
-from lobewise.kernels.fireflies import REACH as FIREFLY_REACH
-from lobewise.kernels.fireflies import find_energy_lost
-from lobewise.kernels.noise_guides import find_level
 from lobewise.lobe_table import LobeTable
 from lobewise.streaming.plan import (
     DEFAULT_MEMORY,

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.layers import find_surface, make_specular_features
 from lobewise.denoising.settings import DenoiseSettings, can_use_hits
+from lobewise.features.base import Feature, NormalFeature, PlaneFeature
+from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature
+from lobewise.filters.cross_pass import describe_structure
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.kernels.cross_filter import describe_structure
-from lobewise.kernels.features import Feature, NormalFeature, PlaneFeature
-from lobewise.kernels.guides import (
+from lobewise.guides.surfaces import (
     Backdrop,
     find_footprints,
     find_inverse_hits,
@@ -23,7 +24,6 @@ from lobewise.kernels.guides import (
     find_tolerances,
     put_backdrop,
 )
-from lobewise.kernels.lobe_features import DiffuseFeature, HitDistanceFeature
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import default_tau
 from lobewise.temporal.settings import TemporalSettings

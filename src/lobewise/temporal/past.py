@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS
+from lobewise.filters.runs import run_reprojection
 from lobewise.frame import FloatArray, GBuffer
-from lobewise.kernels.history import AGREEMENT, HISTORY_CHANNELS
-from lobewise.kernels.places import find_surface_places
-from lobewise.kernels.runs import run_reprojection
+from lobewise.guides.places import find_surface_places
 from lobewise.lobe_table import LobeTable
 from lobewise.temporal.marks import Guides, Marks, make_marks
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
@@ -38,7 +38,7 @@ class Past:
     similarity : str
         What compared its lobes.
     sums : dict of array, shape (height, width, 7)
-        Of every layer by its name; see `lobewise.kernels.history`.
+        Of every layer by its name; see `lobewise.filters.reprojection`.
     marks : dict of Marks
         Of every layer by its name, if they were made already.
     allowance : array, shape (height, width), optional

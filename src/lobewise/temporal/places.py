@@ -10,7 +10,7 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.kernels.places import find_curvature, find_image_places
+from lobewise.guides.places import find_curvature, find_image_places
 
 FAR = 1e6
 """Distance, in distances from the camera, at which what a lobe does not hit is taken to be."""

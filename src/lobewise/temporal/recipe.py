@@ -18,11 +18,11 @@ from lobewise.denoising.recipe import compose, keep_unfiltered
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.denoising.settings import DenoiseSettings, estimate_spp, require_plain, resolve_settings
 from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.features.base import Feature
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.runs import JoinedOutput, SampleGrid
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.engine import run_filter
-from lobewise.kernels.features import Feature
-from lobewise.kernels.runs import JoinedOutput, SampleGrid
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past

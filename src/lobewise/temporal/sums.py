@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
+from lobewise.filters.accumulation import SMALLEST_WEIGHT
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.reprojection import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
-from lobewise.kernels.cross_filter import ALBEDO_FLOOR
-from lobewise.kernels.history import HISTORY_CHANNELS
-from lobewise.kernels.joining import SMALLEST_WEIGHT
 from lobewise.lobes.vectors import LUMINANCE
 
 WEIGHT, SQUARED_WEIGHT, MOMENT, FRAMES = 3, 4, 5, 6
@@ -83,7 +83,7 @@ def make_sums(
     Parameters
     ----------
     image, weight_sum, effective_samples, moment
-        See `lobewise.kernels.engine.FilterOutput`.
+        See `lobewise.filters.cross_filter.FilterOutput`.
     factor : array, shape (height, width)
         What a weight of 1 counts.
     history : array, shape (height, width, 7), optional
@@ -125,7 +125,7 @@ def add_own_samples(sums: FloatArray, samples: Samples, bonus: FloatArray, count
     before = np.broadcast_to(np.asarray(counted, dtype=np.float32), bonus.shape)[samples.where]
     more = np.where(samples.good, bonus[samples.where], np.float32(0.0))
     part = sums[samples.where]
-    # A sum that overflows is dropped as history; see `lobewise.kernels.history`.
+    # A sum that overflows is dropped as history; see `lobewise.filters.reprojection`.
     with np.errstate(over="ignore"):
         part[..., :3] += more[..., None] * samples.radiance
         part[..., WEIGHT] += more

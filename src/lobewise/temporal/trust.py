@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lobewise.filters.runs import SampleGrid
 from lobewise.frame import FloatArray
-from lobewise.kernels.runs import SampleGrid
 from lobewise.temporal.sums import WEIGHT, Samples, divide
 
 TRUST_RADIUS = 2
@@ -35,7 +35,7 @@ def find_trust(grid: SampleGrid, samples: Samples, history: FloatArray, own: flo
     samples : Samples
         Those of this frame.
     history : array, shape (height, width, 7)
-        Sums; see `lobewise.kernels.history`.
+        Sums; see `lobewise.filters.reprojection`.
     own : float
         What a pixel's own sample counts in the sums, >= 1.
     """

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display import choose_exposure, make_error_palette, map_tones_quickly
+from lobewise.reporting.display import choose_exposure, make_error_palette, map_tones_quickly
 from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]

@@ -1,0 +1,249 @@
+"""Images in, images out, in one pass over the pixels: what is computed of guides, pixel by pixel.
+
+A definition is a function of a `Grid` that returns the expressions of every output. It is compiled once per structure
+(which images there are, their channels, its options) and then runs on images of any size. Floats keep their order and
+their NaN, so neither threads nor where vectors begin change a bit. Of the comparisons only ``<``, ``>`` and ``==`` are
+false for NaN: Halide writes ``<=`` and ``>=`` as the negation of the opposite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import halide as hl
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import Buffer
+from lobewise.backend.jit import Kernel, get_kernel
+from lobewise.errors import InputError, describe_problem
+
+Vector = Sequence[hl.Expr]
+"""The channels of one pixel, or the components of a number."""
+
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+
+
+@dataclass
+class Grid:
+    """The images and numbers that a definition reads, and the pixel (x, y) that it defines."""
+
+    images: Mapping[str, tuple[hl.ImageParam, int]]
+    """By name, with the number of channels; float32, or uint8 for truth."""
+    numbers: Mapping[str, Vector]
+    narrow: bool
+    """Whether rows may be shorter than a vector; else all of a vector's pixels lie inside the image."""
+    x: hl.Var = field(default_factory=lambda: hl.Var("x"))
+    y: hl.Var = field(default_factory=lambda: hl.Var("y"))
+    stages: list[hl.Func] = field(default_factory=list)
+    is_shared: bool = False
+    """Whether the outputs do little more than read what is kept; else what they have in common is kept for them."""
+
+    @property
+    def size(self) -> tuple[hl.Expr, hl.Expr]:
+        """Width and height, int32."""
+        param, channels = next(iter(self.images.values()))
+        first = int(channels > 1)
+        return param.dim(first).extent(), param.dim(first + 1).extent()
+
+    def has(self, *names: str) -> bool:
+        """Return whether all these images are there."""
+        return all(name in self.images for name in names)
+
+    def read(self, name: str, x: hl.Expr | None = None, y: hl.Expr | None = None) -> list[hl.Expr]:
+        """Return the channels of an image at this pixel or at another one inside the image."""
+        param, channels = self.images[name]
+        place = self.x if x is None else x, self.y if y is None else y
+        return [param[place]] if channels == 1 else [param[k, place[0], place[1]] for k in range(channels)]
+
+    def read_one(self, name: str) -> hl.Expr:
+        """Return the only channel of an image at this pixel."""
+        (value,) = self.read(name)
+        return value
+
+    def get(self, name: str) -> Vector:
+        """Return the components of a number."""
+        return self.numbers[name]
+
+    def share(self, values: Vector) -> list[hl.Expr]:
+        """Return ``values``, computed by themselves for a row at a time: long expressions compile much faster so."""
+        return self.keep(values)(self.x, self.y)
+
+    def keep(self, values: Vector) -> Callable[[hl.Expr, hl.Expr], list[hl.Expr]]:
+        """Return what reads ``values`` at a pixel (x, y); they are computed once for a whole row."""
+        func = hl.Func(f"row{len(self.stages)}")
+        func[self.x, self.y] = hl.Tuple(list(values)) if len(values) > 1 else values[0]
+        self.stages.append(func)
+
+        def read(x: hl.Expr, y: hl.Expr) -> list[hl.Expr]:
+            there = func[x, y]
+            return [hl.Expr(there[k]) for k in range(len(values))] if len(values) > 1 else [hl.Expr(there)]
+
+        return read
+
+
+Definition = Callable[..., Sequence[Vector]]
+"""Of a grid and options: the channels of every output, all of one type. One of a single channel is an image without
+an axis for it, and one of type uint8 holds truth."""
+
+
+def is_finite(value: hl.Expr) -> hl.Expr:
+    """Return whether a float32 is neither infinite nor NaN, from its bits."""
+    return (hl.reinterpret(hl.UInt(32), value) & hl.u32(0x7F800000)) != hl.u32(0x7F800000)
+
+
+def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
+    """Return a float32 where ``condition`` holds, else NaN, which no optimisation of floats may take out."""
+    bits = hl.select(condition, hl.reinterpret(hl.UInt(32), value), hl.u32(0x7FC00000))
+    return hl.reinterpret(hl.Float(32), bits)
+
+
+class _Funcs:
+    """The scheduled functions of a definition."""
+
+    def __init__(
+        self,
+        define: Definition,
+        options: tuple[Hashable, ...],
+        images: tuple[tuple[str, int, bool], ...],
+        numbers: tuple[tuple[str, int, bool], ...],
+        narrow: bool,
+        lanes: int,
+    ) -> None:
+        params: dict[str, tuple[hl.ImageParam, int]] = {}
+        for name, channels, truth in images:
+            param = hl.ImageParam(hl.UInt(8) if truth else hl.Float(32), 2 + (channels > 1), name)
+            if channels > 1:
+                # Known strides make dense loads, which are shuffled, instead of one load for every lane.
+                param.dim(0).set_bounds(0, channels)
+                param.dim(1).set_stride(channels)
+            params[name] = param, channels
+        scalars = {
+            name: [hl.Param(hl.Float(64 if double else 32), f"{name}_{k}") for k in range(count)]
+            for name, count, double in numbers
+        }
+        grid = Grid(params, scalars, narrow)
+        outputs = define(grid, *options)
+        self.out = _schedule(grid, outputs, lanes)
+        self.arguments: list[Any] = [
+            *(param for param, _ in params.values()),
+            *(p for each in scalars.values() for p in each),
+        ]
+        self.notes = [[len(values), bool(values[0].type().is_uint())] for values in outputs]
+        """Of every output its channels, and whether it is truth."""
+
+
+def _get_kernel(
+    define: Definition,
+    options: tuple[Hashable, ...],
+    images: tuple[tuple[str, int, bool], ...],
+    numbers: tuple[tuple[str, int, bool], ...],
+    width: int,
+) -> Kernel:
+    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
+    # A row of differences is a pixel shorter.
+    narrow = width <= lanes
+    key = ("pointwise", define, options, images, numbers, narrow)
+    return get_kernel("cpu", key, lambda _: _Funcs(define, options, images, numbers, narrow, lanes), strict=True)
+
+
+def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
+    """Return the output functions: rows in parallel; all outputs of a row from values that are computed once.
+
+    The values of a row lie in cache, one plane each, and are interleaved as they are written.
+    """
+    x, y, c = grid.x, grid.y, hl.Var("c")
+    if len(outputs) > 1 and not grid.is_shared:
+        pixel = iter(grid.share([value for values in outputs for value in values]))
+        outputs = [[next(pixel) for _ in values] for values in outputs]
+    outs: list[hl.Func] = []
+    for number, parts in enumerate(outputs):
+        out = hl.Func(f"out{number}")
+        if len(parts) == 1:
+            out[x, y] = parts[0]
+        else:
+            out[c, x, y] = hl.mux(c, parts)
+            out.bound(c, 0, len(parts)).reorder(c, x, y).unroll(c)
+            out.output_buffer().dim(1).set_stride(len(parts))
+        outs.append(out)
+    for func in (*outs, *grid.stages):
+        if not grid.narrow:
+            # Whole vectors alone, the last of which overlaps the one before: a tail would be compiled lane by lane.
+            func.vectorize(x, lanes, hl.TailStrategy.ShiftInwards)
+        func.never_partition_all()
+    for out in outs:
+        out.parallel(y)
+        if out is not outs[0]:
+            out.compute_with(outs[0], y)
+    for stage in grid.stages:
+        stage.compute_at(outs[0], y)
+    return outs
+
+
+def _take_image(image: NDArray[Any]) -> NDArray[Any]:
+    """Return an image as a kernel takes it."""
+    if image.dtype == np.bool_:
+        return np.ascontiguousarray(image).view(np.uint8)
+    return np.ascontiguousarray(image, np.float32)
+
+
+def run_pointwise(
+    define: Definition,
+    images: Mapping[str, NDArray[Any] | None],
+    numbers: Mapping[str, Any],
+    *options: Hashable,
+) -> tuple[NDArray[Any], ...]:
+    """Compute images from images.
+
+    Parameters
+    ----------
+    define : Definition
+        A function of a module, which is known by its identity; see `Definition`.
+    images : mapping of str to array or None
+        Each float32 or bool, (height, width) or (height, width, 2 or more); None for what is not there.
+    numbers : mapping of str to array_like
+        Scalars or vectors, float32 or else float64; they may change without compiling again.
+    *options
+        What else changes the code.
+
+    Returns
+    -------
+    tuple of array
+        (height, width) or (height, width, channels), float32 or bool.
+
+    Raises
+    ------
+    InputError
+        If the images differ in size.
+    """
+    # Every array is held in a local name until the call has returned: Halide keeps no reference.
+    held = {name: _take_image(image) for name, image in images.items() if image is not None}
+    sizes = {image.shape[:2] for image in held.values()}
+    if len(sizes) != 1:
+        raise InputError(
+            describe_problem(
+                "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
+            )
+        )
+    ((height, width),) = sizes
+    vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
+    kernel = _get_kernel(
+        define,
+        options,
+        tuple(
+            (name, 1 if image.ndim == 2 else image.shape[2], image.dtype == np.uint8) for name, image in held.items()
+        ),
+        tuple((name, len(vector), vector.dtype != np.float32) for name, vector in vectors.items()),
+        width,
+    )
+    results = tuple(
+        np.empty((height, width) if channels == 1 else (height, width, channels), np.bool_ if truth else np.float32)
+        for channels, truth in kernel.notes
+    )
+    lent = [Buffer(image) for image in held.values()]
+    given = [float(value) for vector in vectors.values() for value in vector]
+    written = [Buffer(result.view(np.uint8) if result.dtype == np.bool_ else result) for result in results]
+    kernel(*lent, *given, *written)
+    return results

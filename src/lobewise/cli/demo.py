@@ -1,0 +1,281 @@
+"""The demonstration: one noisy frame through every filter, as a page."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lobewise.denoising import denoise
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import FloatArray, Frame
+from lobewise.io import read_frame
+from lobewise.io.files import PathLike, make_folder, write_text
+from lobewise.metrics import find_specular_pixels
+from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.reporting.report import Picture, Report, make_page
+
+Progress = Callable[[str, int, int], None]
+
+FRAME, REFERENCE = "showroom-4spp.exr", "showroom-reference.exr"
+REFERENCE_SEED = 1000
+# The best of a grid search over both and the screen distance, on the frame inside the package.
+_NORMAL: dict[str, Any] = {"similarity": "normal", "normal_exponent": 64.0, "screen_sigma": 2.0, "quality": "fast"}
+METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
+    (
+        "normal",
+        "normal-aware",
+        "Cross-bilateral filter that compares depth and shading normals: the usual filter for diffuse surfaces.",
+        _NORMAL,
+    ),
+    (
+        "normal-limited",
+        "normal-aware, band-limited",
+        "The same, its kernel narrowed on the screen where the BRDF is sharp.",
+        {**_NORMAL, "band_limit": 1.0},
+    ),
+    (
+        "sg",
+        "single SG lobe",
+        "Compares reflection lobes, each approximated by one spherical Gaussian (Tokuyoshi 2015).",
+        {"similarity": "sg", "quality": "fast"},
+    ),
+    (
+        "ggx",
+        "ggx lobe",
+        "Compares reflection lobes as covariances in the tangent plane, with the long tails of GGX.",
+        {"similarity": "ggx", "quality": "fast"},
+    ),
+    (
+        "balanced",
+        "ggx lobe and noise",
+        "The same lobes, and what two halves of the samples tell: pixels that differ by more than noise are kept "
+        "apart. What `lobewise denoise` does if nothing else is said.",
+        {"similarity": "ggx", "quality": "balanced"},
+    ),
+)
+OIDN_REMARK = (
+    "Open Image Denoise is a neural network trained on many renders, given the same radiance with the same albedo and "
+    "normals. It knows neither the camera nor the roughness, and no parameter was tuned for it. It stands here as what "
+    "there is to reach, not as a baseline of the same kind."
+)
+
+
+def make_demo(
+    folder: PathLike,
+    *,
+    live: bool = False,
+    scene: str = "showroom",
+    spp: int = 4,
+    reference_spp: int = 1024,
+    size: int = 512,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Path:
+    """Filter a frame in every way and write ``report.html`` into ``folder``; return its path.
+
+    Parameters
+    ----------
+    folder : path-like
+        Where to; created if it is not there.
+    live : bool
+        Whether to render the frame first, which needs Mitsuba; else the one inside the package is used.
+    scene, spp, reference_spp, size : str, int
+        What to render with ``live``: scene, samples per pixel of the frame and of the reference, pixels a side.
+    device : str
+        Where the filters run.
+    progress : callable, optional
+        Called with (what is being done, done, total).
+
+    Raises
+    ------
+    FileError
+        If the folder cannot be made or written to, or the scene cannot be read.
+    InputError
+        If an option is out of range, or options for ``live`` come without it.
+    MissingDependencyError
+        If ``live`` needs a package or library that is not installed.
+    """
+    say = progress or (lambda _what, _done, _total: None)
+    if not live and (scene, spp, reference_spp, size) != ("showroom", 4, 1024, 512):
+        raise InputError(
+            describe_problem(
+                "demo",
+                expected="--live beside the options of rendering",
+                got="none",
+                action="add --live, which needs Mitsuba",
+            )
+        )
+    page = make_folder(folder) / "report.html"
+    if live:
+        frame, reference, samples = _render(scene, spp, reference_spp, size, say)
+    else:
+        frame, reference, samples = load_bundled()
+    pictures, remarks = _filter(frame, device, say)
+    command = ["lobewise", "demo"]
+    if live:
+        command += [
+            "--live",
+            "--scene",
+            scene,
+            "--spp",
+            f"{spp}",
+            "--reference-spp",
+            f"{reference_spp}",
+            "--size",
+            f"{size}",
+        ]
+    if device != "auto":
+        command += ["--device", device]
+    mask = find_specular_pixels(frame.gbuffer)
+    name = Path(scene).stem.capitalize()
+    report = Report(
+        title=f"{name} at {frame.spp} samples per pixel, filtered {_count(len(pictures) - 1)} ways",
+        subtitle=f"{frame.width}\u00d7{frame.height} pixels, path traced. Each filter sees the same noisy frame; the "
+        f"reference was rendered with {samples} samples per pixel.",
+        pictures=pictures,
+        reference=Picture("reference", "reference", reference, f"Path traced with {samples} samples per pixel."),
+        baseline="normal",
+        left="normal",
+        right="balanced",
+        mask=mask if mask.any() else None,
+        command=shlex.join(command),
+        facts=_list_facts(),
+        remarks=remarks,
+    )
+    write_text(page, make_page(report, progress=lambda done, total: say("Measuring", done, total)))
+    return page
+
+
+def load_bundled() -> tuple[Frame, FloatArray, int]:
+    """Return the frame inside the package, its reference, and how many samples that has.
+
+    Raises
+    ------
+    FileError
+        If the package was built without them.
+    """
+    folder = files("lobewise").joinpath("data")
+    with as_file(folder.joinpath(FRAME)) as path:
+        frame = restore_positions(read_frame(path))
+    with as_file(folder.joinpath(REFERENCE)) as path:
+        reference = read_frame(path)
+    return frame, reference.radiance.color, reference.spp or 0
+
+
+def restore_positions(frame: Frame) -> Frame:
+    """Return the frame with world positions made from depth and camera, which the small file leaves out."""
+    depth, camera = frame.gbuffer.depth, frame.camera
+    if frame.gbuffer.position is not None or depth is None or camera is None:
+        return frame
+    position = camera.make_positions(depth)
+    return frame.with_changes(gbuffer=replace(frame.gbuffer, position=position))
+
+
+def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], list[str]]:
+    pictures = [
+        Picture("noisy", "noisy", _clean(frame.radiance.color), f"Path traced with {frame.spp} samples per pixel.")
+    ]
+    total = len(METHODS) + 1
+    for done, (key, title, note, settings) in enumerate(METHODS):
+        say("Filtering", done, total)
+        # The first call compiles the kernel; people wait for that once, and the page tells the time of the second.
+        denoise(frame, device=device, **settings)
+        result = denoise(frame, device=device, **settings)
+        shown = {name: result.settings[name] for name in _choose_settings(settings)}
+        pictures.append(Picture(key, title, result.image, note, shown, result.seconds))
+    say("Filtering", total - 1, total)
+    remarks = []
+    if has_oidn():
+        denoise_oidn(frame)
+        image, seconds = denoise_oidn(frame)
+        note = f"Neural network (pyoidn {_find_version('pyoidn')}), guided by albedo and normals."
+        pictures.append(Picture("oidn", "Open Image Denoise", image, note, {"quality": "high"}, seconds))
+        remarks.append(OIDN_REMARK)
+    else:
+        remarks.append("Open Image Denoise is not installed; pip install 'lobewise[compare]' adds it to this page.")
+    remarks.append(
+        "The two normal-aware filters run with the settings that a grid search found best on the showroom frame inside "
+        "the package, measured against its reference; the lobe filters run with their defaults."
+    )
+    remarks.append(
+        "Times are those of one call that does everything, lobes and buffers included, after the kernel is compiled."
+    )
+    say("Filtering", total, total)
+    return pictures, remarks
+
+
+def _choose_settings(settings: dict[str, Any]) -> list[str]:
+    """Return the parameters that a similarity uses."""
+    names = ["quality", "form", "radius", "screen_sigma", "position_sigma"]
+    if settings["similarity"] == "normal":
+        return [*names, "normal_exponent", "band_limit"]
+    return [*names, "beta", "diffuse_beta", "tau"]
+
+
+def _clean(image: FloatArray) -> FloatArray:
+    """Return an image whose bad pixels are black, so that it can be measured and shown."""
+    good = (np.isfinite(image) & (image >= 0.0)).all(axis=-1, keepdims=True)
+    return np.where(good, image, np.float32(0.0))
+
+
+def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) -> tuple[Frame, FloatArray, int]:
+    from lobewise.render import load_scene, render_frame, render_reference
+
+    loaded = load_scene(scene, width=size, height=size)
+    frame = render_frame(loaded, spp=spp, progress=lambda done, total: say("Rendering the frame", done, total))
+    reference = render_reference(
+        loaded,
+        spp=reference_spp,
+        seed=REFERENCE_SEED,
+        progress=lambda done, total: say("Rendering the reference", done, total),
+    )
+    return frame, reference.radiance.color, reference_spp
+
+
+def _list_facts() -> dict[str, str]:
+    versions = {name: _find_version(name) for name in ("lobewise", "halide", "numpy")}
+    return {
+        "machine": f"{_find_processor()}, {_count_cores()} threads, {platform.system()} {platform.machine()}",
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        "Python": platform.python_version(),
+        "made": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+    }
+
+
+def _find_version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _find_processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown processor"
+
+
+def _count_cores() -> int:
+    """Return how many threads this process may use, which can be fewer than the machine has."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
+
+
+def _count(number: int) -> str:
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    return words[number] if number < len(words) else str(number)

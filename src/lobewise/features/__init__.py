@@ -1,0 +1,1 @@
+"""What makes two pixels similar: a distribution per pixel, one file each."""

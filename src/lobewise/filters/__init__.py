@@ -1,0 +1,1 @@
+"""The algorithms on images; how they are computed is in `schedules`."""

@@ -1,0 +1,229 @@
+"""What taps read of a pixel: the features' arrays as planes, beside each other in every row.
+
+Guides are the input channels of every feature, harmless where a pixel has no meaning; planes are what `Feature.prepare`
+makes of them. Where taps reach beyond the image, either coordinates are clamped or `Rows` fills what is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import halide as hl
+
+from lobewise.features.base import Feature, Pixel
+
+
+def begin_at_zero(image: hl.ImageParam) -> None:
+    """Let the compiler know that an image's coordinates begin at 0, as those of every array do."""
+    for axis in range(image.dimensions()):
+        image.dim(axis).set_min(0)
+
+
+def _count_channels(feature: Feature) -> list[int]:
+    return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]
+
+
+def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> list[hl.ImageParam]:
+    """Return the parameters that hold the arrays of every feature; ``flat`` ones have one axis for all pixels."""
+    inputs = []
+    for number, feature in enumerate(features):
+        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+            param = hl.ImageParam(hl.Float(32), array.ndim - flat, f"{name}{number}_{slot}")
+            if array.ndim == 3:
+                # A known stride between pixels lets vectors of one channel be shuffled out of whole loads.
+                param.dim(1).set_stride(count)
+            begin_at_zero(param)
+            inputs.append(param)
+    return inputs
+
+
+def count_inputs(features: Sequence[Feature]) -> list[int]:
+    """Return the channels of the arrays of every feature, one after the other."""
+    return [count for feature in features for count in _count_channels(feature)]
+
+
+def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: hl.Expr) -> list[hl.Expr]:
+    """Return the input channels of a pixel, harmless where it has no meaning."""
+    neutral = [value for feature in features for value in feature.neutral]
+    return [hl.select(known, value, hl.f32(other)) for value, other in zip(channels, neutral, strict=True)]
+
+
+def prepare_planes(
+    features: Sequence[Feature], scalars: Sequence[Sequence[hl.Expr]], channels: Sequence[hl.Expr]
+) -> tuple[list[hl.Expr], list[slice]]:
+    """Return what taps read of a pixel, from its input channels, and which of it belongs to each feature."""
+    values: list[hl.Expr] = []
+    slices: list[slice] = []
+    given = 0
+    for feature, own in zip(features, scalars, strict=True):
+        count = sum(_count_channels(feature))
+        prepared = feature.prepare(channels[given : given + count], own) if count else []
+        given += count
+        slices.append(slice(len(values), len(values) + len(prepared)))
+        values.extend(prepared)
+    return values, slices
+
+
+def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
+    """Return x within an image; inside, where most of a row is, loads are then dense."""
+    return hl.clamp(hl.likely(x), 0, length - 1)
+
+
+class Rows:
+    """The columns of an image in parts that need no clamping, for processors.
+
+    Clamped loads are one load for every lane of a vector, and code for the left, the middle and the right of a row:
+    half of what there is to compile. Here what lies outside is filled, vectors begin at column 0, and the pixels that
+    are left behind the last whole vector go one by one.
+
+    Parameters
+    ----------
+    width : halide.Expr
+        Of the image, pixels.
+    reach : int or halide.Expr
+        How far outside taps read, pixels.
+    lanes : int
+        Pixels of a vector.
+    """
+
+    def __init__(self, width: hl.Expr, reach: int | hl.Expr, lanes: int) -> None:
+        self.lanes = lanes
+        before = (reach + hl.i32(lanes - 1)) / lanes * lanes
+        whole = width / lanes
+        self.margins = [hl.RDom([(-before, before)], "before"), hl.RDom([(width, before + lanes)], "after")]
+        """Left and right of the image, as far as a vector reaches that begins inside."""
+        self.parts = [hl.RDom([(0, lanes), (0, whole)], "whole"), hl.RDom([(whole * lanes, width % lanes)], "left")]
+        """Lane and number of the whole vectors; the pixels that are left."""
+
+    def fill(
+        self,
+        name: str,
+        variables: tuple[hl.Var, hl.Var, hl.Var],
+        outside: hl.Expr,
+        inside: Callable[[int, hl.Expr], hl.Expr],
+    ) -> hl.Func:
+        """Return a function of (x, c, y) that is ``outside``, and ``inside(part, column)`` in the image's columns."""
+        x, y, c = variables
+        func = hl.Func(name)
+        func[x, c, y] = hl.undef(hl.Float(32))
+        for margin in self.margins:
+            func[margin.x, c, y] = outside
+        for number, part in enumerate(self.parts):
+            column = part.y * self.lanes + part.x if part.dimensions() == 2 else part.x
+            func[column, c, y] = inside(number, column)
+        return func
+
+
+def _stack(name: str, values: Sequence[hl.Expr], x: hl.Var, c: hl.Var, y: hl.Var) -> hl.Func | None:
+    """Return a function whose channel c is the c-th value; None for no values."""
+    if not values:
+        return None
+    func = hl.Func(name)
+    func[x, c, y] = _choose(values, c)
+    return func
+
+
+def _choose(values: Sequence[hl.Expr], c: hl.Var) -> hl.Expr:
+    """Return the c-th value."""
+    return hl.mux(c, list(values)) if len(values) > 1 else values[0]
+
+
+@dataclass
+class Side:
+    """The guides and planes of one grid of pixels, and the parameters that hold its arrays."""
+
+    arrays: list[hl.ImageParam]
+    guides: hl.Func | None
+    guide_count: int
+    planes: hl.Func | None
+    plane_count: int
+    slices: list[slice]
+    row_guides: list[hl.Func] = field(default_factory=list)
+    """In place of guides, one for each part of `Rows.parts`."""
+
+    def read(self, part: slice, x: hl.Expr, y: hl.Expr) -> Pixel:
+        """Return the planes ``part`` of a pixel."""
+        assert self.planes is not None or part.start == part.stop
+        return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
+
+
+def make_side(
+    name: str,
+    mask: hl.ImageParam,
+    features: Sequence[Feature],
+    scalars: Sequence[Sequence[hl.Expr]],
+    variables: tuple[hl.Var, hl.Var, hl.Var],
+    inside: bool = False,
+    arrays: list[hl.ImageParam] | None = None,
+    rows: Rows | None = None,
+) -> Side:
+    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
+    x, y, c = variables
+    arrays = list_inputs(name, features) if arrays is None else arrays
+    count = sum(count_inputs(features))
+
+    def read(guides: hl.Func | None, column: hl.Expr) -> list[hl.Expr]:
+        return [guides[column, k, y] for k in range(count)] if guides is not None else []
+
+    if rows is None:
+        at = (x, y) if inside else (clamp_likely(x, mask.width()), hl.clamp(y, 0, mask.height() - 1))
+        guides = _make_guides(f"{name}_guides", mask, features, arrays, at, variables)
+        values, slices = prepare_planes(features, scalars, read(guides, x))
+        return Side(arrays, guides, count, _stack(f"{name}_planes", values, x, c, y), len(values), slices)
+
+    line = hl.clamp(y, 0, mask.height() - 1)
+    outside, slices = prepare_planes(features, scalars, [hl.f32(v) for feature in features for v in feature.neutral])
+    if not outside:
+        return Side(arrays, None, 0, None, 0, slices)
+    parts = [
+        _make_guides(f"{name}_guides{number}", mask, features, arrays, (x, line), variables)
+        for number in range(len(rows.parts))
+    ]
+    planes = rows.fill(
+        f"{name}_planes",
+        variables,
+        _choose(outside, c),
+        lambda number, column: _choose(prepare_planes(features, scalars, read(parts[number], column))[0], c),
+    )
+    return Side(arrays, None, count, planes, len(outside), slices, [part for part in parts if part is not None])
+
+
+def make_image(
+    name: str,
+    mask: hl.ImageParam,
+    variables: tuple[hl.Var, hl.Var, hl.Var],
+    rows: Rows | None,
+    take: Callable[[tuple[hl.Expr, hl.Expr], hl.Expr], hl.Expr],
+) -> hl.Func:
+    """Return a function of (x, c, y) from ``take(pixel, usable)``: a pixel of the image, and whether it has a meaning.
+
+    Outside the image the pixel is the nearest one and not usable; where there are rows, the function is 0.
+    """
+    x, y, c = variables
+    line = hl.clamp(y, 0, mask.height() - 1)
+    inside = (y >= 0) & (y < mask.height())
+    if rows is not None:
+        zero = hl.f32(0.0)
+        return rows.fill(name, variables, zero, lambda _, at: take((at, line), inside & (mask[at, line] != 0)))
+    column = clamp_likely(x, mask.width())
+    func = hl.Func(name)
+    func[x, c, y] = take((column, line), inside & (x >= 0) & (x < mask.width()) & (mask[column, line] != 0))
+    return func
+
+
+def _make_guides(
+    name: str,
+    mask: hl.ImageParam,
+    features: Sequence[Feature],
+    arrays: Sequence[hl.ImageParam],
+    at: tuple[hl.Expr, hl.Expr],
+    variables: tuple[hl.Var, hl.Var, hl.Var],
+) -> hl.Func | None:
+    """Return the input channels of every feature side by side."""
+    x, y, c = variables
+    channels: list[hl.Expr] = []
+    for array, count in zip(arrays, count_inputs(features), strict=True):
+        deep = array.dimensions() == 3
+        channels += [array[k, at[0], at[1]] if deep else array[at] for k in range(count)]
+    return _stack(name, neutralize(features, channels, mask[at] != 0), x, c, y)

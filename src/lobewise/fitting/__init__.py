@@ -1,0 +1,1 @@
+"""Measured materials become lobes."""

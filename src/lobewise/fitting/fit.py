@@ -1,0 +1,448 @@
+"""Measured reflection becomes lobes: for each view the sum of a few that is nearest in the sense of least squares.
+
+The nearness of two reflection lobes is their product integral, so the lobes of a material are fitted in the same
+space: squared differences over the sphere of luminance times cosine. What is 0 below the horizon counts as well,
+because a lobe may reach there. The shapes are searched for by non-linear least squares; their amplitudes follow from
+each trial of shapes by non-negative least squares (variable projection, Golub and Pereyra 1973).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, MissingDependencyError, describe_problem, require_choice
+from lobewise.fitting.fit_shapes import LobeFamily
+from lobewise.lobe_table import KINDS, MAX_LOBES, LobeTable
+from lobewise.lobes.brdf import ggx_brdf
+from lobewise.lobes.table import order_lobes
+from lobewise.lobes.vectors import LUMINANCE, Array
+
+Evaluate = Callable[[Array, Array], Any]
+"""``evaluate(view, light)``: BRDF in 1/sr, shape (n, 3) or (n,), of local unit vectors of shape (n, 3)."""
+COSINES = tuple(float((math.sqrt(0.05) + (1.0 - math.sqrt(0.05)) * i / 19.0) ** 2) for i in range(20))
+"""n.v of the default views: 20 from 0.05 to 1, equally spaced in the square root, denser where lobes change faster."""
+# The concentration of nodes about the mirror direction, radians of the half vector: a fraction of the sharpest alpha.
+_CORE = 0.005
+# Nodes along a radius, above and below the horizon.
+_ABOVE, _BELOW = 48, 16
+# Range of log alpha: nothing sharper is resolved.
+_LOG_ALPHA = (math.log(0.003), 0.0)
+# How much better, in squared sine, a cold start must be than the neighbour's lobes: continuity over views is worth it.
+_COLD_GAIN = 2e-4
+# Step of the shapes' derivatives; and the norm, over the nodes, below which a lobe of height 1 falls between them.
+_STEP = 1e-6
+_MIN_SIZE = 1e-6
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Directions over the whole sphere with solid angles, dense about the mirror direction, for one view.
+
+    Parameters
+    ----------
+    light : (n, 3)
+        Unit vectors in the view-aligned frame.
+    weight : (n,)
+        Solid angles, steradians; their sum is 4 pi.
+    """
+
+    light: Array
+    weight: Array
+
+
+def make_nodes(cosine: float, angular: int = 64) -> Nodes:
+    """Return nodes of a quadrature over the sphere for a view at n.v = ``cosine``.
+
+    They are half vectors in polar coordinates about the normal, mirrored. A solid angle of half vectors is seen
+    ``4 v.h`` times as large. The half vectors of all lights fill the half of the sphere about the view, up to the angle
+    ``atan2(v.z, -v.x cos(azimuth))`` from the normal; those of lights on the horizon are at half that angle. So the
+    radius has two Gauss-Legendre rules that meet at the horizon, where reflection has its edge: 48 nodes above it,
+    spaced evenly on a logarithmic scale from 0.005 radians outwards, and 16 below. The azimuth has the trapezoid rule.
+
+    Parameters
+    ----------
+    cosine : float
+        In (0, 1].
+    angular : int
+        Number of azimuths; not fewer than 128 are taken where n.v < 0.2, because the edge turns sharply there.
+    """
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    angular = max(angular, 128) if cosine < 0.2 else angular
+    azimuth = 2.0 * math.pi * (np.arange(angular) + 0.5) / angular
+    edge = np.arctan2(cosine, -sine * np.cos(azimuth))[:, None]
+    abscissa, share = np.polynomial.legendre.leggauss(_ABOVE)
+    stretch = np.arcsinh(0.5 * edge / _CORE)
+    u = 0.5 * (abscissa + 1.0) * stretch
+    above, above_share = _CORE * np.sinh(u), 0.5 * share * stretch * _CORE * np.cosh(u)
+    abscissa, share = np.polynomial.legendre.leggauss(_BELOW)
+    below, below_share = 0.25 * edge * (abscissa + 3.0), 0.25 * edge * share
+    theta = np.concatenate([above, below], axis=1)
+    measure = np.concatenate([above_share, below_share], axis=1) * np.sin(theta) * (2.0 * math.pi / angular)
+    half = np.stack(
+        [np.sin(theta) * np.cos(azimuth)[:, None], np.sin(theta) * np.sin(azimuth)[:, None], np.cos(theta)], axis=-1
+    )
+    across = half[..., 0] * sine + half[..., 2] * cosine
+    light = 2.0 * across[..., None] * half - np.asarray([sine, 0.0, cosine])
+    return Nodes(light.reshape(-1, 3), (4.0 * across * measure).ravel())
+
+
+def fit_lobes(
+    evaluate: Evaluate,
+    *,
+    lobes: int = 3,
+    kind: str = "asg",
+    cosines: ArrayLike = COSINES,
+    azimuths: ArrayLike | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    name: str = "",
+) -> LobeTable:
+    """Return the lobes of a material, fitted view by view from normal incidence to grazing.
+
+    Parameters
+    ----------
+    evaluate : callable
+        See `Evaluate`; the frame's x is the tangent, z the normal. A negative or non-finite value means that there is
+        no measurement: it has no weight in the fit. It is called with lights above the horizon only.
+    lobes : int
+        1 to 4.
+    kind : {"sg", "asg"}
+        Spherical Gaussians or anisotropic ones.
+    cosines : array_like, shape (V,)
+        n.v of the views, ascending, in (0, 1].
+    azimuths : array_like, shape (P,), optional
+        Azimuths of the views for an anisotropic material, radians, ascending, in [0, 2 pi). By default the material
+        is isotropic and its lobes are kept in the plane of incidence.
+    progress : callable, optional
+        Called with the number of finished views and of all.
+    name : str
+        What the material is called.
+
+    Returns
+    -------
+    LobeTable
+        Its `alpha` are those of the GGX lobe that is nearest to the data at each view, in the same space. Where there
+        is no measurement, the albedo is completed by the fitted lobes. A view without data, or where more
+        than half of its neighbour's lobes (in square) falls on directions that were not measured, takes the lobes of
+        that neighbour, turned, with 0 for `cosine_l2`.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, ``evaluate`` returns another shape, or nothing is reflected at the first view.
+    MissingDependencyError
+        If SciPy is not installed.
+    """
+    require_choice("kind of lobes", kind, KINDS)
+    if isinstance(lobes, bool) or not isinstance(lobes, int | np.integer) or not 1 <= lobes <= MAX_LOBES:
+        raise InputError(
+            describe_problem(
+                "lobes", expected=f"a whole number from 1 to {MAX_LOBES}", got=repr(lobes), action="pass lobes=3"
+            )
+        )
+    grid = _check_grid("cosines", cosines, "numbers above 0 and at most 1", lambda c: (c > 0.0) & (c <= 1.0))
+    turns = np.zeros(1)
+    if azimuths is not None:
+        turns = _check_grid("azimuths", azimuths, "angles from 0 to below 2 pi", lambda a: (a >= 0) & (a < 2 * math.pi))
+    _require_scipy()
+    family = LobeFamily(kind, flat=azimuths is None)
+    views, columns = grid.size, turns.size
+    found: dict[tuple[int, int], _Found] = {}
+    samples: dict[tuple[int, int], _Data] = {}
+
+    def report(done: int) -> None:
+        if progress is not None:
+            progress(done, 2 * views * columns)
+
+    # Down to grazing, then back up: a better set of lobes that is found on the way down reaches the views above it.
+    for v in range(views - 1, -1, -1):
+        nodes = make_nodes(float(grid[v]), angular=64 if azimuths is None else 96)
+        for p, azimuth in enumerate(turns):
+            samples[v, p] = _sample(evaluate, float(grid[v]), float(azimuth), nodes)
+            neighbour = found.get((v + 1, p))
+            if neighbour is None and p > 0:
+                # Seen from above the azimuths show the same lobes, turned.
+                last = found[v, p - 1]
+                neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
+            found[v, p] = _fit_view(samples[v, p], family, int(lobes), neighbour)
+            report((views - 1 - v) * columns + p + 1)
+    for v in range(1, views):
+        for p in range(columns):
+            found[v, p] = _refit_view(samples[v, p], family, found[v, p], found[v - 1, p])
+            report((views + v) * columns + p + 1)
+
+    def collect(field: str) -> Array:
+        return np.stack([[getattr(found[v, p], field) for p in range(columns)] for v in range(views)])
+
+    axis, sharpness, twist = family.to_frames(collect("shapes"))
+    table = LobeTable(
+        name=name,
+        kind=kind,
+        cosine=np.asarray(grid, dtype=np.float32),
+        azimuth=np.asarray(turns, dtype=np.float32),
+        axis=axis,
+        sharpness=sharpness,
+        twist=twist,
+        amplitude=collect("amplitude"),
+        alpha=collect("alpha"),
+        albedo=collect("albedo"),
+        cosine_l2=collect("cosine_l2"),
+    )
+    return order_lobes(table)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What one view reflects, at its nodes: all arrays over the nodes but the first three."""
+
+    cosine: float
+    albedo: Array
+    missing: NDArray[np.bool_]
+    nodes: Nodes
+    root: Array
+    """Square root of the solid angle; 0 where there is no measurement."""
+    target: Array
+    """Luminance of the BRDF times the cosine, times ``root``."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The lobes of one view at n.v = ``cosine``."""
+
+    cosine: float
+    shapes: Array
+    amplitude: Array
+    alpha: Array
+    albedo: Array
+    cosine_l2: float
+
+
+def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> _Data:
+    """Evaluate the material at the nodes that are above the horizon."""
+    above = nodes.light[:, 2] > 0.0
+    turn = np.asarray(
+        [[math.cos(azimuth), -math.sin(azimuth), 0.0], [math.sin(azimuth), math.cos(azimuth), 0.0], [0.0, 0.0, 1.0]]
+    )
+    light = nodes.light[above] @ turn.T
+    view = turn @ np.asarray([math.sqrt(max(0.0, 1.0 - cosine * cosine)), 0.0, cosine])
+    values: Array = np.asarray(evaluate(np.tile(view, (light.shape[0], 1)), light), dtype=np.float64)
+    if values.shape not in (light.shape, light.shape[:1]):
+        raise InputError(
+            describe_problem(
+                "evaluate",
+                expected=f"an array of shape {light.shape} or {light.shape[:1]}",
+                got=f"shape {values.shape}",
+                action="return three numbers or one per direction",
+            )
+        )
+    if values.ndim == 1:
+        values = np.repeat(values[:, None], 3, axis=1)
+    good = np.asarray((np.isfinite(values) & (values >= 0.0)).all(axis=1))
+    reflected = np.zeros_like(nodes.light)
+    reflected[above] = np.where(good[:, None], values, 0.0) * light[:, 2:]
+    missing = np.zeros(above.shape, dtype=bool)
+    missing[above] = ~good
+    root = np.where(missing, 0.0, np.sqrt(nodes.weight))
+    return _Data(cosine, nodes.weight @ reflected, missing, nodes, root, root * (reflected @ LUMINANCE))
+
+
+def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | None) -> _Found:
+    """Return the lobes of one view; the neighbour's lobes are a start, and kept in order unless much worse."""
+    if neighbour is None:
+        if not data.target.any():
+            raise InputError(
+                describe_problem(
+                    f"reflection at n.v = {data.cosine:g}",
+                    expected="values above 0",
+                    got="none",
+                    action="leave out the cosines without data",
+                )
+            )
+        start = None
+    else:
+        start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
+        if not (data.target.any() and _is_seen(data, family, start, neighbour.amplitude)):
+            return replace(neighbour, cosine=data.cosine, shapes=start, cosine_l2=0.0)
+    alpha = _fit_ggx(data, None if neighbour is None else neighbour.alpha)
+    ellipse = np.eye(2) if family.flat else _measure_half_vectors(data)
+    best = _search_lobes(data, family, family.make_start(data.cosine, alpha, ellipse, lobes))
+    if start is not None:
+        warm = _search_lobes(data, family, start)
+        best = warm if warm.error <= best.error + _COLD_GAIN else _match(data, family, best, start)
+    return _finish(data, family, best, alpha)
+
+
+def _refit_view(data: _Data, family: LobeFamily, found: _Found, neighbour: _Found) -> _Found:
+    """Return the lobes of one view, searched once more from those of the view below it."""
+    if not (data.target.any() and neighbour.cosine_l2 > 0.0):
+        return found
+    start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
+    warm = _search_lobes(data, family, start)
+    if warm.error <= 1.0 - found.cosine_l2**2 + _COLD_GAIN:
+        return _finish(data, family, warm, found.alpha)
+    return found
+
+
+def _is_seen(data: _Data, family: LobeFamily, rows: Array, amplitude: Array) -> bool:
+    """Return whether most of what these lobes reflect, in square, goes where there are measurements."""
+    above = data.nodes.light[:, 2] > 0.0
+    light, weight = data.nodes.light[above], data.nodes.weight[above]
+    energy = weight * sum(a * family.evaluate(row, light) for a, row in zip(amplitude, rows, strict=True)) ** 2
+    return bool(np.sum(energy[~data.missing[above]]) > 0.5 * np.sum(energy))
+
+
+def _search_lobes(data: _Data, family: LobeFamily, start: Array) -> _Trial:
+    return _search(data, lambda row: family.evaluate(row, data.nodes.light), start, family.low, family.high)
+
+
+def _match(data: _Data, family: LobeFamily, trial: _Trial, neighbour: Array) -> _Trial:
+    """Return the lobes of ``trial`` in the order and the names of x and y that are nearest to the neighbour's."""
+    ours, theirs = (
+        np.stack([data.root * family.evaluate(row, data.nodes.light) for row in rows])
+        for rows in (trial.shapes, neighbour)
+    )
+    sizes = np.linalg.norm(theirs, axis=1)[:, None] * np.linalg.norm(ours, axis=1)
+    overlap = (theirs @ ours.T) / np.maximum(sizes, _MIN_SIZE**2)
+    order = max(permutations(range(len(ours))), key=lambda p: float(overlap[range(len(ours)), p].sum()))
+    return _Trial(family.align(trial.shapes[list(order)], neighbour), trial.amplitude[list(order)], trial.error)
+
+
+def _finish(data: _Data, family: LobeFamily, trial: _Trial, alpha: Array) -> _Found:
+    """Complete the albedo by the lobes where there is no measurement."""
+    light = data.nodes.light[data.missing]
+    model = sum(a * family.evaluate(row, light) for a, row in zip(trial.amplitude, trial.shapes, strict=True))
+    unseen = float(np.sum(data.nodes.weight[data.missing] * model))
+    albedo = data.albedo * (1.0 + unseen / float(data.albedo @ LUMINANCE))
+    return _Found(data.cosine, trial.shapes, trial.amplitude, alpha, albedo, math.sqrt(max(0.0, 1.0 - trial.error)))
+
+
+def _fit_ggx(data: _Data, neighbour: Array | None) -> Array:
+    """Return the roughness (along x, along y) of the GGX lobe that is nearest to the data."""
+    view = np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
+
+    def evaluate(row: Array) -> Array:
+        alpha = np.exp(row)
+        return ggx_brdf(view, data.nodes.light, alpha[0], alpha[1]) * np.maximum(data.nodes.light[:, 2], 0.0)
+
+    if neighbour is None:
+        trials = np.log([0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.9])
+        columns = [data.root * evaluate(np.full(2, trial)) for trial in trials]
+        nearness = [float(column @ data.target / np.linalg.norm(column)) for column in columns]
+        start = np.full((1, 2), trials[int(np.argmax(nearness))])
+    else:
+        start = np.log(neighbour)[None]
+    low, high = np.full(2, _LOG_ALPHA[0]), np.full(2, _LOG_ALPHA[1])
+    return np.asarray(np.exp(_search(data, evaluate, start, low, high).shapes[0]))
+
+
+def _measure_half_vectors(data: _Data) -> Array:
+    """Return the covariance (2, 2) of the half vectors' x and y, weighted by the square of the target.
+
+    The square leaves the tails out. Where all is in one spot the covariance is kept from being singular.
+    """
+    half = data.nodes.light + np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
+    half = half[:, :2] / np.linalg.norm(half, axis=1, keepdims=True)
+    # The nodes' solid angles are of lights; those of half vectors are 4 v.h times smaller, which is slow to vary.
+    share = data.target**2 / np.sum(data.target**2)
+    half = half - share @ half
+    return np.asarray((half * share[:, None]).T @ half + 1e-9 * np.eye(2))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Shapes, their best amplitudes, and the squared sine between them and the data."""
+
+    shapes: Array
+    amplitude: Array
+    error: float
+
+
+def _search(data: _Data, evaluate: Callable[[Array], Array], start: Array, low: Array, high: Array) -> _Trial:
+    """Return the shapes near ``start`` whose non-negative combination is nearest to the target.
+
+    The derivative of the residual is that of the lobes at fixed amplitudes, less what the amplitudes can follow
+    (Kaufman 1975).
+    """
+    from scipy.optimize import least_squares, nnls
+
+    norm = float(np.linalg.norm(data.target))
+    target, root = data.target / norm, data.root
+    last: list[tuple[bytes, Array, Array]] = []
+
+    def combine(rows: Array) -> tuple[Array, Array, float]:
+        """Return (lobes at the nodes, best amplitudes, distance from the target)."""
+        columns = np.stack([root * evaluate(row) for row in rows])
+        size = np.linalg.norm(columns, axis=1)
+        # A lobe between the nodes is none, whatever its amplitude.
+        scale = np.where(size > _MIN_SIZE, 1.0 / np.maximum(size, _MIN_SIZE), 0.0)
+        amplitude, distance = nnls((columns * scale[:, None]).T, target)
+        return columns, amplitude * scale, float(distance)
+
+    def project(numbers: Array) -> tuple[Array, Array]:
+        """Return (derivative, miss), both rotated into the space that they span: a few rows instead of thousands."""
+        key = numbers.tobytes()
+        if not last or last[0][0] != key:
+            rows = numbers.reshape(start.shape)
+            columns, amplitude, _ = combine(rows)
+            system = np.zeros((numbers.size + 1, target.size))
+            for k, row in enumerate(rows):
+                for j in range(row.size if amplitude[k] > 0.0 else 0):
+                    moved = row.copy()
+                    moved[j] += _STEP
+                    system[k * row.size + j] = (root * evaluate(moved) - columns[k]) * (amplitude[k] / _STEP)
+            system[-1] = amplitude @ columns - target
+            basis = columns[amplitude > 0.0]
+            system[:-1] -= system[:-1] @ basis.T @ np.linalg.pinv(basis @ basis.T, hermitian=True) @ basis
+            values, vectors = np.linalg.eigh(system @ system.T)
+            short = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+            last[:] = [(key, short[:, :-1], short[:, -1])]
+        return last[0][1:]
+
+    bounds = np.tile(low, len(start)), np.tile(high, len(start))
+    done = least_squares(
+        lambda numbers: project(numbers)[1],
+        np.clip(start.ravel(), *bounds),
+        lambda numbers: project(numbers)[0],
+        bounds,
+        x_scale="jac",
+        ftol=1e-4,
+        xtol=1e-4,
+        max_nfev=60,
+    )
+    shapes = done.x.reshape(start.shape)
+    _, amplitude, distance = combine(shapes)
+    return _Trial(shapes, norm * amplitude, distance**2)
+
+
+def _check_grid(
+    name: str, value: ArrayLike, words: str, test: Callable[[Array], NDArray[np.bool_]]
+) -> NDArray[np.float64]:
+    try:
+        grid = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        grid = np.empty(0)
+    if grid.ndim != 1 or grid.size == 0 or not np.all(test(grid)) or not np.all(np.diff(grid) > 0.0):
+        raise InputError(
+            describe_problem(name, expected=f"ascending {words}", got=repr(value), action="correct the list")
+        )
+    return grid
+
+
+def _require_scipy() -> None:
+    try:
+        import scipy.optimize  # noqa: F401 - only to see whether it is there
+    except ImportError as problem:
+        raise MissingDependencyError(
+            describe_problem(
+                "fitting lobes",
+                expected="the package scipy",
+                got=str(problem),
+                action="install it with `pip install 'lobewise[fit]'`",
+            )
+        ) from problem

@@ -1,0 +1,1 @@
+"""What a frame knows before filtering: surfaces, lobes, places, halves."""

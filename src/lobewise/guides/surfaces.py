@@ -1,0 +1,190 @@
+"""What a frame's guides say of its surfaces: where there is one, where it is, and what is compared of it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import halide as hl
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.camera import Camera
+from lobewise.features.base import dot
+from lobewise.frame import FloatArray, GBuffer
+
+SMALLEST_NORMAL = 0.01
+"""Squared length of a normal below which there is no surface: its normal is zero in every renderer's convention."""
+
+
+def is_surface_depth(depth: hl.Expr) -> hl.Expr:
+    """Return whether a ray of this length found something."""
+    return (depth > hl.f32(0.0)) & is_finite(depth)
+
+
+def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
+    """Return what `make_ray` reads: the ray through the first pixel's centre, and its steps to the right and down."""
+    height, width = size
+    first_row, rows = camera.get_rows(height)
+    half_width, half_height = camera.get_half_extent(width, height)
+    right, down = 2.0 * half_width / width * camera.right, -2.0 * half_height / rows * camera.up
+    corner = camera.forward - half_width * camera.right + half_height * camera.up
+    first_ray = corner + 0.5 * (right + down)
+    return {"first_ray": first_ray, "ray_right": right, "ray_down": down, "first_row": np.array([float(first_row)])}
+
+
+def make_ray(grid: Grid, kind: hl.Type) -> list[hl.Expr]:
+    """Return the direction in which a pixel looks, 1 deep along the camera's axis."""
+    x, y = hl.cast(hl.Float(64), grid.x), hl.cast(hl.Float(64), grid.y) + grid.get("first_row")[0]
+    parts = zip(grid.get("first_ray"), grid.get("ray_right"), grid.get("ray_down"), strict=True)
+    return [hl.cast(kind, first + x * right + y * down) for first, right, down in parts]
+
+
+def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return where a pixel of an image of ``size`` sees a surface with finite guides."""
+    images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
+    if all(image is None for image in images.values()):
+        return np.ones(size, dtype=bool)
+    (surface,) = run_pointwise(_define_surface, images, {})
+    return np.asarray(surface)
+
+
+def _define_surface(grid: Grid) -> list[Vector]:
+    surface = hl.Expr(True)
+    if grid.has("depth"):
+        surface = surface & is_surface_depth(grid.read_one("depth"))
+    if grid.has("position"):
+        x, y, z = grid.read("position")
+        surface = surface & is_finite(x + y + z)
+    if grid.has("normal"):
+        normal = grid.read("normal")
+        square = dot(normal, normal)
+        surface = surface & (square > hl.f32(SMALLEST_NORMAL)) & is_finite(square)
+    return [[hl.u8(surface)]]
+
+
+def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Return the surface points (height, width, 3) and their depths, whichever of the two the G-buffer has."""
+    position, depth = gbuffer.position, gbuffer.depth
+    if position is None:
+        assert depth is not None
+        height, width = depth.shape
+        numbers: dict[str, Any] = {"eye": camera.position, **get_ray_numbers(camera, (height, width))}
+        (position,) = run_pointwise(_define_positions, {"depth": depth}, numbers)
+    if depth is None:
+        (depth,) = run_pointwise(_define_depths, {"position": position}, {"eye": camera.position})
+    return np.asarray(position), np.asarray(depth)
+
+
+def _define_positions(grid: Grid) -> list[Vector]:
+    ray = make_ray(grid, hl.Float(64))
+    along = hl.f64(grid.read_one("depth")) / hl.sqrt(dot(ray, ray))
+    return [[hl.f32(eye + along * component) for eye, component in zip(grid.get("eye"), ray, strict=True)]]
+
+
+def _define_depths(grid: Grid) -> list[Vector]:
+    step = [hl.f64(place) - eye for place, eye in zip(grid.read("position"), grid.get("eye"), strict=True)]
+    return [[hl.f32(hl.sqrt(dot(step, step)))]]
+
+
+def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nearest: float = 0.0) -> FloatArray:
+    """Return 1/t of every hit distance t, (height, width); 0 where nothing is seen or known.
+
+    Hits count as no nearer than ``nearest`` times the depth.
+    """
+    (inverse,) = run_pointwise(_define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
+    return np.asarray(inverse)
+
+
+def _define_inverse_hits(grid: Grid) -> list[Vector]:
+    distance = grid.read_one("distance")
+    known = distance > hl.f32(0.0)
+    if grid.has("depth"):
+        least = hl.f32(grid.get("nearest")[0]) * grid.read_one("depth")
+        known = known & is_finite(least)
+        distance = hl.max(distance, least)
+    inverse = hl.f32(1.0) / distance
+    return [[hl.select(known & is_finite(inverse), inverse, hl.f32(0.0))]]
+
+
+def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
+    """Return ``least`` plus ``slope`` for each unit of the larger alpha, (height, width); that of a mirror at NaN."""
+    images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
+    (tolerance,) = run_pointwise(_define_tolerances, images, {"least": least, "slope": slope})
+    return np.asarray(tolerance)
+
+
+def _define_tolerances(grid: Grid) -> list[Vector]:
+    alphas = [grid.read_one(name) for name in ("alpha_u", "alpha_v") if grid.has(name)]
+    known = is_finite(sum(alphas[1:], alphas[0]))
+    widest = hl.select(known, hl.max(*alphas, hl.f32(0.0)), hl.f32(0.0))
+    return [[hl.f32(grid.get("least")[0]) + hl.f32(grid.get("slope")[0]) * widest]]
+
+
+def find_footprints(
+    surface: NDArray[np.bool_], depth: FloatArray, pixel_angle: float, allowance: FloatArray | None, allowed: float
+) -> FloatArray:
+    """Return what a pixel covers, (height, width), 1 where there is no surface.
+
+    It counts larger by the factor ``1 + allowed allowance``.
+    """
+    images = {"surface": surface, "depth": depth, "allowance": allowance}
+    numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
+    (footprint,) = run_pointwise(_define_footprints, images, numbers)
+    return np.asarray(footprint)
+
+
+def _define_footprints(grid: Grid) -> list[Vector]:
+    (angle,), (allowed,) = grid.get("pixel_angle"), grid.get("allowed")
+    footprint = grid.read_one("depth") * angle
+    if grid.has("allowance"):
+        footprint = footprint * (hl.f32(1.0) + grid.read_one("allowance") * allowed)
+    return [[hl.select(grid.read_one("surface") != 0, footprint, hl.f32(1.0))]]
+
+
+class Backdrop(NamedTuple):
+    """Surfaces before a wall that is far away, each (height, width, 3)."""
+
+    facing: FloatArray
+    """Normals; those of the wall face the camera."""
+    normal: FloatArray
+    """The same, but 0 on the wall, which has no tangent plane."""
+    position: FloatArray | None
+    """Surface points, as far as they are known."""
+
+
+def put_backdrop(
+    surface: NDArray[np.bool_], normal: FloatArray, position: FloatArray | None, camera: Camera | None, far: float
+) -> Backdrop:
+    """Return the guides with a wall at the distance ``far`` wherever there is no surface.
+
+    Without a camera all pixels look the same way.
+    """
+    size = int(surface.shape[0]), int(surface.shape[1])
+    if camera is not None:
+        rays = get_ray_numbers(camera, size)
+    else:
+        still = np.zeros(3)
+        rays = {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": still, "ray_down": still, "first_row": still[:1]}
+    eye = np.zeros(3) if camera is None else camera.position
+    images = {"surface": surface, "normal": normal, "position": position}
+    numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}
+    facing, flat, *points = run_pointwise(_define_backdrop, images, numbers)
+    return Backdrop(facing, flat, points[0] if points else None)
+
+
+def _define_backdrop(grid: Grid) -> list[Vector]:
+    there = grid.read_one("surface") != 0
+    ray = make_ray(grid, hl.Float(32))
+    inverse = hl.f32(1.0) / hl.sqrt(dot(ray, ray))
+    ray = [component * inverse for component in ray]
+    normal = grid.read("normal")
+    outputs: list[Vector] = [
+        [hl.select(there, n, -r) for n, r in zip(normal, ray, strict=True)],
+        [hl.select(there, n, hl.f32(0.0)) for n in normal],
+    ]
+    if grid.has("position"):
+        (far,) = grid.get("far")
+        triples = zip(grid.read("position"), grid.get("eye"), ray, strict=True)
+        outputs.append([hl.select(there, p, eye + far * r) for p, eye, r in triples])
+    return outputs

@@ -1,1 +1,0 @@
-"""Image kernels, the only importer of Halide."""
