@@ -51,7 +51,7 @@ OWNERS = {
     "scipy": "fitting",
     "matplotlib": "reporting",
     "viser": "viewer",
-    "PIL": "viewer",
+    "PIL": ("io", "viewer"),
 }
 
 
