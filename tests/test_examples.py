@@ -71,9 +71,3 @@ def test_feature_of_another_size_is_named() -> None:
     frame, ids, _ = names["make_frame"](32)
     with pytest.raises(InputError, match=r"an array of feature 'object id'.*\(32, 32\).*\(16, 16\)"):
         lobewise.denoise(frame, features=[names["ObjectId"](ids[:16, :16])])
-
-
-def test_feature_without_oracle_says_so() -> None:
-    feature = load(FEATURES[0])["ObjectId"](np.zeros((2, 2)))
-    with pytest.raises(InputError, match=r"feature 'object id': expected a get_similarity.*write one in ObjectId"):
-        feature.get_similarity((np.array([0]), np.array([0])), (np.array([0]), np.array([1])))

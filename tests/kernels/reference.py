@@ -1,6 +1,6 @@
 """The oracle: cross filter and reprojection as slow float64 loops over taps, from the definition, without Halide.
 
-It shares nothing with the kernels but the features' NumPy similarities, which are themselves written a second time.
+It shares nothing with the kernels; the similarities are written a second time in `tests.kernels.oracles`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lobewise.features.base import Feature
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from tests.kernels.oracles import get_similarity
 
 FloatImage = NDArray[np.float64]
 
@@ -91,7 +92,7 @@ def sum_taps(
         for feature in features:
             similarity = np.zeros(i[0].shape)
             pairs_i, pairs_j = (i[0][both], i[1][both]), (j[0][both], j[1][both])
-            similarity[both] = feature.get_similarity(pairs_i, pairs_j)
+            similarity[both] = get_similarity(feature, pairs_i, pairs_j)
             weight = weight * similarity
         if not features:
             weight = np.where(both, weight, 0.0)
@@ -173,7 +174,7 @@ def reproject_reference(
         weight = (1.0 - np.abs(where[taken, 0] - k_x)) * (1.0 - np.abs(where[taken, 1] - k_y))
         agrees = np.ones(weight.shape)
         for feature in pairs:
-            agrees = agrees * feature.get_similarity((y + height, x), (k_y, k_x))
+            agrees = agrees * get_similarity(feature, (y + height, x), (k_y, k_x))
         values = np.concatenate([past[k_y, k_x].astype(np.float64), np.ones((*weight.shape, 1))], axis=-1)
         values[:, 4] *= agrees
         out[y, x] += (weight * agrees)[:, None] * values

@@ -19,6 +19,7 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import summarize
 from tests.kernels.frames import make_feature, make_mask, make_radiance
+from tests.kernels.oracles import get_similarity
 
 FloatImage = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def find_weights(mask: NDArray[np.bool_], scale: int, place: tuple[int, int], ra
     feature = make_feature("position", mask.shape)
     rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
     y, x, row, column = np.meshgrid(np.arange(height), np.arange(width), rows, columns, indexing="ij")
-    weights = feature.get_similarity((y, x), (row, column))
+    weights = get_similarity(feature, (y, x), (row, column))
     near = (abs(row // scale - y // scale) <= radius) & (abs(column // scale - x // scale) <= radius)
     return np.where(near & mask[y, x] & mask[row, column], weights, 0.0)
 

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
-from lobewise.features.base import LOG2_E, Feature, Pixel, Pixels, ScreenFeature, Stage
+from lobewise.features.base import LOG2_E, Feature, Pixel, ScreenFeature, Stage
 from lobewise.features.lobe import DiffuseFeature
 from lobewise.features.seen import SeenFeature
 from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
 from lobewise.frame import FloatArray
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
+from tests.kernels.oracles import Pixels, get_similarity
 
 FloatImage = NDArray[np.float64]
 
@@ -60,9 +61,11 @@ class ToneFeature(Feature):
         squared = stage((i[1] - j[1]) * (i[1] - j[1]) + (i[2] - j[2]) * (i[2] - j[2]))
         return -hl.f32(LOG2_E) * (hl.abs(i[0] - j[0]) + parameters[0] * squared)
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        tone, mark = (array[i].astype(np.float64) - array[j] for array in (self.tone, self.mark))
-        return np.asarray(np.exp(-self.strength * (np.abs(tone) + np.sum(mark * mark, axis=-1))))
+
+@get_similarity.register
+def _(feature: ToneFeature, i: Pixels, j: Pixels) -> FloatImage:
+    tone, mark = (array[i].astype(np.float64) - array[j] for array in (feature.tone, feature.mark))
+    return np.asarray(np.exp(-feature.strength * (np.abs(tone) + np.sum(mark * mark, axis=-1))))
 
 
 def make_own_feature(kind: str, shape: tuple[int, int]) -> Feature:
@@ -212,7 +215,7 @@ def paired_reference(
         if i[0].size == 0:
             continue
         alike = [
-            np.prod([feature.get_similarity(i, j) for feature in group] or [np.ones(i[0].shape)], axis=0)
+            np.prod([get_similarity(feature, i, j) for feature in group] or [np.ones(i[0].shape)], axis=0)
             for group in (place, lobes, seen)
         ]
         apart = np.zeros(i[0].shape)
@@ -442,7 +445,7 @@ def test_the_impulse_response_is_the_weight(name: str) -> None:
     rows, columns = (k[reach].ravel() for k in np.indices(shape))
     i, j = (rows, columns), (np.full_like(rows, at[0]), np.full_like(rows, at[1]))
     for out, (of_place, of_lobes, of_range, _) in zip(found, case.variants, strict=True):
-        alike = given.place[0].get_similarity(i, j) ** of_place * given.lobes[0].get_similarity(i, j) ** of_lobes
+        alike = get_similarity(given.place[0], i, j) ** of_place * get_similarity(given.lobes[0], i, j) ** of_lobes
         apart = np.zeros(rows.shape)
         if given.guide is not None:
             g_i, g_j = given.guide[i].astype(np.float64), given.guide[at].astype(np.float64)

@@ -14,6 +14,7 @@ from lobewise.filters.runs import run_upsampling
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import make_feature, make_mask, make_radiance
+from tests.kernels.oracles import get_similarity
 
 RADIUS = 2
 SHAPES = [(1, 1), (3, 17), (21, 26)]
@@ -41,7 +42,7 @@ def upsample_slowly(
                 if not (mask[y, x] and mask[j]):
                     continue
                 pair = (np.array([y]), np.array([x])), (np.array([j[0]]), np.array([j[1]]))
-                weight = float(np.prod([feature.get_similarity(*pair)[0] for feature in features]))
+                weight = float(np.prod([get_similarity(feature, *pair)[0] for feature in features]))
                 weight **= 1.0 if strictness is None else float(strictness[y, x])
                 light = low[row, column].astype(np.float64) / albedo[j]
                 total[y, x] += weight * light

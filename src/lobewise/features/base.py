@@ -16,8 +16,6 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import ClassVar
 
 import halide as hl
-import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.errors import InputError, describe_problem
@@ -27,8 +25,6 @@ LOG2_E = math.log2(math.e)
 
 Pixel = Sequence[hl.Expr]
 """The planes of one pixel, in the order in which `Feature.prepare` returned them."""
-Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""Rows and columns of some pixels, two arrays of one shape."""
 Stage = Callable[[hl.Expr], hl.Expr]
 """Keeps an intermediate value of a whole row of taps in cache; splits a long log-similarity into shorter loops."""
 
@@ -87,37 +83,12 @@ class Feature(ABC):
             Wrap a long intermediate in ``stage(...)`` to compute it in a loop of its own (fewer registers).
         """
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        """Return the similarity of pixels i and j to the power beta in float64: the oracle's word.
-
-        Written a second time, in NumPy, from the definition and not from the planes. Only tests against
-        `tests.kernels.reference` need it.
-
-        Raises
-        ------
-        InputError
-            If the feature has none.
-        """
-        raise InputError(
-            describe_problem(
-                f"feature {self.name!r}",
-                expected="a get_similarity, which the float64 oracle compares with",
-                got="none",
-                action=f"write one in {type(self).__name__}",
-            )
-        )
-
 
 def require_positive(name: str, value: float) -> float:
     """Return ``value``; raise InputError unless it is finite and above 0."""
     if not (value > 0.0 and math.isfinite(value)):
         raise InputError(describe_problem(name, expected="a finite number above 0", got=str(value), action="raise it"))
     return float(value)
-
-
-def get_screen_distance_squared(i: Pixels, j: Pixels) -> NDArray[np.float64]:
-    """Return the squared distance on the screen, pixels^2."""
-    return (i[0] - j[0]).astype(np.float64) ** 2 + (i[1] - j[1]).astype(np.float64) ** 2
 
 
 def dot(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> hl.Expr:
@@ -155,9 +126,6 @@ class ScreenFeature(Feature):
     ) -> hl.Expr:
         return -(offset[0] * offset[0] + offset[1] * offset[1]) * parameters[0]
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        return np.exp(-get_screen_distance_squared(i, j) / (2.0 * self.sigma**2))
-
 
 class TentFeature(Feature):
     """Tent over the distance on the screen, ``(1 - |x| / width) (1 - |y| / width)``: bilinear interpolation.
@@ -184,12 +152,6 @@ class TentFeature(Feature):
     ) -> hl.Expr:
         sides = [hl.max(hl.f32(1.0) - hl.abs(step) * parameters[0], hl.f32(0.0)) for step in offset]
         return expressions.log2(hl.max(sides[0] * sides[1], hl.f32(1e-38)))
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        sides = [
-            np.maximum(1.0 - np.abs(p.astype(np.float64) - q) / self.width, 0.0) for p, q in zip(i, j, strict=True)
-        ]
-        return np.asarray(sides[0] * sides[1])
 
 
 class PositionFeature(Feature):
@@ -242,12 +204,6 @@ class PositionFeature(Feature):
         distance_squared = dot(d, d) if len(d) == 3 else d[0] * d[0]
         return -distance_squared * (i[-1] * j[-1])
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        d = self.place[j].astype(np.float64) - self.place[i].astype(np.float64)
-        squared = np.sum(d * d, axis=-1) if self.place.ndim == 3 else d * d
-        footprints = self.depth[i].astype(np.float64) * self.depth[j].astype(np.float64) * self.pixel_angle**2
-        return np.exp(-squared / (2.0 * self.sigma**2 * footprints))
-
 
 class PlaneFeature(Feature):
     """Gaussian of how far two surface points lie off each other's tangent plane, in units of what a pixel covers.
@@ -294,12 +250,6 @@ class PlaneFeature(Feature):
         above, below = dot(i[3:6], d), dot(j[3:6], d)
         return -(above * above + below * below) * (i[6] * j[6])
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        d = self.position[j].astype(np.float64) - self.position[i].astype(np.float64)
-        squared = sum(np.sum(self.normal[k].astype(np.float64) * d, axis=-1) ** 2 for k in (i, j))
-        footprints = self.footprint[i].astype(np.float64) * self.footprint[j].astype(np.float64)
-        return np.asarray(np.exp(-squared / (4.0 * self.sigma**2 * footprints)), dtype=np.float64)
-
 
 class NormalFeature(Feature):
     """Geometry-aware baseline: ``exp(-exponent (1 - n_i . n_j))``, the usual cosine power for nearby normals.
@@ -332,10 +282,6 @@ class NormalFeature(Feature):
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
         return dot(i, j) - parameters[0]
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        cosine = np.sum(self.normal[i].astype(np.float64) * self.normal[j].astype(np.float64), axis=-1)
-        return np.asarray(np.exp(-self.exponent * (1.0 - cosine)), dtype=np.float64)
 
 
 class BandLimitFeature(Feature):
@@ -381,12 +327,3 @@ class BandLimitFeature(Feature):
         self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
     ) -> hl.Expr:
         return -(offset[0] * offset[0] + offset[1] * offset[1]) * (i[0] + j[0])
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        def get_precision(pixels: Pixels) -> NDArray[np.float64]:
-            sigma = self.scale / (np.sqrt(self.sharpness[pixels].astype(np.float64)) * self.pixel_angle)
-            precision: NDArray[np.float64] = 1.0 / np.minimum(sigma, self.largest_sigma) ** 2
-            return precision
-
-        both = get_precision(i) + get_precision(j)
-        return np.asarray(np.exp(-0.25 * get_screen_distance_squared(i, j) * both), dtype=np.float64)

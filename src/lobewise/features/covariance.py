@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import halide as hl
-import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.features.base import LOG2_E, Pixel, Pixels, Stage, dot, require_positive, subtract
+from lobewise.features.base import LOG2_E, Pixel, Stage, dot, require_positive, subtract
 from lobewise.features.lobe import LobeFeature, find_shift
 from lobewise.frame import FloatArray
-from lobewise.lobes import asg, tangent
 from lobewise.lobes.hits import HitField
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
@@ -88,17 +85,6 @@ class _CovarianceFeature(LobeFeature):
         d = [p + q for p, q in zip(d, find_shift(i[:3], j[:3], hit_i, hit_j, square), strict=True)]
         return d, dot(d, d), square
 
-    def _get_lobes(self, i: Pixels, j: Pixels) -> tuple[tangent.TangentLobe, tangent.TangentLobe]:
-        lobe_i, lobe_j = (
-            tangent.TangentLobe(
-                self.axis[k].astype(np.float64),
-                self.covariance[k].astype(np.float64),
-                self.determinant[k].astype(np.float64),
-            )
-            for k in (i, j)
-        )
-        return lobe_i, lobe_j
-
 
 class GgxFeature(_CovarianceFeature):
     """Overlap of two GGX lobes by their covariances across the lobe axis.
@@ -156,12 +142,6 @@ class GgxFeature(_CovarianceFeature):
             tail = tail * tail
         areas = invariant * hl.sqrt(invariant) / mean
         return i[9] + j[9] - parameters[0] * expressions.log2(stage(tail * areas))
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        shift = self._get_shift(i, j, self.axis)
-        return np.asarray(
-            tangent.tangent_approx_similarity(*self._get_lobes(i, j), self.beta, shift=shift), dtype=np.float64
-        )
 
 
 class AsgFeature(_CovarianceFeature):
@@ -229,8 +209,3 @@ class AsgFeature(_CovarianceFeature):
         traces = (i[3] + i[4] + i[5]) * (j[3] + j[4] + j[5])
         determinants = hl.f32(0.25) * (i[9] * i[9] + j[9] * j[9])
         return quadratic, traces - inner + determinants
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        lobe_i, lobe_j = (asg.asg_from_covariance(*lobe) for lobe in self._get_lobes(i, j))
-        shift = self._get_shift(i, j, self.axis)
-        return np.asarray(asg.asg_approx_similarity(lobe_i, lobe_j, self.beta, shift=shift), dtype=np.float64)

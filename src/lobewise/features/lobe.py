@@ -6,14 +6,11 @@ import math
 from collections.abc import Hashable, Sequence
 
 import halide as hl
-import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.features.base import LOG2_E, Feature, Pixel, Pixels, Stage, dot, require_positive, subtract
+from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
 from lobewise.frame import FloatArray
-from lobewise.lobes import sg
-from lobewise.lobes.hits import HitField, find_hit_shift
+from lobewise.lobes.hits import HitField
 
 # With x = 1 - cos d, 2^-(x (c0 + c1 x + ...)) is within 3.8e-3 of the Lambert similarity
 # ((pi - d) cos d + sin d) / pi for every angle d, and falls throughout: no logarithm and no root.
@@ -53,13 +50,6 @@ class DiffuseFeature(Feature):
             quotient = quotient * x + hl.f32(coefficient)
         return -parameters[0] * (x * quotient)
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        cosine = np.sum(self.normal[i].astype(np.float64) * self.normal[j].astype(np.float64), axis=-1)
-        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-        overlap = ((math.pi - angle) * np.cos(angle) + np.sin(angle)) / math.pi
-        similarity: NDArray[np.float64] = np.maximum(overlap, 0.0) ** self.beta
-        return similarity
-
 
 class HitDistanceFeature(Feature):
     """Gaussian of how much the inverse hit distances of two lobes differ, relative to the larger of them.
@@ -94,12 +84,6 @@ class HitDistanceFeature(Feature):
         step = (i[0] - j[0]) / hl.max(i[0], j[0], hl.f32(1e-12))
         return -step * step * (i[1] * j[1])
 
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        x_i, x_j = (self.inverse_distance[k].astype(np.float64) for k in (i, j))
-        largest = np.maximum(np.maximum(x_i, x_j), 1e-12)
-        tolerances = self.tolerance[i].astype(np.float64) * self.tolerance[j]
-        return np.asarray(np.exp(-(((x_i - x_j) / largest) ** 2) / (2.0 * tolerances)))
-
 
 class LobeFeature(Feature):
     """What the features of one lobe per pixel share: the exponent, and the optional hit-distance term."""
@@ -120,14 +104,6 @@ class LobeFeature(Feature):
     def _split_hits(self, pixel: Pixel) -> tuple[Pixel, Pixel]:
         """Return the planes of the lobe and those of the hit, which are the last four."""
         return (pixel, ()) if self.hits is None else (pixel[:-4], pixel[-4:])
-
-    def _get_shift(self, i: Pixels, j: Pixels, axis: FloatArray) -> NDArray[np.float64] | None:
-        """Return what the hits add to the difference of the axes, float64; None without the term."""
-        if self.hits is None:
-            return None
-        position, inverse = self.hits.position, self.hits.inverse_distance
-        pairs = (a[k].astype(np.float64) for a in (axis, position, inverse) for k in (i, j))
-        return np.asarray(find_hit_shift(*pairs), dtype=np.float64)
 
 
 def _scale_step(i: Pixel, j: Pixel) -> list[hl.Expr]:
@@ -199,16 +175,3 @@ class SgFeature(LobeFeature):
             square = dot(d, d)
         width = i[3] + j[3]
         return i[4] + j[4] - parameters[0] * expressions.log2(width) - square * (hl.f32(1.0) / width)
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        return np.asarray(
-            sg.sg_slide_similarity(
-                self.axis[i].astype(np.float64),
-                self.sharpness[i].astype(np.float64),
-                self.axis[j].astype(np.float64),
-                self.sharpness[j].astype(np.float64),
-                beta=self.beta,
-                shift=self._get_shift(i, j, self.axis),
-            ),
-            dtype=np.float64,
-        )

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import halide as hl
-import numpy as np
-from numpy.typing import NDArray
 
-from lobewise.features.base import LOG2_E, Feature, Pixel, Pixels, Stage, dot, require_positive, subtract
+from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
 from lobewise.frame import FloatArray
 
 
@@ -44,10 +42,3 @@ class SeenFeature(Feature):
     ) -> hl.Expr:
         albedo, normal = subtract(i[:3], j[:3]), subtract(i[3:], j[3:])
         return -(dot(albedo, albedo) * parameters[0] + dot(normal, normal) * parameters[1])
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        squares = [
-            sharpness * np.sum((image[i].astype(np.float64) - image[j]) ** 2, axis=-1)
-            for image, sharpness in ((self.albedo, self.albedo_sharpness), (self.normal, self.normal_sharpness))
-        ]
-        return np.asarray(np.exp(-squares[0] - squares[1]))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 
 import halide as hl
-import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.errors import InputError, describe_problem
-from lobewise.features.base import LOG2_E, Feature, Pixel, Pixels, Stage, dot, require_positive, subtract
+from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
 from lobewise.frame import FloatArray
 from lobewise.lobe_table import MAX_LOBES
-from lobewise.lobes import mixture
 
 
 class SgMixtureFeature(Feature):
@@ -124,14 +121,3 @@ class SgMixtureFeature(Feature):
     ) -> hl.Expr:
         total = stage(self._sum_terms(*self._split(i), *self._split(j)))
         return parameters[0] * expressions.log2(hl.max(total, hl.f32(1e-30)))
-
-    def get_similarity(self, i: Pixels, j: Pixels) -> NDArray[np.float64]:
-        mixture_i, mixture_j = (
-            mixture.SgMixture(
-                self.axis[k].astype(np.float64).reshape(*self.axis[k].shape[:-1], -1, 3),
-                self.sharpness[k].astype(np.float64),
-                self.amplitude[k].astype(np.float64),
-            )
-            for k in (i, j)
-        )
-        return np.asarray(mixture.mixture_approx_similarity(mixture_i, mixture_j, self.beta), dtype=np.float64)
