@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.devices import VULKAN_MULTIPLE
-from lobewise.backend.jit import get_runtime
+from lobewise.backend.runtime import get_runtime
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import FloatArray
 
@@ -75,6 +75,7 @@ class Buffer:
 
     def __init__(self, array: Image, first: Sequence[int] = ()) -> None:
         self.array = array
+        self.first = tuple(first)
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
         for axis, least in enumerate(first):

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer
-from lobewise.backend.jit import Kernel, get_kernel
+from lobewise.backend.buffers import Buffer, take_mask
+from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 
 Vector = Sequence[hl.Expr]
@@ -100,53 +102,40 @@ def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
     return hl.reinterpret(hl.Float(32), bits)
 
 
-class _Funcs:
-    """The scheduled functions of a definition."""
+@dataclass(frozen=True)
+class _Key:
+    """What changes the code of a definition."""
 
-    def __init__(
-        self,
-        define: Definition,
-        options: tuple[Hashable, ...],
-        images: tuple[tuple[str, int, bool], ...],
-        numbers: tuple[tuple[str, int, bool], ...],
-        narrow: bool,
-        lanes: int,
-    ) -> None:
-        params: dict[str, tuple[hl.ImageParam, int]] = {}
-        for name, channels, truth in images:
-            param = hl.ImageParam(hl.UInt(8) if truth else hl.Float(32), 2 + (channels > 1), name)
-            if channels > 1:
-                # Known strides make dense loads, which are shuffled, instead of one load for every lane.
-                param.dim(0).set_bounds(0, channels)
-                param.dim(1).set_stride(channels)
-            params[name] = param, channels
-        scalars = {
-            name: [hl.Param(hl.Float(64 if double else 32), f"{name}_{k}") for k in range(count)]
-            for name, count, double in numbers
-        }
-        grid = Grid(params, scalars, narrow)
-        outputs = define(grid, *options)
-        self.out = _schedule(grid, outputs, lanes)
-        self.arguments: list[Any] = [
-            *(param for param, _ in params.values()),
-            *(p for each in scalars.values() for p in each),
-        ]
-        self.notes = [[len(values), bool(values[0].type().is_uint())] for values in outputs]
-        """Of every output its channels, and whether it is truth."""
+    define: Definition
+    options: tuple[Hashable, ...]
+    images: tuple[tuple[str, int, bool], ...]
+    """Name, channels, and whether it is truth."""
+    numbers: tuple[tuple[str, int, bool], ...]
+    """Name, components, and whether they are float64."""
+    narrow: bool
 
 
-def _get_kernel(
-    define: Definition,
-    options: tuple[Hashable, ...],
-    images: tuple[tuple[str, int, bool], ...],
-    numbers: tuple[tuple[str, int, bool], ...],
-    width: int,
-) -> Kernel:
-    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
-    # A row of differences is a pixel shorter.
-    narrow = width <= lanes
-    key = ("pointwise", define, options, images, numbers, narrow)
-    return get_kernel("cpu", key, lambda _: _Funcs(define, options, images, numbers, narrow, lanes), strict=True)
+def _make(key: _Key, target: hl.Target) -> Scheduled:
+    """Return the scheduled functions of a definition."""
+    signature = Signature(key.define.__name__.removeprefix("_define_"))
+    size = ("height", "width")
+    images: dict[str, tuple[hl.ImageParam, int]] = {}
+    for name, channels, truth in key.images:
+        axes = size if channels == 1 else (*size, channels)
+        param = signature.image(name, *axes, type=hl.UInt(8) if truth else hl.Float(32))
+        if channels > 1:
+            param.dim(0).set_bounds(0, channels)
+        images[name] = param, channels
+    numbers = {
+        name: [signature.number(f"{name}_{k}", hl.Float(64 if double else 32)) for k in range(count)]
+        for name, count, double in key.numbers
+    }
+    grid = Grid(images, numbers, key.narrow)
+    outputs = key.define(grid, *key.options)
+    for number, values in enumerate(outputs):
+        axes = size if len(values) == 1 else (*size, len(values))
+        signature.output(f"out{number}", *axes, type=hl.UInt(8) if values[0].type().is_uint() else None)
+    return Scheduled(_schedule(grid, outputs, target.natural_vector_size(hl.Float(32))), signature)
 
 
 def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
@@ -229,21 +218,22 @@ def run_pointwise(
         )
     ((height, width),) = sizes
     vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
-    kernel = _get_kernel(
+    key = _Key(
         define,
         options,
-        tuple(
-            (name, 1 if image.ndim == 2 else image.shape[2], image.dtype == np.uint8) for name, image in held.items()
-        ),
+        tuple((name, image[0, 0].size, image.dtype == np.uint8) for name, image in held.items()),
         tuple((name, len(vector), vector.dtype != np.float32) for name, vector in vectors.items()),
-        width,
+        # A row of differences is a pixel shorter.
+        narrow=width <= hl.get_host_target().natural_vector_size(hl.Float(32)),
     )
-    results = tuple(
-        np.empty((height, width) if channels == 1 else (height, width, channels), np.bool_ if truth else np.float32)
-        for channels, truth in kernel.notes
+    kernel = get_kernel("cpu", key, partial(_make, key), strict=True)
+    results: dict[str, NDArray[Any]] = {
+        each.name: np.empty((height, width, *each.axes[2:]), np.bool_ if each.type == "uint8" else np.float32)
+        for each in kernel.outputs
+    }
+    kernel(
+        **{name: Buffer(image) for name, image in held.items()},
+        **{f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)},
+        **{name: Buffer(take_mask(result) if result.dtype == np.bool_ else result) for name, result in results.items()},
     )
-    lent = [Buffer(image) for image in held.values()]
-    given = [float(value) for vector in vectors.values() for value in vector]
-    written = [Buffer(result.view(np.uint8) if result.dtype == np.bool_ else result) for result in results]
-    kernel(*lent, *given, *written)
-    return results
+    return tuple(results.values())

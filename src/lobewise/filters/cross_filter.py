@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Buffer, comes_down, lend, make_output, take_image, take_mask
-from lobewise.backend.jit import Compilable, Kernel, Scheduled, get_kernel
+from lobewise.backend.jit import Kernel, get_kernel
 from lobewise.errors import require_choice
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
@@ -244,8 +244,14 @@ def _run_tile(
     given.call(kernels[1], keys[1], 1, Buffer(between), written, "cpu", (tall, columns))
 
 
-def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Compilable:
+@dataclass(frozen=True)
+class _Scheduled:
+    out: list[Any]
+    arguments: list[Any]
+
+
+def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> _Scheduled:
     """Return a pass, ready to be compiled."""
     funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)
-    return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)
+    return _Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)

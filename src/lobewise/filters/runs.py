@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import comes_down, lend, make_output, take_image, take_mask
-from lobewise.backend.jit import Compilable, get_kernel
+from lobewise.backend.jit import get_kernel
 from lobewise.errors import InputError, describe_problem
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
@@ -123,7 +123,7 @@ class SampleGrid:
         self._features, self._device = features, device
 
     def _get_kernel(self) -> Any:
-        def make(target: hl.Target) -> Compilable:
+        def make(target: hl.Target) -> Any:
             funcs = make_joining(self._features, self._tinted)
             schedule_joining(funcs, target)
             return funcs
@@ -338,7 +338,7 @@ def run_reprojection(
     ways = [places] if virtual is None else [places, virtual[0]]
     key = ("reprojection", None if virtual is None else virtual[1], *map(describe_structure, features[1]))
 
-    def make(target: hl.Target) -> Compilable:
+    def make(target: hl.Target) -> Any:
         funcs = make_reprojection(features[1], None if virtual is None else virtual[1])
         schedule_reprojection(funcs, target)
         return funcs

@@ -1,0 +1,145 @@
+"""Halide's runtime for a device, loaded into this process, and the object files of kernels that call it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import tempfile
+import threading
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import halide as hl
+import llvmlite.binding as llvm
+
+from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
+from lobewise.backend.disk import fetch_object
+from lobewise.errors import DeviceError, describe_problem
+
+_CONSTRUCTORS = {
+    "vulkan": ("register_vulkan_allocation_pool", "_GLOBAL__sub_I_vulkan.cpp"),
+    "cuda": ("_GLOBAL__sub_I_cuda.cpp",),
+    "metal": ("_GLOBAL__sub_I_metal.cpp",),
+}
+"""What initialises a device's part of the runtime; llvmlite runs no initialisers of object files."""
+_RUNTIME_NAMES = re.compile(rb"(?<=\0)_?(halide_\w+)(?=\0)")
+"""Names in an object file's table of symbols; some systems put a line before them."""
+_Told = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p)
+
+
+class Runtime:
+    """Halide's runtime for a device, and the kernels that call it; one in a process."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        self._problems = threading.local()
+        target = make_target(device)
+        if device == "vulkan":
+            # Read when the first kernel starts; see `lobewise.backend.devices`.
+            values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
+            os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
+
+        def compile_runtime(path: str) -> None:
+            hl.compile_standalone_runtime(path, target)
+
+        known = f"runtime {version('halide')} {target}"
+        content, _ = fetch_object(known, lambda: (compile_object(compile_runtime), {}))
+        self._engine = _load_object(content)
+        self._loaded: list[Any] = []
+        for name in _CONSTRUCTORS.get(device, ()):
+            self.get("void", name)()
+        self._handlers = _Told(self._keep_problem), _Told(lambda _, text: None)
+        set_handler = ctypes.CFUNCTYPE(ctypes.c_void_p, _Told)
+        for name, handler in zip(("halide_set_error_handler", "halide_set_custom_print"), self._handlers, strict=True):
+            set_handler(self.find(name))(handler)
+
+    def _keep_problem(self, _: object, text: bytes) -> None:
+        self._problems.text = text.decode("utf-8", "replace").strip()
+
+    def load(self, content: bytes, name: str) -> int:
+        """Load an object file that calls the runtime, and return the address of a function of its own.
+
+        Every file has an engine, and learns where the runtime's functions are as those of a foreign library, which it
+        may call however far away they lie; within one engine it would have to lie within 2 GiB of them.
+        """
+        for told in set(_RUNTIME_NAMES.findall(content)):
+            address = self._engine.get_function_address(told.decode())
+            if address:
+                llvm.add_symbol(told.decode(), address)
+        engine = _load_object(content)
+        self._loaded.append(engine)
+        return _find_function(engine, name)
+
+    def find(self, name: str) -> int:
+        """Return the address of a function of the runtime."""
+        return _find_function(self._engine, name)
+
+    def get(self, result: str, name: str, *arguments: Any) -> Callable[..., Any]:
+        """Return a function of the runtime that gives nothing ("void"), a code ("int") or a pointer."""
+        results = {"void": None, "int": ctypes.c_int, "pointer": ctypes.c_void_p}
+        return ctypes.CFUNCTYPE(results[result], *arguments)(self.find(name))
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Call a function that returns 0 if all went well.
+
+        Raises
+        ------
+        DeviceError
+            If it does not, or told a problem.
+        """
+        self._problems.text = ""
+        code = function(*arguments)
+        if code != 0 or self._problems.text:
+            raise DeviceError(
+                describe_problem(
+                    "device",
+                    expected=f"{self.device} to run a kernel",
+                    got=self._problems.text or f"code {code}",
+                    action="try a smaller image" + ("" if self.device == "cpu" else ", or --device cpu"),
+                )
+            )
+
+
+def _load_object(content: bytes) -> Any:
+    """Return an engine that holds an object file."""
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    # llvmlite's memory manager lays the sections of a file side by side, so that they reach each other.
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    return engine
+
+
+def _find_function(engine: Any, name: str) -> int:
+    address = int(engine.get_function_address(name))
+    if address == 0:
+        raise LookupError(name)
+    return address
+
+
+_runtime_lock = threading.Lock()
+
+
+def get_runtime(device: str) -> Runtime:
+    """Return the runtime of a device, started now if it is the first time."""
+    with _runtime_lock:
+        return _start_runtime(device)
+
+
+@cache
+def _start_runtime(device: str) -> Runtime:
+    return Runtime(device)
+
+
+def compile_object(write: Callable[[str], None]) -> bytes:
+    """Return the object file that ``write`` writes to a path."""
+    with tempfile.TemporaryDirectory(prefix="lobewise-") as folder:
+        path = Path(folder) / "kernel.o"
+        write(str(path))
+        return path.read_bytes()

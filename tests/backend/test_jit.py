@@ -1,0 +1,279 @@
+"""Compiled kernels on disk: what is kept, what is not, and what happens to files that are not whole."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import halide as hl
+import numpy as np
+import platformdirs
+import pytest
+
+from lobewise import frame
+from lobewise.backend import disk
+from lobewise.backend.buffers import Buffer
+from lobewise.backend.disk import fetch_object, find_cache_folder
+from lobewise.backend.jit import Kernel, describe_kernel, describe_key
+from lobewise.backend.runtime import Runtime, get_runtime
+from lobewise.backend.signature import Parameter, Signature, check_call
+from lobewise.backend.sources import describe_modules, take_apart
+from lobewise.errors import DeviceError
+from lobewise.features.base import NormalFeature, ScreenFeature
+from lobewise.filters.cross_pass import PassKey
+from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.forms import Taps
+from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.guides.surfaces import find_surface_pixels
+
+pytestmark = pytest.mark.processor
+
+PROGRAM = """
+import numpy as np
+from lobewise.filters.cross_filter import run_filter
+from lobewise.features.base import NormalFeature, ScreenFeature
+import lobewise.backend.jit as jit
+import lobewise.backend.runtime as runtime
+made = []
+compile_object = runtime.compile_object
+runtime.compile_object = jit.compile_object = lambda write: (made.append(1), compile_object(write))[1]
+Own = type("Own", (ScreenFeature,), {{}})
+FEATURE = {feature}
+image = run_filter(np.ones((4, 5, 3), np.float32), np.ones((4, 5), bool), [FEATURE], form="full", radius=1).image
+print(len(made), np.abs(image - 1.0).max() < 1e-5)
+"""
+
+
+def run_program(folder: Path | str, feature: str = "ScreenFeature(1.0)") -> str:
+    """Return how much a process that filters compiled, and whether its result is right."""
+    told = {**os.environ, "LOBEWISE_CACHE": str(folder)}
+    program = PROGRAM.format(feature=feature)
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, env=told, text=True).stdout
+
+
+class TestFolder:
+    def test_second_process_compiles_nothing(self, tmp_path):
+        # The runtime and the kernel.
+        assert run_program(tmp_path / "new") == "2 True\n"
+        assert len(list((tmp_path / "new").glob("*.kernel"))) == 2
+        assert run_program(tmp_path / "new") == "0 True\n"
+
+    def test_features_of_others_are_compiled_in_every_process(self, tmp_path):
+        assert run_program(tmp_path, "Own(1.0)") == "2 True\n"
+        assert run_program(tmp_path, "Own(1.0)") == "1 True\n"
+
+    def test_off(self, tmp_path):
+        assert run_program("off") == "2 True\n"
+        assert not Path("off").exists()
+
+    @pytest.mark.parametrize("damage", [b"", b"nonsense", b"{}\n", b'{"sha256": "0"}\nabc'])
+    def test_what_is_not_whole_is_made_again(self, tmp_path, monkeypatch, damage):
+        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))
+        made: list[int] = []
+
+        def make() -> tuple[bytes, dict[str, Any]]:
+            made.append(1)
+            return b"code\nwith a line", {"kinds": ["buffer"]}
+
+        content, head = fetch_object("something", make)
+        (path,) = tmp_path.glob("*.kernel")
+        path.write_bytes(damage)
+        for _ in range(2):
+            assert fetch_object("something", make)[0] == content == b"code\nwith a line"
+        assert head["kinds"] == ["buffer"]
+        assert len(made) == 2
+        assert list(tmp_path.iterdir()) == [path]
+
+    def test_a_folder_that_cannot_be_made_is_done_without(self, tmp_path, monkeypatch):
+        (tmp_path / "file").write_text("")
+        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / "file" / "folder"))
+        assert fetch_object("something", lambda: (b"code", {}))[0] == b"code"
+
+    def test_files_not_used_for_longest_go(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))
+        monkeypatch.setattr(disk, "OLD_FILES", 4)
+        for number in range(4):
+            path = tmp_path / f"{number}.kernel"
+            path.write_text("")
+            os.utime(path, (number, number))
+        fetch_object("something", lambda: (b"code", {}))
+        left = sorted(path.name for path in tmp_path.iterdir())
+        assert len(left) == 2
+        assert "3.kernel" in left
+
+    def test_named_by_the_environment(self, monkeypatch, tmp_path):
+        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / "here"))
+        assert find_cache_folder() == tmp_path / "here"
+        monkeypatch.delenv("LOBEWISE_CACHE")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        assert find_cache_folder() == platformdirs.user_cache_path("lobewise", appauthor=False)
+
+
+class TestSources:
+    CODE = "from lobewise.frame import Frame\nLIMIT = 3\ndef f(x):\n    return x + LIMIT\n"
+
+    def test_comments_and_texts_change_nothing(self):
+        told = '"""What it is."""\n# Why.\n' + self.CODE.replace("3\n", '3\n"""A limit."""\n').replace(
+            "    return", '    """Return a sum."""\n    return'
+        )
+        assert take_apart(told) == take_apart(self.CODE)
+
+    @pytest.mark.parametrize("change", [("3", "4"), ("x + L", "x - L"), ("def f", "def g"), ("Frame", "GBuffer")])
+    def test_code_does(self, change):
+        assert take_apart(self.CODE.replace(*change)).digest != take_apart(self.CODE).digest
+
+    def test_what_is_imported_counts(self):
+        assert take_apart(self.CODE).imports == ("lobewise.frame.Frame",)
+        assert describe_modules(["lobewise.frame"]) != describe_modules(["lobewise.camera"])
+
+    def test_a_text_deep_below_counts_and_a_comment_does_not(self, monkeypatch):
+        # What lobes of a frame are called is compiled into their kernel (`LobeKind`).
+        path = Path(frame.__file__)
+        whole = path.read_bytes()
+        before = describe_modules([make_lobe_field.__module__])
+        changes = {b"BECKMANN = 2": b"BECKMANN = 7", b"class LobeKind": b"# A comment.\nclass LobeKind"}
+        found = []
+        for old, new in changes.items():
+            assert old in whole
+
+            def read(self: Path, old: bytes = old, new: bytes = new) -> bytes:
+                with self.open("rb") as file:
+                    content = file.read()
+                return content.replace(old, new) if self == path else content
+
+            monkeypatch.setattr(Path, "read_bytes", read)
+            found.append(describe_modules([make_lobe_field.__module__]))
+        assert found[0] != before
+        assert found[1] == before
+
+    def test_works_without_a_folder(self, monkeypatch):
+        told = describe_modules(["lobewise.filters.forms"])
+        monkeypatch.setenv("LOBEWISE_CACHE", "off")
+        assert describe_modules(["lobewise.filters.forms"]) == told
+
+
+class TestKey:
+    def test_tells_classes_functions_and_values_apart(self):
+        keys = [
+            (ScreenFeature, ()),
+            (NormalFeature, ()),
+            (find_energy_lost, True),
+            (find_energy_lost, False),
+            PassKey(Taps.SQUARE, 1, (), first=True, last=True, demodulate=False),
+            PassKey(Taps.SQUARE, 2, (), first=True, last=True, demodulate=False),
+            PassKey(Taps.ATROUS, 1, (), first=True, last=True, demodulate=False),
+            ("1",),
+            (1,),
+            ((1,), ()),
+            ((), (1,)),
+        ]
+        told = [describe_key(key) for key in keys]
+        assert None not in told
+        assert len(set(told)) == len(keys)
+
+    def test_names_what_it_is_made_from(self):
+        one, two = (describe_kernel(("name", each), find_surface_pixels) for each in (ScreenFeature, NormalFeature))
+        assert one != two
+        assert describe_kernel(("name",), lambda: 0) is None
+
+    @pytest.mark.parametrize("part", [lambda: 0, type("Own", (ScreenFeature,), {}), np.zeros(2), object()])
+    def test_knows_what_is_not_its_own(self, part):
+        assert describe_key((ScreenFeature, part)) is None
+
+
+class TestCalls:
+    def test_a_problem_is_an_error(self):
+        runtime = get_runtime("cpu")
+
+        def tell(code: int) -> int:
+            runtime._keep_problem(None, b"it burns")
+            return code
+
+        with pytest.raises(
+            DeviceError, match="device: expected cpu to run a kernel, got it burns; try a smaller image"
+        ):
+            runtime.call(tell, 0)
+        with pytest.raises(DeviceError, match="got code 3"):
+            runtime.call(lambda: 3)
+
+    def test_a_missing_function(self):
+        with pytest.raises(LookupError, match="nothing_of_this_name"):
+            get_runtime("cpu").find("nothing_of_this_name")
+
+    def test_one_runtime_for_a_device(self):
+        assert get_runtime("cpu") is get_runtime("cpu")
+        assert isinstance(get_runtime("cpu"), Runtime)
+
+
+@pytest.fixture
+def parameters() -> list[Parameter]:
+    """Return those of a kernel that reads a colour, a mask and a guide and writes an image."""
+    signature = Signature("mean")
+    signature.image("colour", "height", "width", 3)
+    signature.image("mask", "height", "width", type=hl.UInt(8))
+    signature.image("guide", "height", "width", 3)
+    signature.number("radius", hl.Int(32))
+    signature.number("rows", hl.Int(32), size="height")
+    signature.output("image", "height", "width", 3)
+    return signature.parameters
+
+
+def make_call(**changes: Any) -> dict[str, Any]:
+    """Return a call that fits, changed."""
+    given = {
+        "colour": np.zeros((4, 5, 3), np.float32),
+        "mask": np.zeros((4, 5), np.uint8),
+        "guide": np.zeros((4, 5, 3), np.float32),
+        "radius": 2,
+        "rows": 4,
+        "image": np.zeros((4, 5, 3), np.float32),
+    } | changes
+    return {name: Buffer(value) if isinstance(value, np.ndarray) else value for name, value in given.items()}
+
+
+class TestCheckedCalls:
+    """Machine code checks nothing: what is wrong must be told before it runs."""
+
+    def test_what_fits(self, parameters):
+        check_call("mean", parameters, make_call())
+        rows = np.zeros((9, 5, 3), np.float32)[2:6]
+        check_call("mean", parameters, make_call(colour=rows))
+        check_call("mean", parameters, make_call(image=Buffer(np.zeros((2, 4, 3), np.float32), (2, 1))))
+
+    @pytest.mark.parametrize(
+        ("changes", "told"),
+        [
+            ({"colour": np.zeros((4, 5), np.float32)}, "colour float32"),
+            ({"colour": np.zeros((4, 5, 3))}, "float64"),
+            ({"mask": np.zeros((4, 5), np.float32)}, "mask uint8"),
+            ({"guide": np.zeros((4, 6, 3), np.float32)}, "width is 5 in colour"),
+            ({"guide": np.zeros((5, 4, 3), np.float32)}, "height is 4 in colour"),
+            ({"guide": np.zeros((5, 4, 3), np.float32).swapaxes(0, 1)}, "strides"),
+            ({"guide": np.zeros((4, 5, 4), np.float32)[..., :3]}, "strides"),
+            ({"image": np.zeros((4, 5, 2), np.float32)}, "image float32"),
+            ({"image": np.zeros((3, 5, 3), np.float32)}, "height is 4 in colour"),
+            ({"image": Buffer(np.zeros((3, 5, 3), np.float32), (2, 0))}, "height is 4 in colour"),
+            ({"rows": 5}, "height is 4 in colour, and got 5|height is 4 in colour"),
+            ({"radios": 2}, "has no radios"),
+        ],
+    )
+    def test_what_does_not(self, parameters, changes, told):
+        with pytest.raises(TypeError, match=told):
+            check_call("mean", parameters, make_call(**changes))
+
+    def test_what_is_missing_or_swapped(self, parameters):
+        given = make_call()
+        given["mask"], given["guide"] = given["guide"], given["mask"]
+        with pytest.raises(TypeError, match="the kernel 'mean' takes as mask uint8"):
+            check_call("mean", parameters, given)
+        del given["mask"]
+        with pytest.raises(TypeError, match="a call of the kernel 'mean' lacks mask"):
+            check_call("mean", parameters, given)
+
+    def test_a_kernel_asks_before_it_runs(self, parameters):
+        kernel = Kernel(get_runtime("cpu"), 1, "mean", parameters)
+        with pytest.raises(TypeError, match="lacks colour"):
+            kernel(radius=1)
