@@ -24,7 +24,18 @@ from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
-from lobewise.render import load_mitsuba, render_frame, render_reference
+from lobewise.render import render_frame, render_reference
+from lobewise.render.loading import build_scene
+from lobewise.scenes.build import (
+    make_box,
+    make_camera,
+    make_checkerboard,
+    make_diffuse,
+    make_light,
+    make_metal,
+    make_rectangle,
+    make_texture,
+)
 
 SIZE = 384
 REFERENCE_SPP = 4096
@@ -36,18 +47,6 @@ NEAR = 0.1
 
 def make_scene() -> Any:
     """Return the scene: a satin floor in three strips of roughness, striped posts on it, a wide lamp."""
-    mi = load_mitsuba()
-    from lobewise.render.scenes.build import (
-        make_box,
-        make_camera,
-        make_checkerboard,
-        make_diffuse,
-        make_light,
-        make_metal,
-        make_rectangle,
-        make_texture,
-    )
-
     alpha = np.repeat(np.array([0.05, 0.12, 0.25]), 64)[None].repeat(4, axis=0)
     colors = ((0.85, 0.10, 0.06), (0.10, 0.30, 0.80), (0.90, 0.70, 0.10), (0.12, 0.55, 0.20), (0.85, 0.85, 0.82))
     posts = {}
@@ -55,7 +54,7 @@ def make_scene() -> Any:
         stripes = make_checkerboard(colors[number % 5], (0.05, 0.05, 0.06), (1, 6))
         where = (float(x), 0.6, -0.5 + 0.9 * (number % 3 - 1))
         posts[f"post{number}"] = make_box(where, (0.06, 0.6, 0.06), make_diffuse(stripes), 20.0 * number)
-    return mi.load_dict(
+    return build_scene(
         {
             "type": "scene",
             "sensor": make_camera((0.0, 1.7, 5.2), (0.0, 0.35, 0.0), 40.0, SIZE, SIZE),

@@ -19,9 +19,10 @@ import numpy as np
 from common import describe_machine, write_json
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
+from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
-from lobewise.render import InteractiveFrame, InteractiveSettings, Session, find_orbit_centre, make_orbit
+from lobewise.render import find_orbit_centre, make_orbit
 from lobewise.reporting.display import choose_exposure, map_tones
 
 SCENES = ("showroom", "brushed", "parlour")

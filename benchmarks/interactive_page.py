@@ -118,7 +118,8 @@ lobewise bench interactive                  # what each stage takes here
 From a script, without a window:
 
 ```python
-from lobewise.render import InteractiveSettings, Session, find_orbit_centre, make_orbit
+from lobewise.interactive import InteractiveSettings, Session
+from lobewise.render import find_orbit_centre, make_orbit
 
 session = Session("showroom", width=128, height=128)
 path = make_orbit(session.camera, find_orbit_centre(session.scene), frames=3, degrees_per_frame=1.0)
@@ -135,7 +136,7 @@ images = [frame.image for frame in session.frames(path, settings)]  # (128, 128,
 2. **Direct light** with shadows at every pixel, in the same pass: one sample of the lights, and where the lobe is narrow one of the BSDF. The 16 pixels of a 4x4 block
    draw samples that are stratified together, so that a small lobe-aware filter (5x5, `sg`) makes soft shadows of them.
 3. **Indirect light** at one pixel of every block; which one changes from frame to frame (`scale`, `spp`). Three methods with one interface
-   (`lobewise.render.points.IndirectMethod`): `paths` (right in expectation, noisy), `voxel_cones` (smooth, as coarse as its voxels),
+   (`lobewise.render.tracing.points.IndirectMethod`): `paths` (right in expectation, noisy), `voxel_cones` (smooth, as coarse as its voxels),
    `virtual_lights` (see [virtual_lights.md](virtual_lights.md)). A method says what its samples are worth in noise, and the filter is as strict as that allows.
 4. **Upsampling** over space and time: `lobewise.TemporalFilter` ([temporal.md](temporal.md)); with `temporal=False` `lobewise.upsample`, with
    `similarity="none"` interpolation on the screen.

@@ -14,6 +14,16 @@ import numpy as np
 from lobewise.fitting.merl import MerlBrdf, make_merl
 from lobewise.lobes.brdf import ggx_brdf
 from lobewise.render import load_mitsuba
+from lobewise.render.loading import build_scene
+from lobewise.scenes.build import (
+    make_box,
+    make_camera,
+    make_checkerboard,
+    make_diffuse,
+    make_light,
+    make_rectangle,
+    make_sphere,
+)
 
 DIFFUSE_SHARE = 0.35
 """How many samples follow the cosine."""
@@ -118,17 +128,6 @@ def make_bsdf_type() -> Any:
 
 def make_scene(materials: tuple[MerlBrdf, ...], size: int) -> Any:
     """Return three balls of three materials on a floor of the first and the second in checks."""
-    mi = load_mitsuba()
-    from lobewise.render.scenes.build import (
-        make_box,
-        make_camera,
-        make_checkerboard,
-        make_diffuse,
-        make_light,
-        make_rectangle,
-        make_sphere,
-    )
-
     kind = make_bsdf_type()
     alphas = (0.12, 0.1, 0.22)
     bsdfs = [kind(materials[number % len(materials)], alphas[number % len(alphas)]) for number in range(3)]
@@ -144,7 +143,7 @@ def make_scene(materials: tuple[MerlBrdf, ...], size: int) -> Any:
         for number in range(12)
     }
     checks = make_checkerboard((0.9, 0.9, 0.85), (0.08, 0.09, 0.35), (8, 4))
-    return mi.load_dict(
+    return build_scene(
         {
             "type": "scene",
             "sensor": make_camera((0.0, 2.3, 5.6), (0.0, 0.55, 0.0), 42.0, size, size),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.render.scenes.build import (
+from lobewise.scenes.build import (
     IOR_OF_METALS,
     Item,
     Vector,

@@ -24,8 +24,8 @@ import numpy as np
 
 from lobewise.io.exr import write_frame
 from lobewise.render import load_mitsuba, render_frame, render_reference
-from lobewise.render.bridge import mi
-from lobewise.render.scenes.build import make_camera
+from lobewise.render.loading import build_scene
+from lobewise.scenes.build import make_camera
 from training_materials import draw_log
 from training_settings import make_corridor, make_open_stage, make_room
 
@@ -69,7 +69,7 @@ def measure_light(seed: int) -> float:
     """Return what the lights of a scene are multiplied by, so that its median radiance is what the seed draws."""
     low, high = MEDIANS[SETTINGS[(seed - 1) % len(SETTINGS)]]
     wanted = draw_log(np.random.default_rng([SALT, seed, 1]), low, high)
-    probe = mi.load_dict(_make_scene(seed, PROBE_SIZE, PROBE_SIZE, 1.0), optimize=False)
+    probe = build_scene(_make_scene(seed, PROBE_SIZE, PROBE_SIZE, 1.0))
     brightness = render_reference(probe, spp=PROBE_SPP, seed=0).radiance.color.mean(axis=-1)
     found = max(float(np.median(brightness)), LEAST_MEDIAN * float(np.percentile(brightness, 90)))
     # Few digits: the last bits of a render may differ from machine to machine.
@@ -77,15 +77,14 @@ def measure_light(seed: int) -> float:
 
 
 def make_training_scene(seed: int, width: int, height: int) -> dict[str, Any]:
-    """Return the scene of a seed, from 1, as a dictionary for ``mitsuba.load_dict``; the same seed, the same scene."""
+    """Return the scene of a seed, from 1, as a description for `build_scene`; the same seed, the same scene."""
     load_mitsuba()
     return _make_scene(seed, width, height, measure_light(seed))
 
 
 def load_training_scene(seed: int, size: int) -> Any:
     """Return the ``mitsuba.Scene`` of a seed, from 1, ``size`` pixels a side."""
-    items = make_training_scene(seed, size, size)
-    return mi.load_dict(items, optimize=False)
+    return build_scene(make_training_scene(seed, size, size))
 
 
 def list_files(folder: Path, seed: int) -> Iterator[tuple[Path, int, int]]:

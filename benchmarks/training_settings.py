@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.render.bridge import mi
-from lobewise.render.scenes.build import (
+from lobewise.scenes.build import (
     Item,
     Vector,
     make_diffuse,
@@ -65,10 +64,10 @@ class Stage:
         self.items[f"{name}_{len(self.items)}"] = item
 
 
-def _make_transform(center: Vector, turn: float, tilt: float, scale: Vector) -> Any:
+def _make_transform(center: Vector, turn: float, tilt: float, scale: Vector) -> tuple[tuple[Any, ...], ...]:
     """Return what scales, tilts by degrees about x, turns about the vertical and moves, in this order."""
-    transform = mi.ScalarTransform4f().translate(list(center)).rotate([0, 1, 0], turn)
-    return transform.rotate([1, 0, 0], tilt).scale(list(scale))
+    turned = ("rotate", [0, 1, 0], turn), ("rotate", [1, 0, 0], tilt)
+    return ("translate", list(center)), *turned, ("scale", list(scale))
 
 
 def _draw_shape(stage: Stage, kind: str, size: float) -> tuple[Item, Vector, bool]:
@@ -93,18 +92,18 @@ def _draw_shape(stage: Stage, kind: str, size: float) -> tuple[Item, Vector, boo
 SHAPES = {"sphere": 0.34, "box": 0.26, "cylinder": 0.12, "pole": 0.1, "slab": 0.06, "sheet": 0.06, "disc": 0.06}
 
 
-def _orient(shape: Item, center: Vector, half: Vector, turn: float, tilt: float) -> Any:
+def _orient(shape: Item, center: Vector, half: Vector, turn: float, tilt: float) -> tuple[tuple[Any, ...], ...]:
     """Return the transform of a shape: upright is its own axis, where Mitsuba's is z."""
     kind = shape["type"]
     if kind == "cube":
         return _make_transform(center, turn, tilt, half)
     if kind in ("rectangle", "disk"):
         return _make_transform(center, turn, tilt, (half[0], half[1], 1.0))
-    upright = _make_transform(center, turn, tilt, (1.0, 1.0, 1.0)).rotate([1, 0, 0], -90)
+    upright = *_make_transform(center, turn, tilt, (1.0, 1.0, 1.0)), ("rotate", [1, 0, 0], -90)
     if kind == "sphere":
-        return upright.scale(half[0])
+        return *upright, ("scale", half[0])
     # Mitsuba's cylinder has radius 1 and reaches from z = 0 to 1.
-    return upright.translate([0, 0, -half[1]]).scale([half[0], half[2], 2.0 * half[1]])
+    return *upright, ("translate", [0, 0, -half[1]]), ("scale", [half[0], half[2], 2.0 * half[1]])
 
 
 def _is_in_view(stage: Stage, point: Vector) -> bool:
@@ -391,7 +390,7 @@ def make_open_stage(generator: Generator, light: float) -> Stage:
         float(distance * np.cos(angle) * np.cos(lift)),
     )
     _aim(stage, origin, (0.0, float(generator.uniform(0.2, 0.6)), -0.3), float(generator.uniform(32.0, 60.0)))
-    stage.add("sky", {"type": "envmap", "bitmap": mi.Bitmap((light * make_sky(generator)).astype(np.float32))})
+    stage.add("sky", {"type": "envmap", "bitmap": (light * make_sky(generator)).astype(np.float32)})
     floor = {"bsdf": _draw_floor(stage, 2.0 * size)}
     stage.add("floor", make_rectangle((0, 0, 0), (0, 1, 0), (size, size), floor, up=(0, 0, -1)))
     for place in ((0.0, 1.0, -1.15 * reach), (-1.15 * reach, 1.0, -0.3)):

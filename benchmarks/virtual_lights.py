@@ -62,8 +62,8 @@ def open_scene(name: str, size: int) -> tuple[Any, Any]:
     from lobewise.render import load_mitsuba, load_scene
 
     mi = load_mitsuba()
-    from lobewise.render.bsdfs import read_scene_materials
-    from lobewise.render.points import find_points
+    from lobewise.render.materials.bsdfs import read_scene_materials
+    from lobewise.render.tracing.points import find_points
 
     if name == "cornell box":
         items = mi.cornell_box()
@@ -107,8 +107,8 @@ def find_errors(image: FloatArray, frame: Frame, references: Mapping[str, FloatA
 def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Return the figures of a scene, and its images."""
     from lobewise.render import render_frame
-    from lobewise.render.path_light import PathLight
-    from lobewise.render.virtual_lights import LIGHTS_PER_SAMPLE, VirtualLights, find_sharpness_limit
+    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.virtual_lights.instant_radiosity import LIGHTS_PER_SAMPLE, VirtualLights, find_sharpness_limit
 
     (scene, materials), look = open_scene(name, SIZE)
     method = VirtualLights(scene, materials, count=PATHS)
@@ -174,8 +174,8 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
 
 def run_box() -> dict[str, Any]:
     """Return how the diffuse Cornell box comes near paths as the lights grow in number, all of them used."""
-    from lobewise.render.path_light import PathLight
-    from lobewise.render.virtual_lights import VirtualLights
+    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.virtual_lights.instant_radiosity import VirtualLights
 
     (scene, materials), look = open_scene("cornell box", BOX_SIZE)
     paths = PathLight(scene, materials)
@@ -206,7 +206,7 @@ def run_speed() -> dict[str, Any]:
     """Return the milliseconds of the indirect light of 128x128 pixels of 512x512, and of tracing the lights."""
     from lobewise.render import load_scene
     from lobewise.render.stages import Stages
-    from lobewise.render.virtual_lights import VirtualLights
+    from lobewise.render.virtual_lights.instant_radiosity import VirtualLights
 
     row: dict[str, Any] = {}
     rows, columns = (part.ravel() for part in np.indices((SIZE // 4, SIZE // 4)) * 4)

@@ -12,7 +12,7 @@ from lobewise.bench.interactive import list_render_devices, measure_devices
 from lobewise.bench.machine import describe_machine
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.render.interactive_frame import STAGES, InteractiveSettings
+from lobewise.interactive.frames import STAGES, InteractiveSettings
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.usefixtures("mi")]
 

@@ -19,6 +19,9 @@ ROOMS = [
     "metrics",
     "lobes",
     "fitting",
+    "io",
+    "scenes",
+    "render",
     "backend",
     "features",
     "guides",
@@ -28,16 +31,35 @@ ROOMS = [
     "upsampling",
     "adaptive",
     "temporal",
-    "io",
     "streaming",
     "sequence",
-    "render",
+    "interactive",
     "reporting",
     "exporting",
     "viewer",
     "bench",
     "cli",
 ]
+INNER_ROOMS = {
+    "render": [
+        "bridge",
+        "variant",
+        "camera",
+        "camera_path",
+        "loading",
+        "materials",
+        "tracing",
+        "gbuffer",
+        "coverage",
+        "voxels",
+        "virtual_lights",
+        "renderer",
+        "sequence",
+        "stages",
+    ],
+    "interactive": ["methods", "views", "direct_filter", "resting", "frames", "session"],
+}
+"""The order within rooms that have one, of their files and folders."""
 OWNERS = {
     "halide": ("backend", "features", "guides", "filters", "exporting"),
     "llvmlite": "backend",
@@ -78,6 +100,17 @@ def list_imports(path: Path) -> list[str]:
     return names
 
 
+def check_inner_order(path: Path, name: list[str]) -> None:
+    """Assert that a file imports only from the files and folders above its own of a room that has an order."""
+    room, *inner = path.relative_to(SOURCE).with_suffix("").parts
+    order = INNER_ROOMS.get(room)
+    if order is None or name[1] != room or len(name) < 3 or inner[0] == "__init__":
+        return
+    assert inner[0] in order, f"{inner[0]} is not in the list of rooms within {room}"
+    if name[2] in order:
+        assert order.index(name[2]) <= order.index(inner[0]), f"{path.name} imports {'.'.join(name)} from below"
+
+
 @pytest.mark.parametrize("path", list_modules(), ids=lambda path: str(path.relative_to(SOURCE)))
 def test_imports_point_one_way(path: Path) -> None:
     room = get_room(path)
@@ -87,6 +120,7 @@ def test_imports_point_one_way(path: Path) -> None:
         room_exists = len(parts) > 1 and ((SOURCE / f"{parts[1]}.py").exists() or (SOURCE / parts[1]).is_dir())
         if parts[0] == "lobewise" and room_exists:
             assert ROOMS.index(parts[1]) <= ROOMS.index(room), f"{path.name} imports {name} from a room below"
+            check_inner_order(path, parts)
         owner = OWNERS.get(parts[0])
         owners = (owner,) if isinstance(owner, str) else owner
         assert owners is None or room in owners, f"{path.name} imports {parts[0]}, which belongs to {owner}"

@@ -33,13 +33,13 @@ def modules(monkeypatch: pytest.MonkeyPatch, mi: Any) -> Iterator[tuple[Any, ...
 
 
 def _flatten(item: Any, prefix: str = "") -> dict[str, Any]:
-    """Return every leaf of a scene's dictionary by its path, arrays for what holds pixels or a matrix."""
+    """Return every leaf of a scene's description by its path, arrays for what holds pixels."""
+    if isinstance(item, tuple):
+        item = dict(enumerate(item))
     if isinstance(item, dict):
         return {
             path: leaf for name, value in item.items() for path, leaf in _flatten(value, f"{prefix}/{name}").items()
         }
-    if hasattr(item, "matrix"):
-        item = item.matrix
     return {prefix: np.array(item)}
 
 

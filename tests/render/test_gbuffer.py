@@ -146,7 +146,7 @@ def test_hit_of_the_sky_is_infinitely_far(mi: Any) -> None:
 
 def test_hit_distance_is_a_harmonic_mean_and_its_position_agrees(mi: Any) -> None:
     from lobewise.render.gbuffer import finish_hits
-    from lobewise.render.paths import make_sums
+    from lobewise.render.tracing.paths import make_sums
 
     sums = make_sums(4, True)
     # Two samples at 2 and 6 along x; one at 2 and one miss; two misses; none.

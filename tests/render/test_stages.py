@@ -10,7 +10,7 @@ import pytest
 
 from lobewise.render import load_scene, make_orbit, render_frame
 from lobewise.render.stages import Stages
-from tests.render.python_bsdf import register_lobes
+from tests.render.materials.python_bsdf import register_lobes
 
 pytestmark = pytest.mark.mitsuba
 
@@ -33,7 +33,7 @@ def stages(showroom: Any) -> Stages:
 
 
 def get_path_light(stages: Stages, max_depth: int = 8) -> Any:
-    from lobewise.render.path_light import PathLight
+    from lobewise.render.tracing.path_light import PathLight
 
     return PathLight(stages.scene, stages.materials, max_depth=max_depth)
 

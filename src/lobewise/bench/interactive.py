@@ -17,7 +17,7 @@ from lobewise.bench.machine import describe_machine
 from lobewise.errors import InputError, describe_problem
 
 if TYPE_CHECKING:
-    from lobewise.render import InteractiveSettings
+    from lobewise.interactive import InteractiveSettings
 
 DEGREES_PER_FRAME = 1.0
 """Of the orbit."""
@@ -66,10 +66,11 @@ def measure_interactive(
     Raises
     ------
     InputError, DeviceError, FileError, UnsupportedBsdfError, MissingDependencyError
-        See `lobewise.render.Session` and `lobewise.render.load_mitsuba`.
+        See `lobewise.interactive.Session` and `lobewise.render.load_mitsuba`.
     """
-    from lobewise.render import InteractiveSettings, Session, find_orbit_centre, load_mitsuba, make_orbit
-    from lobewise.render.methods import METHODS
+    from lobewise.interactive import InteractiveSettings, Session
+    from lobewise.interactive.methods import METHODS
+    from lobewise.render import find_orbit_centre, load_mitsuba, make_orbit
 
     if frames < 1:
         raise InputError(describe_problem("frames", expected="at least 1", got=str(frames), action="24 is usual"))

@@ -113,8 +113,8 @@ def interactive(
     """Time every stage of the interactive chain while the camera goes round an orbit, one degree a frame."""
     from lobewise.bench.interactive import measure_devices
     from lobewise.cli.output import print_line, to_json
+    from lobewise.interactive import InteractiveSettings
     from lobewise.io.files import require_writable, write_text
-    from lobewise.render import InteractiveSettings
 
     if output is not None:
         require_writable(output)
@@ -137,7 +137,7 @@ def interactive(
 
 def _print_stages(device: str, rows: Sequence[dict[str, Any]]) -> None:
     from lobewise.cli.output import print_table
-    from lobewise.render.interactive_frame import STAGES
+    from lobewise.interactive.frames import STAGES
 
     header = ["", *(f"{row['method']}_{row['width']}x{row['height']}".replace("_", "\n") for row in rows)]
     lines = [[name, *(f"{1000.0 * row['seconds'][name]:.1f}" for row in rows)] for name in (*STAGES, "frame")]

@@ -10,7 +10,7 @@ import typer
 
 from lobewise.cli.shared import Output, parse_place, show_progress
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.render.scenes import list_scenes
+from lobewise.scenes import list_scenes
 
 if TYPE_CHECKING:
     from lobewise.camera import Camera

@@ -9,7 +9,7 @@ import typer
 
 from lobewise.cli.shared import parse_beta, parse_size
 from lobewise.errors import InputError, describe_problem, require_choice
-from lobewise.render.scenes import list_scenes
+from lobewise.scenes import list_scenes
 
 
 def view(

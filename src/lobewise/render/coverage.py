@@ -13,11 +13,11 @@ from typing import Any
 
 from lobewise.camera import Camera
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material
-from lobewise.render.paths import dispatch_surface
-from lobewise.render.points import MOST_LAYERS, OPAQUE_FROM, find_points
-from lobewise.render.rays import make_ray
-from lobewise.render.surface import Surface, make_no_surface
+from lobewise.render.materials.bsdfs import Material
+from lobewise.render.materials.surface import Surface, make_no_surface
+from lobewise.render.tracing.paths import dispatch_surface
+from lobewise.render.tracing.points import MOST_LAYERS, OPAQUE_FROM, find_points
+from lobewise.render.tracing.rays import make_ray
 
 RAYS = 16
 """Rays of the pattern: each of 16 rows and of 16 columns of the pixel holds one."""

@@ -23,9 +23,9 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material
-from lobewise.render.paths import Sums, dispatch_surface, find_seen_albedo, is_mirror
-from lobewise.render.points import OPAQUE_FROM, Points, find_points
+from lobewise.render.materials.bsdfs import Material
+from lobewise.render.tracing.paths import Sums, dispatch_surface, find_seen_albedo, is_mirror
+from lobewise.render.tracing.points import OPAQUE_FROM, Points, find_points
 
 Moves = Mapping[str, ArrayLike]
 """By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""

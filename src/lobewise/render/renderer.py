@@ -13,11 +13,11 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import Material, list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, finish_hits, finish_seen, move_back, to_image, trace_guides
-from lobewise.render.paths import PathSettings, Sums, add_samples, make_sums
+from lobewise.render.materials.bsdfs import Material, list_lobe_tables, read_scene_materials
+from lobewise.render.tracing.paths import PathSettings, Sums, add_samples, make_sums
 from lobewise.render.variant import VARIANTS
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
 

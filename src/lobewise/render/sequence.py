@@ -8,8 +8,8 @@ from typing import Any
 from lobewise.camera import Camera
 from lobewise.errors import InputError, describe_problem
 from lobewise.render.camera import get_camera, set_camera
+from lobewise.render.loading import MovingScene
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
-from lobewise.render.scenes import MovingScene
 from lobewise.sparse_frame import AnyFrame, list_places
 
 

@@ -19,12 +19,12 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
-from lobewise.render.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.camera import get_camera, get_image_size, set_camera
-from lobewise.render.direct import find_shifts, shade_direct
 from lobewise.render.gbuffer import find_guides
-from lobewise.render.points import IndirectMethod, find_points
-from lobewise.render.rays import make_opaque
+from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
+from lobewise.render.tracing.direct import find_shifts, shade_direct
+from lobewise.render.tracing.points import IndirectMethod, find_points
+from lobewise.render.tracing.rays import make_opaque
 
 
 class Frozen:

@@ -163,20 +163,9 @@ def load_mitsuba(device: str = "auto") -> Any:
         If CUDA was asked for and is not there, or another supported variant is in use already.
     """
     require_choice("device", device, ("auto", *VARIANTS))
-    try:
-        import drjit
-        import mitsuba
-    except ImportError as error:
-        raise MissingDependencyError(
-            describe_problem(
-                "rendering",
-                expected="the packages mitsuba and drjit",
-                got=f"no module {error.name!r}",
-                action="pip install 'lobewise[mitsuba]'",
-            )
-        ) from error
+    from lobewise.render.bridge import dr, mi
 
-    current = mitsuba.variant()
+    current = mi.variant()
     if current in VARIANTS.values():
         if device != "auto" and VARIANTS[device] != current:
             raise DeviceError(
@@ -187,9 +176,9 @@ def load_mitsuba(device: str = "auto") -> Any:
                     action="start another process: scenes cannot move between Mitsuba's variants",
                 )
             )
-        return mitsuba
+        return mi
 
-    has_cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA)) if device != "cpu" else False
+    has_cuda = bool(dr.has_backend(dr.JitBackend.CUDA)) if device != "cpu" else False
     if device == "cuda" and not has_cuda:
         raise DeviceError(
             describe_problem(
@@ -202,5 +191,5 @@ def load_mitsuba(device: str = "auto") -> Any:
     chosen = "cuda" if has_cuda else "cpu"
     if chosen == "cpu" and sys.platform != "win32":  # on Windows Dr.Jit searches PATH for LLVM-C.dll itself
         os.environ[LIBRARY_VARIABLE] = find_llvm()
-    mitsuba.set_variant(VARIANTS[chosen])
-    return mitsuba
+    mi.set_variant(VARIANTS[chosen])
+    return mi

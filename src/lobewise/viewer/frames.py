@@ -16,12 +16,12 @@ from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.settings import QUALITIES, resolve_settings
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.interactive.views import SHARPEST
 from lobewise.io.container import read_container
 from lobewise.io.exr import read_frame, require_beauty, write_frame, write_result
 from lobewise.io.schema import SPARSE
 from lobewise.io.sparse import read_sparse_frame
 from lobewise.lobes.field import build_lobe_field, default_tau
-from lobewise.render.views import SHARPEST
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look

@@ -12,7 +12,7 @@ FRAME_SIMILARITIES = ("auto", "ggx", "sg", "asg", "sg_mixture", "normal", "none"
 
 @dataclass(frozen=True)
 class SceneLook:
-    """How a scene is rendered and filtered; the fields are those of `lobewise.render.interactive`.
+    """How a scene is rendered and filtered; the fields are those of `lobewise.interactive.InteractiveSettings`.
 
     Parameters
     ----------

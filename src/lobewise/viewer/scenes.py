@@ -9,10 +9,11 @@ from pathlib import Path
 
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Frame, Radiance
+from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
+from lobewise.interactive.methods import METHODS
+from lobewise.interactive.views import VIEWS
 from lobewise.io.exr import write_frame
-from lobewise.render import InteractiveFrame, InteractiveSettings, Session, find_orbit_centre
-from lobewise.render.methods import METHODS
-from lobewise.render.views import VIEWS
+from lobewise.render import find_orbit_centre
 from lobewise.viewer.looks import SCENE_SIMILARITIES, Look, SceneLook
 from lobewise.viewer.messages import Description, Request
 from lobewise.viewer.shots import Shot
@@ -33,7 +34,7 @@ class SceneTarget:
     Raises
     ------
     LobewiseError
-        As `lobewise.render.interactive.Session`.
+        As `lobewise.interactive.Session`.
     """
 
     def __init__(self, name: str, size: tuple[int, int] | None, progress: Callable[[int, int], None]) -> None:

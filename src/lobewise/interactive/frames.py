@@ -1,0 +1,153 @@
+"""What can be asked of an interactive frame, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lobewise.camera import Camera
+from lobewise.denoising.settings import SIMILARITIES, DenoiseSettings
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.interactive.methods import METHODS
+from lobewise.interactive.views import VIEWS, make_view
+from lobewise.render.stages import FirstHits
+from lobewise.sparse_frame import MOST_SCALE
+
+UNFILTERED = "none"
+"""The similarity that compares nothing."""
+STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
+"""What the seconds of a frame are told apart by, in the order in which it is made; the first makes direct light too."""
+
+
+@dataclass(frozen=True)
+class InteractiveSettings:
+    """Parameters of a frame of `Session`.
+
+    Parameters
+    ----------
+    method : {"paths", "voxel_cones", "virtual_lights"}
+        What computes indirect light.
+    scale : int
+        One of ``scale`` times ``scale`` pixels is shaded, 1 to 16.
+    spp : int
+        Samples of a shaded pixel, >= 1.
+    similarity : str
+        As `lobewise.DenoiseSettings`, or "none": no filter; samples are interpolated on the screen, without history.
+    beta : float or "auto"
+        As `lobewise.DenoiseSettings`.
+    radius : int
+        Samples from the centre to the edge of the kernel, 0 to 64; pixels where the scale is 1.
+    screen_sigma, tau, normal_exponent : float or "auto"
+        As `lobewise.DenoiseSettings`; the exponent is a number.
+    temporal : bool
+        Whether a frame knows those before it.
+    adaptive : float
+        Largest share of the pixels that is shaded again because nothing supports them, 0 (none) to 1.
+    limit_lobes : bool
+        Whether lobes are widened (where ``tau`` is "auto") to what light that is not sampled by the BRDF can show:
+        virtual lights on a sharp lobe are spikes, which a narrow kernel would keep (Tokuyoshi 2015, "Limitations (2)").
+    filter_direct : bool
+        Whether direct light, which has one light sample a pixel, is filtered over 7x7 pixels.
+    accumulate : bool
+        Whether frames are averaged for as long as neither camera nor settings change.
+    """
+
+    method: str = "paths"
+    scale: int = 4
+    spp: int = 1
+    similarity: str = "ggx"
+    beta: float | str = "auto"
+    radius: int = 2
+    screen_sigma: float | str = "auto"
+    tau: float | str = "auto"
+    normal_exponent: float = 64.0
+    temporal: bool = True
+    adaptive: float = 0.05
+    limit_lobes: bool = True
+    filter_direct: bool = True
+    accumulate: bool = True
+
+    def __post_init__(self) -> None:
+        require_choice("method", self.method, METHODS)
+        require_choice("similarity", self.similarity, (*SIMILARITIES, UNFILTERED))
+        for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
+                raise InputError(
+                    describe_problem(
+                        name, expected=f"an integer from 1 to {highest}", got=repr(value), action="pass another"
+                    )
+                )
+        if not 0.0 <= self.adaptive <= 1.0:
+            raise InputError(
+                describe_problem(
+                    "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
+                )
+            )
+        self.make_filter_settings()
+
+    def make_filter_settings(self) -> DenoiseSettings:
+        """Return the settings of the filter that these ask for."""
+        similarity = "auto" if self.similarity == UNFILTERED else self.similarity
+        return DenoiseSettings(
+            similarity=similarity,
+            beta=self.beta,
+            radius=self.radius,
+            screen_sigma=self.screen_sigma,
+            tau=self.tau,
+            normal_exponent=self.normal_exponent,
+        )
+
+
+@dataclass(frozen=True)
+class InteractiveFrame:
+    """A finished frame and how it was made.
+
+    Parameters
+    ----------
+    image : array, shape (height, width, 3)
+        Linear radiance.
+    seconds : dict of float
+        By stage (`STAGES`), and ``total``.
+    settings : InteractiveSettings
+    camera : Camera
+    accumulated : int
+        Frames in a row, this one included, with this camera and these settings.
+    recomputed : int
+        Pixels that were shaded again.
+    parts : dict
+        What `get_view` shows, by name; arrays that must not be changed.
+    """
+
+    image: FloatArray
+    seconds: dict[str, float]
+    settings: InteractiveSettings
+    camera: Camera
+    accumulated: int
+    recomputed: int
+    parts: dict[str, Any] = field(repr=False, default_factory=dict)
+
+    def get_view(self, name: str) -> FloatArray:
+        """Return what happens inside as an image, (height, width, 3) of radiance or (height, width) in [0, 1].
+
+        Raises
+        ------
+        InputError
+            If there is no view of that name; they are `VIEWS`.
+        """
+        require_choice("view", name, VIEWS)
+        return make_view(name, self.image, self.parts)
+
+    def make_frame(self) -> Frame:
+        """Return the noisy frame of this image's size, with all guides, as `lobewise.write_frame` takes it.
+
+        Its radiance is what the views call "noisy".
+        """
+        hits: FirstHits = self.parts["hits"]
+        return Frame(Radiance(self.get_view("noisy")), hits.gbuffer, self.camera, lobe_tables=hits.lobe_tables)
+
+    def make_result(self) -> Result:
+        """Return this image as `lobewise.write_result` takes it."""
+        result: Result = self.parts["result"]
+        return replace(result, image=self.image, diffuse=None, specular=None, variance=None)

@@ -1,0 +1,361 @@
+"""The whole chain, frame after frame: guides, direct light, sparse indirect light, upsampling, repair, composite.
+
+Source: Tokuyoshi 2015, slides "Spatio-Temporal Upsampling" and "Adaptive Sampling".
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.adaptive import recompute
+from lobewise.camera import Camera
+from lobewise.denoising import DenoiseSettings
+from lobewise.errors import InputError, describe_problem
+from lobewise.frame import Radiance, Result
+from lobewise.interactive.direct_filter import filter_direct
+from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
+from lobewise.interactive.methods import Methods
+from lobewise.interactive.resting import Again, Resting
+from lobewise.render.loading import load_scene
+from lobewise.render.stages import DirectLight, FirstHits, Stages
+from lobewise.sparse_frame import SparseFrame, list_places
+from lobewise.temporal.recipe import TemporalFilter
+from lobewise.upsampling import upsample
+
+SMOOTH_WORTH = 8.0
+"""Paths that a sample is worth from which light is interpolated between samples more than it is averaged over them."""
+SMOOTH_SIGMA = 1.25
+"""Standard deviation of the screen distance then, in distances between samples: of 0.75, 1.25 and 2 the lowest error of
+a single frame in showroom and brushed; over eight frames less would do there, and leaves more noise elsewhere."""
+STILL_DENSITY = 2
+"""How much nearer shaded pixels are to each other while nothing moves."""
+
+
+@dataclass
+class _Chain:
+    """What one stream of frames remembers."""
+
+    settings: InteractiveSettings
+    chosen: DenoiseSettings
+    temporal: TemporalFilter
+    camera: Camera | None = None
+    size: tuple[int, int] | None = None
+    number: int = 0
+    resting: Resting = field(default_factory=Resting)
+
+
+@dataclass
+class _Shared:
+    """What the streams of one frame have in common."""
+
+    camera: Camera
+    seed: int
+    hits: FirstHits
+    direct: DirectLight
+    seconds: dict[str, float]
+
+
+class Session:
+    """Renders frames of a scene as an artist moves through it; needs no window.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene or str
+        What to render, or what `lobewise.render.load_scene` takes.
+    width, height : int, optional
+        Size of the images; by default the scene's.
+    settings : InteractiveSettings, optional
+        Those of frames that are given none.
+    seed : int
+        The same seed and the same calls give the same images.
+    progress : callable, optional
+        Called with ``(done, total)`` while a method prepares the scene (voxels, lights).
+    options : mapping of mapping, optional
+        By the name of a method, what its class (`PathLight`, `VoxelCones`, `VirtualLights`) takes beside scene and
+        materials: ``{"voxel_cones": {"resolution": 64}}``.
+
+    Raises
+    ------
+    InputError, FileError, UnsupportedBsdfError, MissingDependencyError
+        See `lobewise.render.load_scene` and `lobewise.render.render_frame`.
+
+    Examples
+    --------
+    >>> from lobewise.render import Session  # doctest: +SKIP
+    >>> session = Session("showroom", width=256, height=256)  # doctest: +SKIP
+    >>> images = [frame.image for frame in session.frames([session.camera] * 4)]  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        width: int | None = None,
+        height: int | None = None,
+        settings: InteractiveSettings | None = None,
+        seed: int = 0,
+        progress: Callable[[int, int], None] | None = None,
+        options: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        loaded = load_scene(scene, width=width, height=height) if isinstance(scene, str) else scene
+        self._stages = Stages(loaded)
+        self._methods = Methods(self._stages, progress, options)
+        self._settings = settings or InteractiveSettings()
+        self._seed = seed
+        start = self._stages.start_size
+        self.resize(width or start[0], height or start[1])
+        self._limits: dict[tuple[str, int], float] = {}
+        self._chains: dict[int, _Chain] = {}
+
+    @property
+    def camera(self) -> Camera:
+        """Where the scene's own sensor stands."""
+        return self._stages.start_camera
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        return self._size
+
+    @property
+    def scene(self) -> Any:
+        """The ``mitsuba.Scene``."""
+        return self._stages.scene
+
+    def make_sibling(self) -> Session:
+        """Return a session of the same scene that shares what was prepared, and has a history of its own."""
+        sibling = object.__new__(Session)
+        sibling.__dict__.update(self.__dict__)
+        sibling._chains = {}
+        return sibling
+
+    def resize(self, width: int, height: int) -> None:
+        """Render images of another size from now on; histories start anew.
+
+        Raises
+        ------
+        InputError
+            If there are no pixels.
+        """
+        for name, value in (("width", width), ("height", height)):
+            if value < 1:
+                raise InputError(describe_problem(name, expected="at least 1", got=repr(value), action="pass another"))
+        self._size = width, height
+
+    def reset(self) -> None:
+        """Forget all histories."""
+        self._chains.clear()
+
+    def prepare(self, method: str) -> None:
+        """Make a method of indirect light ready now (voxelise, trace lights) instead of with its first frame.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name, or the scene has nothing that it needs.
+        """
+        self._methods.get(method)
+
+    def update_lights(self) -> None:
+        """Take notice of lights, materials or geometry that changed in the scene."""
+        self._methods.update()
+        self._limits.clear()
+        self.reset()
+
+    def render(self, camera: Camera | None = None, settings: InteractiveSettings | None = None) -> InteractiveFrame:
+        """Return the next frame, seen from a camera.
+
+        Parameters
+        ----------
+        camera : Camera, optional
+            By default the scene's own.
+        settings : InteractiveSettings, optional
+            By default those of the session. History goes on where they change.
+
+        Raises
+        ------
+        InputError
+            If the camera's pixels are not square, or the method finds nothing to work with.
+        """
+        return self._render(camera or self.camera, [settings or self._settings])[0]
+
+    def render_pair(
+        self, camera: Camera | None, first: InteractiveSettings, second: InteractiveSettings
+    ) -> tuple[InteractiveFrame, InteractiveFrame]:
+        """Return the same frame by two settings, each with a history of its own; guides and direct light are shared."""
+        frames = self._render(camera or self.camera, [first, second])
+        return frames[0], frames[1]
+
+    def frames(
+        self, cameras: Iterable[Camera], settings: InteractiveSettings | None = None
+    ) -> Iterator[InteractiveFrame]:
+        """Yield a frame for each camera of a path."""
+        for camera in cameras:
+            yield self.render(camera, settings)
+
+    def _render(self, camera: Camera, asked: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
+        seconds: dict[str, float] = {}
+        with _Watch(seconds, "gbuffer"):
+            self._stages.place_camera(camera, *self._size)
+        chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
+        seed = (self._seed << 20) + chains[0].number
+        with _Watch(seconds, "gbuffer"):
+            hits, direct = self._stages.trace_first(camera, seed)
+        shared = _Shared(camera, seed, hits, direct, seconds)
+        return [self._finish(chain, shared) for chain in chains]
+
+    def _find_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
+        """Return the stream of frames that goes on with these settings, told whether it stands still."""
+        chain = self._chains.get(index)
+        chosen = self._choose_filter(settings)
+        if chain is None or chain.size != self._size or chain.settings.method != settings.method:
+            chain = _Chain(settings, chosen, TemporalFilter(chosen), size=self._size)
+        elif chain.chosen != chosen:
+            chain.chosen, chain.temporal = chosen, TemporalFilter(chosen)
+        same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
+        if not (same and settings.accumulate):
+            chain.resting = Resting()
+        chain.settings, chain.camera = settings, camera
+        chain.number += 1
+        self._chains[index] = chain
+        return chain
+
+    def _choose_filter(self, settings: InteractiveSettings) -> DenoiseSettings:
+        """Return the settings of the filter: no wider than noise asks for, no sharper than the light is dense."""
+        chosen, method = settings.make_filter_settings(), self._methods.get(settings.method)
+        if settings.screen_sigma == "auto" and settings.spp * method.worth >= SMOOTH_WORTH:
+            chosen = replace(chosen, screen_sigma=SMOOTH_SIGMA * settings.scale)
+        if settings.tau != "auto" or not settings.limit_lobes:
+            return chosen
+        key = settings.method, settings.spp
+        if key not in self._limits:
+            self._limits[key] = self._stages.find_band_limit(method, settings.spp)
+        limit = self._limits[key]
+        return replace(chosen, tau=limit) if limit > 0.0 else chosen
+
+    def _finish(self, chain: _Chain, shared: _Shared) -> InteractiveFrame:
+        settings, hits = chain.settings, shared.hits
+        seconds = dict(shared.seconds)
+        method = self._methods.get(settings.method)
+        with _Watch(seconds, "indirect"):
+            sparse = self._shade_sparse(chain, shared, method)
+        with _Watch(seconds, "upsampling"):
+            result = self._upsample(chain, sparse)
+            before = result
+        again = None
+        with _Watch(seconds, "adaptive"):
+            if settings.adaptive > 0.0 and settings.scale > 1:
+                result, again = self._repair(chain, shared, method, result)
+        with _Watch(seconds, "composite"):
+            direct = self._settle_direct(chain, shared)
+            indirect = chain.resting.add_indirect(result.image, sparse, again)
+            image = direct.emitted + direct.diffuse + direct.specular + indirect
+        seconds["total"] = math.fsum(seconds[name] for name in STAGES)
+        recomputed = int(result.settings.get("recomputed", 0))
+        parts = {
+            "hits": hits,
+            "direct": direct,
+            "noisy_direct": shared.direct,
+            "sparse": sparse,
+            "before": before,
+            "result": result,
+            "indirect": indirect,
+            "history": chain.temporal.history_length if settings.temporal else None,
+        }
+        return InteractiveFrame(image, seconds, settings, shared.camera, chain.resting.frames, recomputed, parts)
+
+    def _shade_sparse(self, chain: _Chain, shared: _Shared, method: Any) -> SparseFrame:
+        width, height = self._size
+        scale = min(chain.settings.scale, width, height)
+        if chain.resting.frames:
+            # Nobody waits for what stands still, and it is to become right.
+            scale = max(1, scale // STILL_DENSITY)
+        places = list_places(scale)
+        place = places[chain.number % len(places)]
+        rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
+        grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
+        radiance = self._shade(method, *grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
+        return SparseFrame(
+            radiance,
+            shared.hits.gbuffer,
+            scale,
+            place,
+            shared.camera,
+            spp=max(1, round(chain.settings.spp * method.worth)),
+            lobe_tables=shared.hits.lobe_tables,
+        )
+
+    def _shade(
+        self,
+        method: Any,
+        rows: NDArray[np.intp],
+        columns: NDArray[np.intp],
+        samples: int,
+        seed: int,
+        shape: tuple[int, int],
+    ) -> Radiance:
+        diffuse, specular, _ = self._stages.shade_indirect(method, rows, columns, samples, seed)
+        diffuse, specular = diffuse.reshape(*shape, 3), specular.reshape(*shape, 3)
+        return Radiance(diffuse + specular, diffuse=diffuse, specular=specular)
+
+    def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
+        settings = chain.settings
+        if settings.similarity == UNFILTERED:
+            chain.temporal.reset()
+            return upsample(sparse, chain.chosen, bilinear=True)
+        if not settings.temporal:
+            chain.temporal.reset()
+            return upsample(sparse, chain.chosen)
+        return chain.temporal.add(sparse)
+
+    def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:
+        """Return the result with the least supported pixels shaded again, and these with their radiance."""
+        spp = chain.settings.spp
+        again: list[Again] = []
+
+        def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
+            # The samples of the frame itself were drawn with its own seed.
+            radiance = self._shade(method, rows, columns, spp, shared.seed ^ (1 << 31), (rows.size, 1))
+            again.append((rows, columns, radiance.color[:, 0]))
+            return radiance
+
+        # What is shown is the sum.
+        whole = replace(result, diffuse=None, specular=None)
+        mended = recompute(whole, shade, samples=1.0, budget=chain.settings.adaptive)
+        return mended, again[0] if again else None
+
+    def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
+        """Return direct light as it is shown: filtered while things move, the mean of all frames as they rest."""
+        settings, new = chain.settings, shared.direct
+        mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
+        if not settings.filter_direct or settings.similarity == UNFILTERED:
+            return mean
+        return filter_direct(mean, shared.hits, settings.make_filter_settings(), chain.resting.frames)
+
+
+def _is_same(first: Camera, second: Camera) -> bool:
+    return (
+        all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("position", "forward", "up"))
+        and first.fov_y == second.fov_y
+    )
+
+
+class _Watch:
+    """Adds the wall time of a ``with`` block to what a stage took."""
+
+    def __init__(self, seconds: dict[str, float], stage: str) -> None:
+        self._seconds = seconds
+        self._stage = stage
+
+    def __enter__(self) -> None:
+        self._start = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + time.perf_counter() - self._start

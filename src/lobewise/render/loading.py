@@ -1,0 +1,230 @@
+"""Scenes for Mitsuba: the built-in ones by name, and any scene file of the user's."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import FileError, InputError, describe_problem, require_choice
+from lobewise.render.variant import load_mitsuba
+from lobewise.scenes import BUILT_IN, MOVING, describe_movers, describe_scene
+
+DEFAULT_SIZE = 512
+"""Pixels a side of a built-in scene."""
+
+LARGEST_SIZE = 32768
+
+
+def load_scene(
+    name_or_path: str | os.PathLike[str],
+    *,
+    width: int | None = None,
+    height: int | None = None,
+    time: float = 0.0,
+) -> Any:
+    """Load a built-in scene by name, or a Mitsuba XML file by path.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        One of `lobewise.scenes.list_scenes`, or anything that ends in ``.xml`` or has a folder.
+    width, height : int, optional
+        Size of the image; by default that of the file, or 512x512 for a built-in scene. One alone keeps the
+        file's aspect.
+    time : float
+        Where the objects of a scene of `lobewise.scenes.list_moving_scenes` are, in frames after the beginning; 0 is
+        where they stand when nothing moves.
+
+    Returns
+    -------
+    mitsuba.Scene
+
+    Raises
+    ------
+    InputError
+        If the name is not that of a scene, the size is not 1 to 32768, Mitsuba does not understand the file, or there
+        is a time and nothing moves.
+    FileError
+        If there is no such file, or it cannot be read.
+    MissingDependencyError
+        If Mitsuba or libLLVM is not installed.
+
+    Notes
+    -----
+    A built-in scene is the same every time. Of a file Mitsuba merges what it can, in an order that is not: with several
+    lights its random numbers differ from load to load.
+    """
+    for name, value in (("width", width), ("height", height)):
+        if value is not None and not 1 <= value <= LARGEST_SIZE:
+            raise InputError(
+                describe_problem(
+                    name, expected=f"an integer from 1 to {LARGEST_SIZE}", got=repr(value), action="pass another"
+                )
+            )
+    text = os.fspath(name_or_path)
+    if time != 0.0:
+        _require_moving(text)
+    if text in BUILT_IN:
+        return _load_built_in(text, width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE, time)
+    path = Path(text)
+    if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
+        require_choice("scene", text, BUILT_IN)
+    return _load_file(path, width, height)
+
+
+@dataclass(frozen=True)
+class MovingScene:
+    """A built-in scene whose objects move; time is counted in frames.
+
+    Parameters
+    ----------
+    name : str
+        One of `lobewise.scenes.list_moving_scenes`.
+    width, height : int, optional
+        As `load_scene` takes them.
+
+    Raises
+    ------
+    InputError
+        If nothing moves in that scene, or there is no such scene.
+    """
+
+    name: str
+    width: int | None = None
+    height: int | None = None
+
+    def __post_init__(self) -> None:
+        _require_moving(self.name)
+
+    def load(self, time: float = 0.0) -> Any:
+        """Return the ``mitsuba.Scene`` at a time."""
+        return load_scene(self.name, width=self.width, height=self.height, time=time)
+
+    def find_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
+        """Return, by the id of each moving shape, the matrix that takes its world points at ``time`` to ``before``."""
+        load_mitsuba()
+        now, then = (
+            {
+                name: np.array(_make_transform(item["to_world"]).matrix, dtype=np.float64)
+                for name, item in describe_movers(self.name, at).items()
+            }
+            for at in (time, before)
+        )
+        return {name: then[name] @ np.linalg.inv(matrix) for name, matrix in now.items()}
+
+
+def _require_moving(name: str) -> None:
+    if name not in MOVING:
+        raise InputError(
+            describe_problem(
+                "scene",
+                expected=f"one whose objects move: {' or '.join(MOVING)}",
+                got=repr(name),
+                action="take one of them, or let the camera move alone",
+            )
+        )
+
+
+def _load_built_in(name: str, width: int, height: int, time: float) -> Any:
+    load_mitsuba()
+    return build_scene(describe_scene(name, width, height, time))
+
+
+def build_scene(items: dict[str, Any]) -> Any:
+    """Return the Mitsuba object of a description: what ``mitsuba.load_dict`` takes, with plain data in three places.
+
+    ``to_world`` and ``to_uv`` may be steps, tuples of the name of a method of ``mitsuba.ScalarTransform4f`` and its
+    arguments, of which the last is applied first; any array is a bitmap; a shape of type "mesh" has ``vertices``,
+    ``normals``, ``uv`` and ``faces``, (n, 2 or 3) each. A shape is the same every time.
+    """
+    # Mitsuba's optimisation puts shapes and lights into another order each time, and with them the random numbers.
+    return load_mitsuba().load_dict(_translate(items), optimize=False)
+
+
+def _translate(value: Any, name: str = "") -> Any:
+    if isinstance(value, np.ndarray):
+        return load_mitsuba().Bitmap(value)
+    if name in ("to_world", "to_uv") and isinstance(value, tuple):
+        return _make_transform(value)
+    if not isinstance(value, dict):
+        return value
+    if value.get("type") == "mesh":
+        return _make_mesh(**value)
+    return {key: _translate(each, key) for key, each in value.items()}
+
+
+def _make_transform(steps: tuple[tuple[Any, ...], ...]) -> Any:
+    transform = load_mitsuba().ScalarTransform4f()
+    for method, *arguments in steps:
+        transform = getattr(transform, method)(*arguments)
+    return transform
+
+
+def _make_mesh(
+    *,
+    type: str,
+    vertices: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    uv: NDArray[np.float32],
+    faces: NDArray[np.uint32],
+    bsdf: dict[str, Any],
+) -> Any:
+    mi = load_mitsuba()
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(_translate(bsdf))
+    mesh = mi.Mesh(
+        "mesh",
+        vertex_count=len(vertices),
+        face_count=len(faces),
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+        props=properties,
+    )
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = vertices.ravel()
+    values["vertex_normals"] = normals.ravel()
+    values["vertex_texcoords"] = uv.ravel()
+    values["faces"] = faces.ravel()
+    values.update()
+    return mesh
+
+
+def _load_file(path: Path, width: int | None, height: int | None) -> Any:
+    if not path.is_file():
+        got = "a folder" if path.is_dir() else "nothing there"
+        raise FileError(describe_problem(str(path), expected="a Mitsuba XML file", got=got, action="check the path"))
+    mi = load_mitsuba()
+    try:
+        scene = mi.load_file(str(path))
+    except (RuntimeError, OSError) as error:
+        raise InputError(
+            describe_problem(
+                str(path),
+                expected="a scene that Mitsuba understands",
+                got=" ".join(str(error).split()),
+                action="mend the file",
+            )
+        ) from error
+    if not isinstance(scene, mi.Scene):
+        raise InputError(
+            describe_problem(
+                str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"
+            )
+        )
+    if (width or height) and scene.sensors():
+        _resize(mi, scene, width, height)
+    return scene
+
+
+def _resize(mi: Any, scene: Any, width: int | None, height: int | None) -> None:
+    parameters = mi.traverse(scene.sensors()[0])
+    old_width, old_height = (int(value) for value in parameters["film.size"])
+    new_width = width or max(1, round(old_width * (height or old_height) / old_height))
+    new_height = height or max(1, round(old_height * new_width / old_width))
+    parameters["film.size"] = [new_width, new_height]
+    parameters.update()

@@ -1,0 +1,1 @@
+"""How surfaces reflect: Mitsuba's BSDFs opened, measured and fitted."""

@@ -1,0 +1,372 @@
+"""Lobes for any BSDF: where there is no formula for one, it is evaluated, and lobes are fitted to what it answers.
+
+What is kept of a BSDF are arrays, never the object: Dr.Jit compiles every BSDF that lives into every kernel. They are
+kept by the answers to a few hundred questions, because many objects do not describe themselves, and so that the next
+frame of a scene need not be fitted again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lobewise.fitting.fit import Evaluate, fit_lobes, make_nodes
+from lobewise.frame import FloatArray, LobeKind
+from lobewise.lobe_table import LobeTable
+from lobewise.lobes.table import get_albedo, get_equivalent_alphas, order_lobes
+from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.render.bridge import dr, mi
+from lobewise.render.materials.probe import (
+    Parts,
+    Samples,
+    are_same,
+    digest_bsdf,
+    evaluate_bsdf,
+    find_parts,
+    make_context,
+    make_evaluate,
+    sample_bsdf,
+)
+from lobewise.render.materials.tints import find_tints
+
+LOBES = 3
+"""Lobes of a view; beside them the diffuse one finds room in a mixture."""
+
+AZIMUTHS = 8
+"""Azimuths of the views of an anisotropic material, a multiple of 4."""
+
+# n.v of the rows that a hit looks up: equal steps of its square root, from the first on.
+_FIRST = 0.05
+_VIEWS = {True: 12, False: 6}
+"""How many, for isotropic and for anisotropic materials."""
+_SAMPLES = {True: 4096, False: 1024}
+OPACITY = 8
+"""The column of a row that holds the opacity."""
+_ALPHA, _SPECULAR, _SPREAD, _TINT, _COLUMNS = slice(0, 2), slice(2, 5), slice(5, 8), slice(9, 11), 11
+# Azimuths at which evaluations are compared, in no simple ratio to a turn.
+_TURNS = (0.7, 1.9, 3.3)
+# Ratio of the axes of a lobe seen from above from which on the longer one has a direction.
+_LONG = 1.1
+_MOST_FITS = 64
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What was found of a BSDF.
+
+    Parameters
+    ----------
+    parts : Parts
+        The lobes that it has.
+    kind : LobeKind
+        GGX for a smooth specular lobe, DELTA for mirrors and clear sheets alone, or NONE.
+    table : LobeTable or None
+        The lobes of the smooth specular part.
+    turn : float
+        Angle from the BSDF's tangent to that of the table, radians: an anisotropic table's lies along the longer
+        axis of the lobe seen from above.
+    rows : (V, P, 11)
+        For n.v in equal steps of its square root and azimuths of the viewer in equal steps of a turn: alpha along
+        and across the tangent (for isotropic materials, in and across the plane of incidence), specular albedo,
+        diffuse albedo over the diffuse value for light along the normal, opacity, and of a textured one the factors
+        of `lobewise.render.materials.tints`.
+    """
+
+    parts: Parts
+    kind: LobeKind
+    table: LobeTable | None
+    turn: float
+    rows: FloatArray
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the rows do not depend on the azimuth."""
+        return int(self.rows.shape[1]) == 1
+
+    @property
+    def can_be_transparent(self) -> bool:
+        """Whether a ray may pass through without noticing."""
+        return bool(self.rows[..., OPACITY].min() < 1.0)
+
+
+_fits: OrderedDict[str, Fit] = OrderedDict()
+
+
+def fit_bsdf(bsdf: Any) -> Fit:
+    """Return what a BSDF reflects, found by evaluating and sampling it; a BSDF that answers alike is fitted once.
+
+    Textures count as they are at uv = (0.5, 0.5).
+
+    Raises
+    ------
+    UnsupportedBsdfError
+        If it cannot be evaluated or sampled.
+    MissingDependencyError
+        If SciPy is not installed.
+    """
+    key = digest_bsdf(bsdf)
+    if key not in _fits:
+        _fits[key] = _make_fit(bsdf)
+        if len(_fits) > _MOST_FITS:
+            _fits.popitem(last=False)
+    _fits.move_to_end(key)
+    fit = _fits[key]
+    return fit if fit.table is None else replace(fit, table=replace(fit.table, name=str(bsdf.id())))
+
+
+def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0) -> Evaluate | None:
+    """Return the smooth specular part as a function to fit, or None where there is none.
+
+    It is what is reflected; of a BSDF that only transmits, what is transmitted, as if the surface mirrored it.
+    """
+    if parts.glossy:
+        for through in (False, True):
+            evaluate = make_evaluate(bsdf, parts.glossy_lobes, through=through, turn=turn)
+            if any(_integrate(evaluate, cosine) > 0.0 for cosine in (1.0, 0.5, 0.2)):
+                return evaluate
+    return None
+
+
+def is_isotropic(evaluate: Evaluate) -> bool:
+    """Return whether a reflection is the same, within 2 % in the mean square, when the surface is turned."""
+    return all(_is_same_turned(evaluate, 0.0, turn) for turn in _TURNS)
+
+
+def make_views(isotropic: bool) -> Array:
+    """Return ascending n.v of the views: equal steps of the square root, denser where lobes change faster."""
+    return np.asarray(np.linspace(math.sqrt(_FIRST), 1.0, _VIEWS[isotropic]) ** 2)
+
+
+def make_azimuths() -> Array:
+    """Return the azimuths of the views of an anisotropic material, radians."""
+    return np.arange(AZIMUTHS) * (2.0 * math.pi / AZIMUTHS)
+
+
+def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
+    """Return the views up to the highest from which anything is reflected: seen from above, velvet may be black."""
+    seen = [_integrate(evaluate, float(cosine)) > 0.0 for cosine in cosines]
+    return np.asarray(cosines[: len(seen) - seen[::-1].index(True)])
+
+
+def _make_fit(bsdf: Any) -> Fit:
+    parts = find_parts(bsdf)
+    evaluate = make_specular_evaluate(bsdf, parts)
+    isotropic = evaluate is None or is_isotropic(evaluate)
+    turn = 0.0 if evaluate is None or isotropic else _find_long_axis(evaluate)
+    cosines, azimuths = make_views(isotropic), np.zeros(1) if isotropic else make_azimuths()
+    rows = np.zeros((cosines.size, azimuths.size, _COLUMNS))
+    table = None
+    if evaluate is not None:
+        evaluate = make_specular_evaluate(bsdf, parts, turn=turn)
+        assert evaluate is not None
+        table = _fit_table(evaluate, cosines, None if isotropic else azimuths)
+        rows[..., _ALPHA] = _find_alphas(table, cosines, azimuths)
+        rows[..., _SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
+    views = _make_view_grid(cosines, azimuths + turn)
+    _complete_albedos(rows, bsdf, parts, views, _SAMPLES[isotropic])
+    kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
+    return Fit(parts, kind, table, turn, rows.astype(np.float32))
+
+
+def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> LobeTable:
+    """Return the table of round lobes, which are what images are filtered with.
+
+    Most anisotropic reflections look the same after half a turn; then half of the azimuths are fitted.
+    """
+    cosines = list_fitted_views(evaluate, cosines)
+    if azimuths is None:
+        return fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines)
+    repeats = 2 if all(_is_same_turned(evaluate, turn, turn + math.pi) for turn in _TURNS) else 1
+    part = fit_lobes(evaluate, lobes=LOBES, kind="sg", cosines=cosines, azimuths=azimuths[: AZIMUTHS // repeats])
+    names = ("axis", "sharpness", "twist", "amplitude", "alpha", "albedo", "cosine_l2")
+    whole: dict[str, Any] = {name: np.concatenate([getattr(part, name)] * repeats, axis=1) for name in names}
+    return order_lobes(replace(part, azimuth=azimuths.astype(np.float32), **whole))
+
+
+def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
+    """Return the roughness (V, P, 2) along and across the table's tangent, or the plane of incidence of all."""
+    alpha = get_equivalent_alphas(table, cosines[:, None], azimuths)
+    if table.is_isotropic:
+        return alpha
+    # The table's are along and across the plane of incidence. Where that lies along the tangent or across it they are
+    # those along and across the tangent; between, where neither tells the ellipse, they are the means of those.
+    quarter = AZIMUTHS // 4
+    aligned = np.log(alpha[:, ::quarter])
+    aligned[:, 1::2] = aligned[:, 1::2, ::-1]
+    share = (np.arange(quarter) / quarter)[:, None]
+    following = np.roll(aligned, -1, axis=1)
+    between = aligned[:, :, None] * (1.0 - share) + following[:, :, None] * share
+    return np.asarray(np.exp(between.reshape(alpha.shape)))
+
+
+def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count: int) -> None:
+    """Add to the rows the albedos of what is transmitted and of mirrors, the opacity, and the diffuse spread."""
+    flat = rows.reshape(-1, _COLUMNS)
+    samples = sample_bsdf(bsdf, views, count)
+    opacity = 1.0 - samples.null.mean(axis=1)
+    beyond = samples.delta | (samples.light[..., 2] < 0.0)
+    specular = np.where((beyond & ~samples.null)[..., None], samples.weight, 0.0)
+    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples)
+    flat[:, _SPECULAR] += specular.mean(axis=1)
+    # A path that passes unnoticed adds to no albedo, so the others must add more.
+    flat[:, _SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
+    flat[:, _SPECULAR] = np.clip(flat[:, _SPECULAR], 0.0, 1.0)
+    flat[:, OPACITY] = opacity
+    if parts.diffuse:
+        flat[:, _SPREAD] = _find_spreads(bsdf, parts, views)
+    if parts.textured and parts.glossy:
+        flat[:, _TINT] = find_tints(bsdf, parts, views) / np.maximum(opacity, 1e-6)[:, None]
+
+
+def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples) -> Array:
+    """Return which part of each sample is diffuse, shape (V, N, 3); none of mirrors."""
+    smooth = ~samples.delta[..., None]
+    if not (parts.diffuse and parts.glossy):
+        return np.where(smooth, float(parts.diffuse), 0.0)
+    view, light = np.repeat(views, samples.light.shape[1], axis=0), samples.light.reshape(-1, 3)
+    whole = evaluate_bsdf(bsdf, view, light)
+    part = evaluate_bsdf(bsdf, view, light, parts.diffuse_lobes)
+    share = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0).reshape(samples.weight.shape)
+    return np.asarray(np.where(smooth, np.clip(share, 0.0, 1.0), 0.0))
+
+
+def _find_spreads(bsdf: Any, parts: Parts, views: Array) -> Array:
+    """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
+
+    At a hit that value is taken where the hit is, so that textures are seen; where it is 0 at the middle of the
+    texture the spread is that of Lambert's law.
+    """
+    # Both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
+    square, azimuth = (np.arange(64) + 0.5) / 64, (np.arange(32) + 0.5) * (2.0 * math.pi / 32)
+    sine, cosine = np.sqrt(square), np.sqrt(1.0 - square)
+    above = np.stack(np.broadcast_arrays(sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth),
+                                         cosine[:, None]), axis=-1).reshape(-1, 3)  # fmt: skip
+    light = np.concatenate([above, above * [1.0, 1.0, -1.0], [[0.0, 0.0, 1.0]]])
+    values = evaluate_bsdf(bsdf, np.repeat(views, len(light), axis=0), np.tile(light, (len(views), 1)),
+                           parts.diffuse_lobes).reshape(len(views), len(light), 3)  # fmt: skip
+    values = np.where(np.isfinite(values), values, 0.0)
+    albedo, upward = math.pi / len(above) * values[:, :-1].sum(axis=1), values[:, -1]
+    return np.asarray(np.divide(albedo, upward, out=np.full_like(albedo, math.pi), where=upward > 0.0))
+
+
+def _find_long_axis(evaluate: Evaluate) -> float:
+    """Return the azimuth of the longer axis of the lobe seen from above, in [0, pi); 0 where there is none."""
+    nodes = make_nodes(1.0)
+    light = nodes.light[nodes.light[:, 2] > 0.0]
+    target = _evaluate_luminance(evaluate, np.tile([0.0, 0.0, 1.0], (len(light), 1)), light)
+    half = light[:, :2] / np.sqrt(2.0 + 2.0 * light[:, 2:])
+    # The square leaves the tails out; the weights are those of the half vectors, which lie evenly for lights.
+    share = nodes.weight[nodes.light[:, 2] > 0.0] * target**2
+    covariance = (half * share[:, None]).T @ half / max(float(share.sum()), 1e-300)
+    values, vectors = np.linalg.eigh(covariance)
+    if not values[1] > _LONG**2 * values[0]:
+        return 0.0
+    return math.atan2(vectors[1, 1], vectors[0, 1]) % math.pi
+
+
+def _evaluate_luminance(evaluate: Evaluate, view: Array, light: Array) -> Array:
+    """Return the luminance of BRDF times cosine; 0 where the BRDF is not a number."""
+    values = np.asarray(evaluate(view, light))
+    values = values @ np.asarray(LUMINANCE) if values.ndim == 2 else values
+    return np.where(np.isfinite(values) & (values > 0.0), values, 0.0) * np.abs(light[:, 2])
+
+
+def _sample_turned(evaluate: Evaluate, cosine: float, turn: float) -> tuple[Array, Array]:
+    """Return luminances times cosine, and solid angles, over the lights that a viewer at an azimuth sees reflected."""
+    nodes = make_nodes(cosine, angular=32)
+    above = nodes.light[:, 2] > 0.0
+    matrix = np.asarray(
+        [[math.cos(turn), math.sin(turn), 0.0], [-math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    view = np.asarray([math.sqrt(1.0 - cosine * cosine), 0.0, cosine])
+    light = nodes.light[above] @ matrix
+    return _evaluate_luminance(evaluate, np.tile(view @ matrix, (len(light), 1)), light), nodes.weight[above]
+
+
+def _is_same_turned(evaluate: Evaluate, one: float, two: float) -> bool:
+    for cosine in (1.0, 0.75, 0.4):
+        first, weight = _sample_turned(evaluate, cosine, one)
+        root = np.sqrt(weight)
+        if not are_same(root * first, root * _sample_turned(evaluate, cosine, two)[0]):
+            return False
+    return True
+
+
+def _integrate(evaluate: Evaluate, cosine: float) -> float:
+    values, weight = _sample_turned(evaluate, cosine, 0.0)
+    return float(values @ weight)
+
+
+def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
+    """Return unit vectors (V P, 3)."""
+    sine = np.sqrt(1.0 - cosines**2)[:, None]
+    parts = np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), cosines[:, None])
+    return np.stack(parts, axis=-1).reshape(-1, 3)
+
+
+class FittedLobes:
+    """A `Fit` on the device, where hits look it up.
+
+    Parameters
+    ----------
+    fit : Fit
+        What to look up.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        self._rows = mi.Float(self.fit.rows.ravel())
+        dr.eval(self._rows)
+
+    def look_up(self, si: Any, active: Any) -> list[Any]:
+        """Return the columns of the rows, linear in the root of n.v and in the azimuth, for hits seen at ``si.wi``."""
+        views, azimuths, columns = self.fit.rows.shape
+        first = math.sqrt(_FIRST)
+        place = (dr.sqrt(dr.abs(si.wi.z)) - first) * ((views - 1) / (1.0 - first))
+        place = dr.clip(place, 0.0, views - 1.0)
+        row = dr.minimum(mi.UInt32(place), views - 2)
+        share = place - mi.Float(row)
+
+        def read(column: Any) -> list[Any]:
+            start = (row * azimuths + column) * columns
+            step = azimuths * columns
+            below = [dr.gather(mi.Float, self._rows, start + k, active) for k in range(columns)]
+            above = [dr.gather(mi.Float, self._rows, start + step + k, active) for k in range(columns)]
+            return [dr.lerp(low, high, share) for low, high in zip(below, above, strict=True)]
+
+        if azimuths == 1:
+            return read(mi.UInt32(0))
+        turns = (dr.atan2(si.wi.y, si.wi.x) - self.fit.turn) / (2.0 * math.pi)
+        turns = dr.select(dr.square(si.wi.x) + dr.square(si.wi.y) > 0, turns, 0.0)
+        place = (turns - dr.floor(turns)) * azimuths
+        left = dr.minimum(mi.UInt32(place), azimuths - 1)
+        right = dr.select(left + 1 < azimuths, left + 1, 0)
+        part = place - mi.Float(left)
+        return [dr.lerp(low, high, part) for low, high in zip(read(left), read(right), strict=True)]
+
+    def find_tangent(self, si: Any) -> Any:
+        """Return the local direction along which the first alpha is meant, and from which azimuths count."""
+        if not self.fit.is_isotropic:
+            return mi.Vector3f(math.cos(self.fit.turn), math.sin(self.fit.turn), 0.0)
+        length = dr.sqrt(dr.square(si.wi.x) + dr.square(si.wi.y))
+        scale = dr.select(length > 1e-6, dr.rcp(length), 0.0)
+        return mi.Vector3f(dr.select(length > 1e-6, si.wi.x * scale, 1.0), si.wi.y * scale, 0.0)
+
+    def find_albedos(self, bsdf: Any, si: Any, row: list[Any], active: Any) -> tuple[Any, Any]:
+        """Return the (diffuse, specular) albedo from the columns of `look_up`; textures are read at the hits."""
+        parts = self.fit.parts
+        upward = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
+        diffuse, specular = mi.Color3f(0), mi.Color3f(*row[_SPECULAR])
+        if parts.diffuse:
+            value = bsdf.eval(make_context(parts.diffuse_lobes), si, upward, active)
+            diffuse = mi.Color3f(*row[_SPREAD]) * mi.Color3f(value)
+        if parts.textured and parts.glossy:
+            mirrored = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
+            context = make_context(parts.glossy_lobes)
+            values = [mi.Color3f(bsdf.eval(context, si, light, active)) for light in (upward, mirrored)]
+            specular = sum(value * factor for value, factor in zip(values, row[_TINT], strict=True))
+        return dr.clip(diffuse, 0.0, 1.0), dr.clip(specular, 0.0, 1.0)

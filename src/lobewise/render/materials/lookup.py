@@ -1,0 +1,123 @@
+"""One material of a scene by name, ready to be fitted: what `lobewise fit --mitsuba` reads."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lobewise.errors import InputError, describe_problem
+from lobewise.fitting.fit import COSINES, Evaluate
+from lobewise.lobes.vectors import Array
+from lobewise.render.loading import load_scene
+from lobewise.render.materials.bsdfs import list_nested
+from lobewise.render.materials.fitted import (
+    is_isotropic,
+    list_fitted_views,
+    make_azimuths,
+    make_specular_evaluate,
+    make_views,
+)
+from lobewise.render.materials.probe import find_parts
+
+_MOST_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class SceneMaterial:
+    """The smooth specular part of a BSDF, and the views to fit it at.
+
+    Parameters
+    ----------
+    name : str
+        What it was asked for by.
+    evaluate : callable
+        See `lobewise.fitting.fit.Evaluate`; the frame's x is the BSDF's tangent.
+    cosines : (V,)
+        n.v of the views.
+    azimuths : (P,), optional
+        Azimuths of the views, where the material is anisotropic.
+    """
+
+    name: str
+    evaluate: Evaluate
+    cosines: Array
+    azimuths: Array | None
+
+
+def open_scene_material(reference: str) -> SceneMaterial:
+    """Return a material of a scene.
+
+    Parameters
+    ----------
+    reference : str
+        ``SCENE#ID``: what `load_scene` takes, and the id of a BSDF, or of the shape that carries it.
+
+    Raises
+    ------
+    InputError
+        If there is no ``#``, no such scene or id, several BSDFs of that id, or nothing in the BSDF to fit.
+    FileError
+        If the scene's file cannot be read.
+    UnsupportedBsdfError
+        If the BSDF cannot be evaluated.
+    MissingDependencyError
+        If Mitsuba or libLLVM is not installed.
+    """
+    scene, mark, name = reference.rpartition("#")
+    if not (mark and scene and name):
+        raise InputError(
+            describe_problem(
+                "Mitsuba material",
+                expected="SCENE#ID, a scene and the id of a BSDF or shape in it",
+                got=repr(reference),
+                action="pass for example scene.xml#paint",
+            )
+        )
+    bsdf = _find_bsdf(load_scene(scene), scene, name)
+    evaluate = make_specular_evaluate(bsdf, find_parts(bsdf))
+    if evaluate is None:
+        raise InputError(
+            describe_problem(
+                f"BSDF {name!r}",
+                expected="a glossy lobe",
+                got="mirrors or diffuse lobes alone",
+                action="only glossy reflection can be fitted",
+            )
+        )
+    isotropic = is_isotropic(evaluate)
+    cosines = list_fitted_views(evaluate, np.asarray(COSINES) if isotropic else make_views(isotropic))
+    return SceneMaterial(name, evaluate, cosines, None if isotropic else make_azimuths())
+
+
+def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
+    found: dict[str, dict[int, Any]] = {}
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        if bsdf is not None:
+            found.setdefault(str(shape.id()), {})[bsdf.ptr] = bsdf
+            for inner in list_nested(bsdf):
+                found.setdefault(str(inner.id()), {})[inner.ptr] = inner
+    found.pop("", None)
+    if name not in found:
+        near = difflib.get_close_matches(name, found, n=_MOST_SHOWN, cutoff=0.0)
+        raise InputError(
+            describe_problem(
+                f"scene {scene_name!r}",
+                expected=f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs",
+                got=repr(name),
+                action="correct the id" if near else "give the BSDF an id in the scene",
+            )
+        )
+    if len(found[name]) > 1:
+        raise InputError(
+            describe_problem(
+                f"scene {scene_name!r}",
+                expected=f"one BSDF with the id {name!r}",
+                got=str(len(found[name])),
+                action="name the shape that carries it",
+            )
+        )
+    return next(iter(found[name].values()))

@@ -1,0 +1,61 @@
+"""The specular albedo of a textured BSDF: which sum of two of its values tells it, wherever on the texture.
+
+A texture scales lobes, and both the albedo and the values are linear in that. So from some places on the texture it is
+learned, for each view, how much of the albedo goes with the value for light along the normal, and how much with that
+for light in the mirror direction; at a hit the BSDF is asked for the two.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lobewise.fitting.fit import make_nodes
+from lobewise.lobes.vectors import Array
+from lobewise.render.materials.probe import Parts, evaluate_bsdf, sample_bsdf, spread_points
+
+_PLACES = 24
+_SAMPLES = 128
+
+
+def find_tints(bsdf: Any, parts: Parts, views: Array) -> Array:
+    """Return the two factors of each view (V, 3): shape (V, 2), both >= 0.
+
+    They multiply the values, times the cosine, for light along the normal and in the mirror direction; the sum is the
+    albedo of the glossy lobes, with what is transmitted and what mirrors add.
+    """
+    uv = spread_points(_PLACES, 2)
+    return np.stack([_find_tint(bsdf, parts, view, uv) for view in views])
+
+
+def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
+    nodes = make_nodes(float(view[2]), angular=32)
+    above = nodes.light[:, 2] > 0.0
+    # The nodes are for a view without y.
+    turn = np.hypot(view[0], view[1])
+    cosine, sine = (view[0] / turn, view[1] / turn) if turn > 0.0 else (1.0, 0.0)
+    light = nodes.light[above] @ np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    light = np.concatenate([[[0.0, 0.0, 1.0], view * [-1.0, -1.0, 1.0]], light])
+    places = np.repeat(uv, len(light), axis=0)
+    values = evaluate_bsdf(bsdf, np.tile(view, (len(places), 1)), np.tile(light, (len(uv), 1)), parts.glossy_lobes,
+                           uv=places).reshape(len(uv), -1, 3) * light[:, 2:]  # fmt: skip
+    values = np.where(np.isfinite(values), values, 0.0)
+    albedo = nodes.weight[above] @ values[:, 2:]
+    if not parts.diffuse:
+        samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLES, uv=uv)
+        beyond = (samples.delta | (samples.light[..., 2] < 0.0)) & ~samples.null
+        albedo = albedo + np.where(beyond[..., None], samples.weight, 0.0).mean(axis=1)
+    return _solve(np.moveaxis(values[:, :2], 1, -1).reshape(-1, 2), albedo.ravel())
+
+
+def _solve(columns: Array, target: Array) -> Array:
+    """Return the two numbers >= 0 whose combination of the columns is nearest to the target."""
+    best, least = np.zeros(2), float(target @ target)
+    for chosen in ([0, 1], [0], [1]):
+        found = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]
+        miss = float(np.sum((columns[:, chosen] @ found - target) ** 2))
+        if np.all(found >= 0.0) and miss < least:
+            best, least = np.zeros(2), miss
+            best[chosen] = found
+    return best

@@ -1,0 +1,1 @@
+"""Paths, first hits and direct light."""

@@ -1,0 +1,121 @@
+"""Direct light on first surfaces, with shadows: one light sample and, where a lobe is narrow, one of the BSDF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.frame import LobeKind
+from lobewise.render.bridge import dr, mi
+from lobewise.render.materials.bsdfs import Material
+from lobewise.render.tracing.paths import dispatch_share, weigh
+from lobewise.render.tracing.points import Points
+from lobewise.sparse_frame import list_places
+
+PATTERN = 4
+"""Pixels side by side that draw different samples; those of neighbouring blocks are the same ones."""
+
+NARROW = 0.3
+"""Alpha below which a lobe follows a ray of its own: a wider one is sampled well enough by the lights."""
+
+# Roberts 2018, "The unreasonable effectiveness of quasirandom sequences": 1/g and 1/g^2, g the plastic number.
+_STEP_X, _STEP_Y = 0.7548776662466927, 0.5698402909980532
+_FRAME_STEPS = (0.6180339887498949, 0.41421356237309515)
+
+
+@dataclass
+class Direct:
+    """Light on its first or second way (Dr.Jit arrays; a PyTree).
+
+    ``emitted`` comes straight from what the pixel sees, a light or the background; ``diffuse`` and ``specular`` were
+    scattered once, by that lobe (Color3f, linear, >= 0, albedo included).
+    """
+
+    emitted: Any
+    diffuse: Any
+    specular: Any
+
+
+def shade_direct(
+    scene: Any, materials: dict[int, Material], points: Points, width: Any, shifts: Sequence[Any]
+) -> Direct:
+    """Return what lights first surfaces directly, one sample of the lights each, not evaluated yet.
+
+    The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
+    that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
+    a narrow lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
+    1997).
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+    materials : dict
+        Of the scene.
+    points : Points
+    width : mitsuba.UInt32
+        Of the image, opaque.
+    shifts : sequence of float, or mitsuba.Float, 4 of them
+        From `find_shifts`.
+    """
+    si, bsdf = points.si, points.bsdf
+    context = mi.BSDFContext()
+    light_point = _draw(points.pixel, width, shifts[0], shifts[1])
+    bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
+
+    lit = points.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)
+    lit &= light.pdf != 0
+    local = si.to_local(light.d)
+    # A sky is too large for samples of the lights alone.
+    has_lobe = points.surface.lobe_kind != float(LobeKind.NONE)
+    narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < NARROW)
+    shiny = points.active & (narrow | (scene.environment() is not None))
+    choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
+    value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, bsdf_point, points.active)
+    # What has no narrow lobe sends no ray of its own, so the light sample is all there is.
+    alone = light.delta | ~shiny
+    seen = dr.select(lit, value * radiance * dr.select(alone, 1.0, weigh(light.pdf, pdf)), 0.0)
+    share = dispatch_share(materials, bsdf, si, local, lit)
+    diffuse, specular = seen * share, seen * (1.0 - share)
+
+    following = shiny & (dr.max(weight) > 0)
+    ray = si.spawn_ray(si.to_world(chosen.wo))
+    hit = scene.ray_intersect(ray, following)
+    found = mi.DirectionSample3f(scene, hit, mi.Interaction3f(si))
+    is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+    light_pdf = scene.pdf_emitter_direction(mi.Interaction3f(si), found, following & ~is_delta)
+    emission = found.emitter.eval(hit, following)
+    hit_share = dispatch_share(materials, bsdf, si, chosen.wo, following & ~is_delta)
+    hit_share = dr.select(is_delta, 0.0, hit_share)
+    found_light = dr.select(following, weight * emission * dr.select(is_delta, 1.0, weigh(chosen.pdf, light_pdf)), 0.0)
+
+    own = si.emitter(scene)
+    return Direct(
+        emitted=own.eval(si, mi.Bool(True)),
+        diffuse=diffuse + found_light * hit_share,
+        specular=specular + found_light * (1.0 - hit_share),
+    )
+
+
+def find_shifts(seed: int) -> list[float]:
+    """Return by how much the samples of a frame are shifted as a whole, for `shade_direct`; another seed for each.
+
+    By irrational steps in another direction than those from pixel to pixel.
+    """
+    return [(seed * step + 0.5 * dimension) % 1.0 for dimension in range(2) for step in _FRAME_STEPS]
+
+
+def _draw(pixel: Any, width: Any, shift_x: Any, shift_y: Any) -> Any:
+    """Return a point of the unit square for each pixel, that of its place in a block of 4x4."""
+    order = list_places(PATTERN)
+    rank = [order.index((k // PATTERN, k % PATTERN)) for k in range(PATTERN**2)]
+    place = (pixel // width % PATTERN) * PATTERN + pixel % width % PATTERN
+    count = mi.Float(0)
+    for k, number in enumerate(rank):
+        count = dr.select(place == k, mi.Float(number), count)
+    return mi.Point2f(_fract(shift_x + count * _STEP_X), _fract(shift_y + count * _STEP_Y))
+
+
+def _fract(value: Any) -> Any:
+    return dr.minimum(value - dr.floor(value), 1.0 - 2.0**-24)

@@ -1,0 +1,229 @@
+"""How virtual lights shine on a surface: connections with visibility rays, points or spheres."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.materials.bsdfs import Material
+from lobewise.render.materials.split import find_diffuse_share
+from lobewise.render.tracing.points import MOST_LAYERS, Points
+from lobewise.render.virtual_lights.light_paths import LightSet, evaluate_towards
+
+_NEAREST = 1e-6
+"""Shortest distance, as a part of the largest coordinate; a light within it lies on the point itself."""
+
+
+def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+    """Return ``f cos`` of the smooth lobes and which share of it is diffuse; one visit of each BSDF for both."""
+
+    def scatter(self: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+        material = materials.get(self.ptr)
+        if material is None:
+            return mi.Color3f(0), mi.Color3f(0)
+        value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)
+        return mi.Color3f(value), find_diffuse_share(material, si, wo, active)
+
+    return dr.dispatch(bsdf, scatter, si, wo, active)  # type: ignore[no-any-return]
+
+
+class Lighting:
+    """A set of lights, ready to shine.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+    materials : dict
+        Of the scene.
+    lights : LightSet
+    shortest : float
+        Distance below which lights do not get brighter, in units of the scene.
+    radius : float
+        Of the spheres that stand for the lights; 0 for points.
+    """
+
+    def __init__(
+        self, scene: Any, materials: dict[int, Material], lights: LightSet, *, shortest: float, radius: float
+    ) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._lights = lights
+        self._is_clear = not any(material.can_be_transparent for material in materials.values())
+        self._number = dr.opaque(mi.UInt32, lights.number)
+        self._has_spheres = radius > 0.0
+        self._radius = dr.opaque(mi.Float, radius)
+        self.bound = dr.opaque(mi.Float, 1.0 / max(shortest, 1e-12) ** 2)
+        """Largest geometry term, per unit of area."""
+
+    @property
+    def state(self) -> Any:
+        """All arrays that shading reads beside the scene (a PyTree)."""
+        lights = self._lights
+        arrays = lights.si, lights.bsdf, lights.incoming, lights.cosine, lights.flux, lights.depth
+        return arrays, self._number, self._radius, self.bound
+
+    def gather(
+        self, si: Any, bsdf: Any, run: Any, runs: Any, most_depth: Any, rng: Any, active: Any
+    ) -> tuple[Any, Any]:
+        """Return diffuse and specular radiance towards ``si.wi`` from one run of the lights, times their number.
+
+        Parameters
+        ----------
+        run, runs : mitsuba.UInt32
+            Which of how many equal parts of the set.
+        most_depth : mitsuba.UInt32
+            Depth of the deepest light that counts.
+        rng : mitsuba.PCG32
+            Used by spheres alone.
+        """
+        first = self._find_first(run, runs)
+        end = dr.select(active, self._find_first(run + 1, runs), first)
+
+        def go_on(index: Any, *rest: Any) -> Any:
+            return index < end
+
+        if self._has_spheres:
+
+            def add_sphere(index: Any, diffuse: Any, specular: Any, rng: Any) -> tuple[Any, ...]:
+                more = self._shine_sphere(si, bsdf, index, most_depth, rng)
+                return index + 1, diffuse + more[0], specular + more[1], rng
+
+            none = (first, mi.Color3f(0), mi.Color3f(0), rng)
+            _, diffuse, specular, advanced = dr.while_loop(none, go_on, add_sphere, label="spheres")
+            rng.state, rng.inc = advanced.state, advanced.inc
+        else:
+
+            def add_point(index: Any, diffuse: Any, specular: Any) -> tuple[Any, ...]:
+                more = self._shine_point(si, bsdf, index, most_depth)
+                return index + 1, diffuse + more[0], specular + more[1]
+
+            start = (first, mi.Color3f(0), mi.Color3f(0))
+            _, diffuse, specular = dr.while_loop(start, go_on, add_point, label="lights")
+        scale = mi.Float(runs)
+        return diffuse * scale, specular * scale
+
+    def count_worth(self, points: Points, run: Any, runs: Any) -> Any:
+        """Return how many equal lights a run is worth at points: ``(sum L)^2 / sum L^2`` of the light that arrives."""
+        si = points.si
+        first = self._find_first(run, runs)
+        end = dr.select(points.active, self._find_first(run + 1, runs), first)
+
+        def go_on(index: Any, *rest: Any) -> Any:
+            return index < end
+
+        def add(index: Any, total: Any, squares: Any) -> tuple[Any, ...]:
+            light = self._fetch(index)
+            towards, inverse = self._aim(si, light)
+            value = light.flux * self._emit(light, towards, index < end)
+            value = mi.luminance(value * dr.minimum(dr.abs(dr.dot(light.si.n, towards)) * inverse, self.bound))
+            value *= dr.select(dr.dot(si.n, towards) * dr.dot(si.n, si.to_world(si.wi)) > 0, 1.0, 0.0)
+            value *= mi.luminance(self._see(si, light, value > 0))
+            return index + 1, total + value, squares + dr.square(value)
+
+        _, total, squares = dr.while_loop((first, mi.Float(0), mi.Float(0)), go_on, add, label="worth")
+        return dr.select(squares > 0, dr.square(total) / squares, 0.0)
+
+    def _find_first(self, run: Any, runs: Any) -> Any:
+        return mi.UInt32(mi.UInt64(run) * mi.UInt64(self._number) // mi.UInt64(runs))
+
+    def _fetch(self, index: Any) -> LightSet:
+        lights = self._lights
+        return LightSet(
+            si=dr.gather(mi.SurfaceInteraction3f, lights.si, index),
+            bsdf=dr.gather(mi.BSDFPtr, lights.bsdf, index),
+            incoming=dr.gather(mi.Vector3f, lights.incoming, index),
+            cosine=dr.gather(mi.Float, lights.cosine, index),
+            flux=dr.gather(mi.Color3f, lights.flux, index),
+            depth=dr.gather(mi.UInt32, lights.depth, index),
+            number=1,
+        )
+
+    def _aim(self, si: Any, light: LightSet) -> tuple[Any, Any]:
+        """Return the direction to a light (unit vector of the world) and the inverse square of its distance."""
+        away = light.si.p - si.p
+        inverse = dr.rcp(dr.maximum(dr.squared_norm(away), dr.square(_NEAREST * dr.max(dr.abs(si.p) + 1.0))))
+        return away * dr.sqrt(inverse), inverse
+
+    def _emit(self, light: LightSet, towards: Any, active: Any) -> Any:
+        """Return the radiance that a light sends back along ``towards``, per flux and area."""
+        outgoing = light.si.to_local(-towards)
+        return evaluate_towards(light.si, light.bsdf, light.incoming, outgoing, active) * dr.rcp(light.cosine)
+
+    def _shine_point(self, si: Any, bsdf: Any, index: Any, most_depth: Any) -> tuple[Any, Any]:
+        light = self._fetch(index)
+        towards, inverse = self._aim(si, light)
+        wo = si.to_local(towards)
+        near = light.depth <= most_depth
+        value, share = split_scattering(self._materials, bsdf, si, wo, near)
+        emitted = light.flux * self._emit(light, towards, near)
+        facing = dr.abs(dr.dot(light.si.n, towards)) * inverse
+        geometry = dr.abs(wo.z) * facing
+        bounded = dr.minimum(1.0, self.bound / geometry)
+        value *= emitted * (facing * dr.select(geometry > 0, bounded, 0.0))
+        value = dr.select(near & dr.isfinite(dr.max(value)), value, 0.0)
+        value *= self._see(si, light, dr.max(value) > 0)
+        return value * share, value * (1.0 - share)
+
+    def _shine_sphere(self, si: Any, bsdf: Any, index: Any, most_depth: Any, rng: Any) -> tuple[Any, Any]:
+        """One direction of the cone that the sphere fills, and one of the receiver's BSDF, by the balance heuristic.
+
+        Departs from Hasan et al. 2009: no direction is drawn from the light's BSDF.
+        """
+        light = self._fetch(index)
+        towards, inverse = self._aim(si, light)
+        near = light.depth <= most_depth
+        # Within a sphere it is all around.
+        sine2 = dr.square(self._radius) * inverse
+        inside = sine2 >= 1.0
+        # 1 - cos without cancellation.
+        height = dr.select(inside, 2.0, sine2 / (1.0 + dr.safe_sqrt(1.0 - sine2)))
+        cone_pdf = dr.rcp(dr.two_pi * height)
+        down = height * rng.next_float32()
+        out = dr.safe_sqrt(down * (2.0 - down))
+        sine, cosine = dr.sincos(dr.two_pi * rng.next_float32())
+        drawn = mi.Frame3f(towards).to_world(mi.Vector3f(out * cosine, out * sine, 1.0 - down))
+        choice, point = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+        wo = si.to_local(drawn)
+        _, pdf, chosen, _ = bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, choice, point, near)
+        is_smooth = ~mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
+        scattered = si.to_world(chosen.wo)
+        hits = 0.5 * dr.squared_norm(scattered - towards) <= height
+        found = near & is_smooth & hits & (chosen.pdf > 0)
+
+        diffuse, specular = mi.Color3f(0), mi.Color3f(0)
+        for direction, local, density, active in (
+            (drawn, wo, cone_pdf + pdf, near),
+            (scattered, mi.Vector3f(chosen.wo), cone_pdf + chosen.pdf, found),
+        ):
+            value, share = split_scattering(self._materials, bsdf, si, local, active)
+            facing = dr.abs(dr.dot(light.si.n, direction))
+            value = dr.select(active, value * self._emit(light, direction, active) * (facing / density), 0.0)
+            value = dr.select(dr.isfinite(dr.max(value)), value, 0.0)
+            diffuse += value * share
+            specular += value * (1.0 - share)
+        strength = light.flux * dr.rcp(dr.pi * dr.square(self._radius))
+        strength *= self._see(si, light, dr.max(diffuse + specular) > 0)
+        return diffuse * strength, specular * strength
+
+    def _see(self, si: Any, light: LightSet, active: Any) -> Any:
+        """Return how much of its light comes through (Color3f): 0 or 1, or between where surfaces are masked."""
+        ray = si.spawn_ray_to(light.si.p)
+        if self._is_clear:
+            return mi.Color3f(dr.select(active & ~self._scene.ray_test(ray, active), 1.0, 0.0))
+
+        def go_on(ray: Any, through: Any, layers: Any) -> Any:
+            return layers > 0
+
+        def pass_through(ray: Any, through: Any, layers: Any) -> tuple[Any, Any, Any]:
+            hit = self._scene.ray_intersect(ray)
+            met = hit.is_valid()
+            passed = hit.bsdf().eval_null_transmission(hit, met)
+            through *= dr.select(met, passed, 1.0)
+            onward = hit.spawn_ray_to(light.si.p)
+            layers = dr.select(met & (dr.max(through) > 0), layers - 1, 0)
+            # What is behind more layers than that counts as hidden.
+            through = dr.select(met & (layers == 0), 0.0, through)
+            return onward, through, layers
+
+        start = (ray, mi.Color3f(dr.select(active, 1.0, 0.0)), dr.select(active, mi.UInt32(MOST_LAYERS), 0))
+        return dr.while_loop(start, go_on, pass_through, label="visibility")[1]

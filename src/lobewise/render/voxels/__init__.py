@@ -1,0 +1,1 @@
+"""Indirect light by cones through voxels."""

@@ -1,0 +1,269 @@
+"""Marching cones through voxels: what a bundle of rays meets, without tracing any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.voxels.grid import DIRECTIONS, Grid
+
+DIFFUSE_CONES = 6
+"""Cones of 60 degrees that share a hemisphere: one about the normal, five around it."""
+
+DIFFUSE_TAN = 0.5773502691896258
+"""Tangent of their half angle of 30 degrees."""
+
+SHARPEST_TAN = 0.005
+"""Tangent of half the narrowest cone's angle."""
+
+FOOTPRINT = 0.1
+"""Voxels looked up are as wide as this share of the cone: large ones make what is opaque in them larger than it is.
+
+Crassin 2011 takes the whole cone. With a half, a third, a sixth and a tenth the mean light between two walls under an
+open sky was 1.37, 1.25, 1.19 and 1.13 times that of paths; axes are drawn at random, so the cone is covered anyway.
+"""
+
+SMOOTH_FOOTPRINT = 0.7
+"""The same for smooth cones, whose axes stay. With 0.35, 0.7 and 1 the mean light that the showroom's metal reflects
+was 1.05, 1.02 and 0.99 times that of paths."""
+
+SMOOTH_STEP = 0.5
+"""Step of smooth cones, in edges of the voxels that they look up."""
+
+TOUCHING = 0.5
+"""Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
+
+SAME_WAY = 0.8
+"""so far that the cosine between their normals is at least this."""
+
+SHORTEST = 1e-3
+"""Least step, in edges of a voxel: one that ends on a border must get into the next voxel."""
+
+ENOUGH = 0.1
+"""Transmittance below which a cone ends."""
+
+
+@dataclass
+class Cone:
+    """What a cone brings (Dr.Jit arrays; a PyTree).
+
+    ``radiance`` (Color3f); ``transmittance`` is what of the cone leaves the grid; ``inverse`` one over the
+    distance at which half of it is stopped, 0 where it never is.
+    """
+
+    radiance: Any
+    transmittance: Any
+    inverse: Any
+
+
+@dataclass
+class _March:
+    distance: Any
+    radiance: Any
+    transmittance: Any
+    inverse: Any
+
+
+def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
+    """Return what travellers along a direction meet in a voxel: tau times radiance and tau, per edge of the voxel.
+
+    Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. ``start`` is the surface that the traveller comes from,
+    its position and normal: only other surfaces count, and only if they lie ahead, for a wall close by from which the
+    traveller moves away does not stop him.
+
+    Departs from Crassin 2011, who blends opacities by ``d_a^2``: with ``|d_a|`` and optical depths a wall stops the
+    same share of light whatever the angle at which it is passed.
+    """
+    size = grid.resolution >> level
+    most = mi.Int32(size) - 1
+    x, y, z = (mi.UInt32(dr.clip(mi.Int32(c), 0, most)) for c in cell)
+    place = dr.gather(mi.UInt32, grid.starts, level) + x + size * (y + size * z)
+    slot = dr.gather(mi.UInt32, grid.row, place) * DIRECTIONS
+    total = mi.Vector4f(0)
+    for axis, component in enumerate(direction):
+        side = dr.select(component >= 0, mi.UInt32(2 * axis), mi.UInt32(2 * axis + 1))
+        value = dr.gather(mi.Vector4f, grid.values, slot + side)
+        plane = dr.gather(mi.Vector4f, grid.planes, slot // 2 + axis)
+        total += value * dr.select(_is_ahead(edge, plane, start, direction), dr.abs(component), 0.0)
+    return total
+
+
+def interpolate(grid: Grid, place: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
+    """Return what `look_up` does, interpolated between the eight voxels around a place, in edges of the voxels."""
+    corner = dr.floor(place - 0.5)
+    part = place - 0.5 - corner
+    total = mi.Vector4f(0)
+    for number in range(8):
+        shift = mi.Vector3f(number & 1, number >> 1 & 1, number >> 2)
+        weights = dr.select(shift > 0.5, part, 1.0 - part)
+        weight = weights.x * weights.y * weights.z
+        total += weight * look_up(grid, corner + shift, level, direction, start, edge)
+    return total
+
+
+def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> Any:
+    origin, own = start
+    normal = mi.Vector3f(plane.x, plane.y, plane.z)
+    height = dr.dot(normal, mi.Vector3f(origin)) - plane.w
+    is_own = (dr.abs(height) < TOUCHING * edge) & (dr.abs(dr.dot(normal, own)) > SAME_WAY)
+    return ~is_own & ~(height * dr.dot(normal, direction) > 0)
+
+
+def trace_cone(
+    grid: Grid,
+    origin: Any,
+    normal: Any,
+    direction: Any,
+    tangent: Any,
+    jitter: tuple[Any, ...],
+    active: Any,
+    smooth: bool = False,
+) -> Cone:
+    """Return what a cone from a surface meets.
+
+    Parameters
+    ----------
+    grid : Grid
+    origin, normal : Point3f, Vector3f
+        Where the cone starts and the normal of the surface itself there, of either sign.
+    direction : Vector3f
+        The cone's axis, unit.
+    tangent : Float
+        Of half its angle.
+    jitter : tuple of four Float
+        In [0, 1): how far the voxels are moved along each axis, and which of two levels is taken between them. Over
+        all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size. A smooth
+        cone takes the first for where in a step it looks.
+    active : Bool
+    smooth : bool
+        Interpolate between voxels and look them up as wide as most of the cone: no noise, for eight times the work.
+    """
+    size = grid.voxel * mi.Float(grid.resolution)
+    relative = mi.Vector3f(origin - grid.lower)
+    offset = mi.Vector3f(*jitter[:3]) - 0.5
+    ends = [
+        dr.select(d > 0, (size - r) / d, dr.select(d < 0, -r / d, dr.inf))
+        for r, d in zip(relative, direction, strict=True)
+    ]
+    end = dr.minimum(dr.minimum(ends[0], ends[1]), ends[2])
+
+    def go_on(march: _March) -> Any:
+        return active & (march.distance < end) & (march.transmittance > ENOUGH)
+
+    speeds = [dr.select(dr.abs(d) > 1e-8, dr.abs(d), 0.0) for d in direction]
+
+    def step(march: _March) -> tuple[_March]:
+        footprint = SMOOTH_FOOTPRINT if smooth else FOOTPRINT
+        width = 2.0 * footprint * march.distance * tangent / grid.voxel
+        level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + jitter[3]))
+        level = dr.minimum(level, grid.levels - 1)
+        edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
+        place = (relative + direction * march.distance) / edge
+        if smooth:
+            share = dr.minimum(SMOOTH_STEP, (end - march.distance) / edge)
+            middle = place + direction * (SMOOTH_STEP * jitter[0])
+            seen = interpolate(grid, middle, level, direction, (origin, normal), edge)
+        else:
+            place += offset
+            cell = dr.floor(place)
+            ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(direction, place, cell, strict=True)]
+            gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
+            length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
+            share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
+            seen = look_up(grid, cell, level, direction, (origin, normal), edge)
+
+        # Where half of the cone is stopped is how far away it sees.
+        before, after = march.transmittance, march.transmittance * dr.exp(-seen.w * share)
+        part = dr.log(dr.maximum(2.0 * before, 1.0)) / dr.maximum(seen.w, 1e-6)
+        passes = (before > 0.5) & (after <= 0.5)
+        march.inverse = dr.select(passes, dr.rcp(march.distance + edge * part), march.inverse)
+        march.radiance += mi.Color3f(seen.x, seen.y, seen.z) * dr.select(seen.w > 0, (before - after) / seen.w, 0.0)
+        march.transmittance = after
+        march.distance += edge * share
+        return (march,)
+
+    start = _March(distance=mi.Float(0), radiance=mi.Color3f(0), transmittance=mi.Float(1), inverse=mi.Float(0))
+    march = dr.while_loop((start,), go_on, step, label="cone")[0]
+    # What is left when a cone ends early counts as met.
+    whole = dr.select(march.transmittance > ENOUGH, 1.0, dr.rcp(1.0 - march.transmittance))
+    left = dr.select(march.transmittance > ENOUGH, march.transmittance, 0.0)
+    return Cone(radiance=march.radiance * whole, transmittance=left, inverse=march.inverse)
+
+
+def draw_jitter(rng: Any) -> tuple[Any, ...]:
+    """Return the random numbers of one cone."""
+    return tuple(rng.next_float32() for _ in range(4))
+
+
+def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
+    """Return the axis of a diffuse cone, drawn from its share of the hemisphere.
+
+    Departs from the fixed set of one cone along the normal and five at 60 degrees from it (Crassin 2011): axes are
+    drawn from six parts of the hemisphere of equal cosine-weighted solid angle, a cap and five sectors of the rest,
+    so that over pixels and frames every direction counts as the cosine says.
+
+    Parameters
+    ----------
+    normal : Vector3f
+    number : UInt32
+        Of the cone, 0 to 5.
+    turn : Float
+        Of all six about the normal, in [0, 1).
+    point : Point2f
+        In the unit square.
+    """
+    central = number == 0
+    square = dr.select(central, point.x / DIFFUSE_CONES, (1.0 + (DIFFUSE_CONES - 1.0) * point.x) / DIFFUSE_CONES)
+    sector = (mi.Float(number) - 1.0 + point.y) / (DIFFUSE_CONES - 1.0)
+    angle = 2.0 * dr.pi * (turn + dr.select(central, point.y, sector))
+    radius = dr.sqrt(square)
+    sine, cosine = dr.sincos(angle)
+    local = mi.Vector3f(radius * cosine, radius * sine, dr.safe_sqrt(1.0 - square))
+    return mi.Frame3f(normal).to_world(local)
+
+
+def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any, active: Any) -> Any:
+    """Return the mean of the radiance that falls on a diffuse surface, weighted by the cosine to a normal (Color3f).
+
+    ``normal`` is that of the surface itself, of either sign; the cones lie about ``shading``, the one that light sees.
+    """
+    turn = rng.next_float32()
+
+    def go_on(number: Any, total: Any, rng: Any) -> Any:
+        return number < DIFFUSE_CONES
+
+    def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any, Any]:
+        point = mi.Point2f(rng.next_float32(), rng.next_float32())
+        axis = find_diffuse_axis(shading, number, turn, point)
+        cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), draw_jitter(rng), active)
+        return number + 1, total + cone.radiance, rng
+
+    _, total, _ = dr.while_loop((mi.UInt32(0), mi.Color3f(0), rng), go_on, take, label="diffuse cones")
+    return total / DIFFUSE_CONES
+
+
+def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v: Any) -> tuple[Any, Any]:
+    """Return the axis of a reflection lobe and the tangent of half the angle of the cone that stands for it.
+
+    Source: Tokuyoshi's public shaders for the dominant visible normal ``m`` of GGX, about which the lobe is reflected,
+    and its sharpness ``l = (2/a^2 - 2) m.n / (4 v.m)``; a cone as large as a spherical Gaussian of sharpness ``l`` has
+    ``cos(half) = 1 - 1/l``. The float64 forms are in `lobewise.lobes.brdf`.
+    Departs: two alphas count as their geometric mean in the sharpness, and no cone is wider than a diffuse one.
+    """
+    across = dr.cross(normal, tangent)
+    local = mi.Vector3f(dr.dot(view, tangent), dr.dot(view, across), dr.maximum(dr.dot(view, normal), 1e-3))
+    product = alpha_u * alpha_v
+    scale = dr.minimum(1.0, 0.7 + 0.6 * dr.sqrt(product))
+    x, y = scale * dr.square(alpha_u) * local.x, scale * dr.square(alpha_v) * local.y
+    z = dr.sqrt(x * local.x + y * local.y + dr.square(local.z)) + local.z
+    m = dr.normalize(mi.Vector3f(x, y, z))
+    cosine = dr.maximum(dr.dot(m, local), 0.1)
+    sharpness = 2.0 * (1.0 - product) / dr.maximum(product, 1e-8) * m.z / (4.0 * cosine)
+    half = 1.0 - dr.rcp(dr.maximum(sharpness, 1.0))
+    tan_half = dr.safe_sqrt(1.0 - dr.square(half)) / dr.maximum(half, 0.1)
+    # The mirror image about m may lie below the surface; there is nothing to be seen there.
+    mirrored = m * (2.0 * dr.dot(m, local)) - local
+    mirrored.z = dr.maximum(mirrored.z, 0.02)
+    axis = dr.normalize(tangent * mirrored.x + across * mirrored.y + normal * mirrored.z)
+    return axis, dr.clip(tan_half, SHARPEST_TAN, DIFFUSE_TAN)

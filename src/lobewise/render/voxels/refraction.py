@@ -1,0 +1,95 @@
+"""Light through glass: rays go where the voxels cannot tell, up to the first surface that is not clear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lobewise.render.bridge import dr, mi
+from lobewise.render.materials.probe import make_context
+
+MOST_BOUNDARIES = 4
+"""How many clear surfaces a ray crosses, one after the other."""
+
+
+@dataclass
+class Crossing:
+    """Where a ray goes on behind clear surfaces (Dr.Jit arrays; a PyTree).
+
+    ``first`` is what the first surface lets through, in [0, 1] (Color3f); ``weight`` what all of them do to radiance.
+    ``emitted`` is what shines at the end of the ray, seen through at least two surfaces (Color3f), for light seen
+    through one was scattered only once. ``active`` tells whether anything goes through.
+    """
+
+    ray: Any
+    first: Any
+    weight: Any
+    emitted: Any
+    active: Any
+
+
+@dataclass
+class _State:
+    ray: Any
+    si: Any
+    weight: Any
+    count: Any
+    rng: Any
+    active: Any
+    going: Any
+
+
+def _bends(flags: Any) -> Any:
+    bent = mi.BSDFFlags.DiffuseTransmission, mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DeltaTransmission
+    return mi.has_flag(flags, bent[0]) | mi.has_flag(flags, bent[1]) | mi.has_flag(flags, bent[2])
+
+
+def can_refract(scene: Any) -> bool:
+    """Return whether any surface of a scene lets light through other than straight."""
+    found = [shape.bsdf() for shape in scene.shapes()]
+    return any(bsdf is not None and bool(_bends(bsdf.flags())) for bsdf in found)
+
+
+def refract(bsdf: Any, si: Any, rng: Any, active: Any) -> tuple[Any, Any]:
+    """Return one sample of what a surface lets through bent, and its weight (Color3f), 0 where it lets through nothing.
+
+    What passes straight, as through a mask, is left to the surface's opacity.
+    """
+    point = mi.Point2f(rng.next_float32(), rng.next_float32())
+    chosen, weight = bsdf.sample(make_context(mi.BSDFFlags.Transmission), si, rng.next_float32(), point, active)
+    return chosen, dr.select(_bends(chosen.sampled_type), weight, 0.0)
+
+
+def cross_glass(scene: Any, si: Any, rng: Any, active: Any) -> Crossing:
+    """Return where a ray goes on that enters at hits ``si``.
+
+    Light that is reflected on its way inside is lost.
+    """
+    chosen, first = refract(si.bsdf(), si, rng, active)
+    going = active & (dr.max(first) > 0)
+
+    def go_on(state: _State) -> Any:
+        return state.going
+
+    def cross(state: _State) -> tuple[_State]:
+        state.si = scene.ray_intersect(state.ray, state.going)
+        bsdf = state.si.bsdf()
+        clear = state.going & state.si.is_valid() & _bends(bsdf.flags()) & (state.count < MOST_BOUNDARIES)
+        chosen, weight = refract(bsdf, state.si, state.rng, clear)
+        state.ray = dr.select(clear, state.si.spawn_ray(state.si.to_world(chosen.wo)), state.ray)
+        state.weight = dr.select(clear, state.weight * weight, state.weight)
+        state.count += dr.select(clear, mi.UInt32(1), 0)
+        state.going = clear & (dr.max(state.weight) > 0)
+        return (state,)
+
+    ray = si.spawn_ray(si.to_world(chosen.wo))
+    start = _State(ray, dr.zeros(mi.SurfaceInteraction3f), mi.Color3f(first), mi.UInt32(1), rng, mi.Bool(active), going)
+    end = dr.while_loop((start,), go_on, cross, label="boundaries")[0]
+    shines = going & (end.count >= 2)
+    return Crossing(
+        ray=end.ray,
+        first=dr.clip(first * dr.square(chosen.eta), 0.0, 1.0),
+        weight=end.weight,
+        emitted=dr.select(shines, end.si.emitter(scene).eval(end.si, shines), 0.0),
+        active=going & (dr.max(end.weight) > 0),
+    )

@@ -1,0 +1,103 @@
+"""``brushed``: brushed metals, whose lobes are long and narrow, over a rippled glossy floor, whose normals vary.
+
+The brushing runs around the lathe-turned shapes and along the panels, so that alpha_u and the tangent matter.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.scenes.build import (
+    Item,
+    Vector,
+    make_box,
+    make_camera,
+    make_checkerboard,
+    make_diffuse,
+    make_light,
+    make_metal,
+    make_rectangle,
+    make_sphere,
+    make_texture,
+)
+
+
+def make_floor_normals(resolution: int = 1024) -> NDArray[np.float64]:
+    """Return a tangent-space normal map, (rows, columns, 3) in [0, 1]: square tiles, each rippled in its own way."""
+    tiles = 10
+    x, y = np.meshgrid(*2 * [(np.arange(resolution) + 0.5) / resolution * tiles])
+    column, row = x.astype(int), y.astype(int)
+    generator = np.random.default_rng(7)
+    turn = generator.uniform(0.0, np.pi, (tiles, tiles))[row, column]
+    waves = generator.uniform(1.5, 4.0, (tiles, tiles))[row, column]
+    steepness = generator.choice([0.0, 0.04, 0.09], (tiles, tiles))[row, column]
+    u, v = x - column - 0.5, y - row - 0.5
+    phase = 2.0 * np.pi * waves * (np.cos(turn) * u + np.sin(turn) * v)
+    slope_x = steepness * np.cos(turn) * np.cos(phase)
+    slope_y = steepness * np.sin(turn) * np.cos(phase)
+    # A bevel turns the last twentieth of a tile down to the joint.
+    slope_x += 0.3 * np.sign(u) * (np.abs(u) > 0.47)
+    slope_y += 0.3 * np.sign(v) * (np.abs(v) > 0.47)
+    normal = np.stack([slope_x, slope_y, np.ones_like(slope_x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return 0.5 * normal + 0.5
+
+
+def make_cylinder(bottom: Vector, height: float, radius: float, bsdf: Item) -> Item:
+    """Return an upright open cylinder."""
+    top = [bottom[0], bottom[1] + height, bottom[2]]
+    return {"type": "cylinder", "p0": list(bottom), "p1": top, "radius": radius, "bsdf": bsdf}
+
+
+def make_disk(center: Vector, radius: float, bsdf: Item) -> Item:
+    """Return a disc that faces up."""
+    transform = ("translate", list(center)), ("rotate", [1, 0, 0], -90), ("scale", radius)
+    return {"type": "disk", "to_world": transform, "bsdf": bsdf}
+
+
+def make_scene(width: int, height: int) -> dict[str, Any]:
+    """Return the scene as a description."""
+    lacquer = {
+        "type": "principled",
+        "base_color": {"type": "rgb", "value": [0.06, 0.10, 0.16]},
+        "roughness": 0.24,
+        "specular": 1.0,
+    }
+    floor = {
+        "type": "twosided",
+        "inner": {
+            "type": "normalmap",
+            "normalmap": make_texture(make_floor_normals()),
+            "inner": lacquer,
+        },
+    }
+    steel = make_metal("aluminium", 0.35, 0.06)
+    checks = make_checkerboard((0.90, 0.88, 0.82), (0.75, 0.10, 0.06), (6, 3))
+    return {
+        "type": "scene",
+        "sensor": make_camera((0.0, 2.9, 7.3), (0.0, 0.85, 0.0), 42.0, width, height),
+        "integrator": {"type": "path", "max_depth": 8},
+        "floor": make_rectangle((0, 0, 1), (0, 1, 1), (5, 5), {"bsdf": floor}, up=(0, 0, -1)),
+        "back": make_rectangle((0, 2.5, -4), (0, 2.5, 0), (5, 2.5), {"bsdf": make_diffuse((0.34, 0.38, 0.46))}),
+        "front": make_rectangle((0, 2.5, 8), (0, 2.5, 0), (5, 2.5), {"bsdf": make_diffuse((0.40, 0.40, 0.42))}),
+        "left": make_rectangle((-5, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse((0.62, 0.38, 0.12))}),
+        "right": make_rectangle((5, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse((0.16, 0.22, 0.55))}),
+        "ceiling": make_rectangle(
+            (0, 5, 2), (0, 0, 2), (5, 6), {"bsdf": make_diffuse((0.55, 0.55, 0.55))}, up=(0, 0, -1)
+        ),
+        "lamp": make_light((-1.6, 4.95, 1.2), (-1.6, 0, 1.2), (0.5, 1.6), (30.0, 27.5, 24.0)),
+        "strip": make_light((2.4, 4.95, -0.6), (2.4, 0, -0.6), (1.4, 0.18), (34.0, 37.0, 44.0)),
+        "panel": make_rectangle((0, 1.7, -3.7), (0, 1.7, 0), (3.6, 1.5), {"bsdf": steel}),
+        "drum": make_cylinder((-1.7, 0.0, -0.4), 1.5, 0.8, make_metal("copper", 0.05, 0.30)),
+        "drum_lid": make_disk((-1.7, 1.5, -0.4), 0.8, make_metal("copper", 0.30, 0.05)),
+        "globe": make_sphere((0.35, 1.0, -1.2), 1.0, make_metal("silver", 0.06, 0.40)),
+        "ball": make_sphere((2.0, 0.75, 0.2), 0.75, make_metal("gold", 0.45, 0.08)),
+        "tin": make_cylinder((-0.35, 0.0, 1.5), 0.62, 0.36, make_metal("aluminium", 0.04, 0.22)),
+        "tin_lid": make_disk((-0.35, 0.62, 1.5), 0.36, make_metal("aluminium", 0.22, 0.04)),
+        "block": make_box((3.3, 0.6, -1.7), (0.5, 0.6, 0.5), make_diffuse(checks), 28),
+        "apple": make_sphere((0.75, 0.27, 1.9), 0.27, make_diffuse((0.25, 0.62, 0.12))),
+        "post": make_box((-3.4, 0.8, -1.8), (0.35, 0.8, 0.35), make_diffuse((0.85, 0.55, 0.06)), 15),
+    }

@@ -1,0 +1,233 @@
+"""Pieces that the built-in scenes share, as `lobewise.render.loading.build_scene` takes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = tuple[float, float, float]
+Item = dict[str, Any]
+
+IOR_OF_METALS = {
+    # Complex index of refraction at 630, 532 and 465 nm, rounded from Johnson and Christy 1972 (Cu, Ag, Au) and
+    # Rakic 1995 (Al).
+    "gold": ((0.19, 0.54, 1.33), (3.09, 2.23, 1.88)),
+    "copper": ((0.27, 1.12, 1.16), (3.41, 2.59, 2.40)),
+    "silver": ((0.06, 0.06, 0.04), (4.13, 3.37, 2.66)),
+    "aluminium": ((1.39, 0.92, 0.65), (7.65, 6.48, 5.63)),
+}
+
+
+def find_swing(time: float, frames: float) -> float:
+    """Return the time that runs from 0 to ``frames`` and back, for ever."""
+    return frames - abs(time % (2.0 * frames) - frames)
+
+
+def make_rgb(color: Vector) -> Item:
+    """Return a colour in linear sRGB."""
+    return {"type": "rgb", "value": list(color)}
+
+
+def make_camera(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
+    """Return a perspective sensor with a box filter, ``fov_x`` degrees wide on a square image."""
+    return {
+        "type": "perspective",
+        "fov": fov_x,
+        "fov_axis": "smaller",
+        "near_clip": 0.01,
+        "far_clip": 1000.0,
+        "to_world": (("look_at", list(origin), list(target), [0, 1, 0]),),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgb",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "independent"},
+    }
+
+
+def make_box(center: Vector, half_size: Vector, bsdf: Item, turn: float = 0.0) -> Item:
+    """Return a box of half size ``half_size``, turned by ``turn`` degrees about the vertical."""
+    transform = ("translate", list(center)), ("rotate", [0, 1, 0], turn), ("scale", list(half_size))
+    return {"type": "cube", "to_world": transform, "bsdf": bsdf}
+
+
+def make_sphere(center: Vector, radius: float, bsdf: Item) -> Item:
+    """Return a sphere whose poles are above and below, so that textures and brushing run round it."""
+    transform = ("translate", list(center)), ("rotate", [1, 0, 0], -90), ("scale", radius)
+    return {"type": "sphere", "to_world": transform, "bsdf": bsdf}
+
+
+def make_rectangle(
+    center: Vector, toward: Vector, half_size: tuple[float, float], content: Item, up: Vector = (0, 1, 0)
+) -> Item:
+    """Return a rectangle at ``center`` that faces the point ``toward``; ``content`` is merged into it."""
+    transform = ("look_at", list(center), list(toward), list(up)), ("scale", [half_size[0], half_size[1], 1.0])
+    return {"type": "rectangle", "to_world": transform, **content}
+
+
+def make_light(
+    center: Vector, toward: Vector, half_size: tuple[float, float], radiance: Vector, up: Vector = (0, 0, 1)
+) -> Item:
+    """Return a rectangular area light that shines toward a point."""
+    return make_rectangle(
+        center, toward, half_size, {"emitter": {"type": "area", "radiance": make_rgb(radiance)}}, up=up
+    )
+
+
+def make_diffuse(color: Vector | Item) -> Item:
+    """Return a two-sided diffuse material, of one colour or a texture."""
+    reflectance = color if isinstance(color, dict) else make_rgb(color)
+    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": reflectance}}
+
+
+def make_metal(name: str, alpha: float | Item, alpha_v: float | Item | None = None) -> Item:
+    """Return a GGX metal of `IOR_OF_METALS`, two-sided, isotropic unless ``alpha_v`` is given."""
+    eta, k = IOR_OF_METALS[name]
+    inner: Item = {"type": "roughconductor", "distribution": "ggx", "eta": make_rgb(eta), "k": make_rgb(k)}
+    inner.update({"alpha": alpha} if alpha_v is None else {"alpha_u": alpha, "alpha_v": alpha_v})
+    return {"type": "twosided", "inner": inner}
+
+
+def make_plastic(color: Vector | Item, alpha: float, *, ior: float = 1.5) -> Item:
+    """Return a GGX rough plastic, two-sided."""
+    reflectance = color if isinstance(color, dict) else make_rgb(color)
+    inner = {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": alpha,
+        "int_ior": ior,
+        "diffuse_reflectance": reflectance,
+        "nonlinear": True,
+    }
+    return {"type": "twosided", "inner": inner}
+
+
+def make_checkerboard(first: Vector, second: Vector, repeats: tuple[float, float]) -> Item:
+    """Return a checkerboard of two colours."""
+    return {
+        "type": "checkerboard",
+        "color0": make_rgb(first),
+        "color1": make_rgb(second),
+        "to_uv": (("scale", [repeats[0], repeats[1], 1.0]),),
+    }
+
+
+def make_texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilinear", raw: bool = True) -> Item:
+    """Return a texture of an array (rows, columns) or (rows, columns, channels), row 0 at v = 1."""
+    data = np.ascontiguousarray(values, dtype=np.float32)
+    if data.ndim == 2:
+        data = data[..., None]
+    return {
+        "type": "bitmap",
+        "bitmap": data,
+        "raw": raw,
+        "filter_type": filter_type,
+        "wrap_mode": "clamp",
+    }
+
+
+def make_principled(color: Vector | Item, **parameters: float | Item) -> Item:
+    """Return a principled material, two-sided; ``parameters`` are the plugin's own (``roughness`` squared is alpha)."""
+    base = color if isinstance(color, dict) else make_rgb(color)
+    return {"type": "twosided", "inner": {"type": "principled", "base_color": base, **parameters}}
+
+
+def make_mirror(reflectance: Vector) -> Item:
+    """Return a perfectly smooth mirror, two-sided."""
+    inner = {"type": "conductor", "material": "none", "specular_reflectance": make_rgb(reflectance)}
+    return {"type": "twosided", "inner": inner}
+
+
+def make_lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segments: int = 96) -> Item:
+    """Return a smooth upright body of revolution as a mesh.
+
+    Parameters
+    ----------
+    profile : (points, 2)
+        Radius and height above ``center`` of the outline. Going upward it turns its outside to the right; one that
+        closes a body of glass ends where it begins, or on the axis.
+    segments : int
+        Facets around the axis.
+
+    Notes
+    -----
+    ``u`` runs once around, ``v`` along the outline by its length. Normals are those of the outline as a smooth curve:
+    where it is to have an edge, a point stands twice. On the axis the body has no tip.
+    """
+    radius, height = np.asarray(profile, dtype=np.float64).T
+    rows = len(radius)
+    step = np.stack([np.diff(radius), np.diff(height)], axis=-1)
+    length = np.linalg.norm(step, axis=-1)
+    step = np.divide(step, length[:, None], out=np.zeros_like(step), where=length[:, None] > 0)
+    slope = np.zeros((rows, 2))
+    slope[:-1] += step
+    slope[1:] += step
+    slope[radius == 0, 1] = 0.0  # what crosses the axis is level there
+    slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12)
+    along = np.concatenate([[0.0], np.cumsum(length)]) / length.sum()
+    angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
+    around = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], axis=-1)
+    up = np.array([0.0, 1.0, 0.0])
+    position = radius[:, None, None] * around + height[:, None, None] * up + np.array(center)
+    normal = slope[:, 1, None, None] * around - slope[:, 0, None, None] * up
+    uv = np.stack(np.broadcast_arrays(np.linspace(0.0, 1.0, segments + 1), along[:, None]), axis=-1)
+    corner = np.arange(rows - 1)[:, None] * (segments + 1) + np.arange(segments)
+    right, above = corner + 1, corner + segments + 1
+    # Two facets a cell, counterclockwise from outside; on the axis and at an edge some have no area.
+    first = np.stack([corner, right, above], axis=-1)[(length > 0) & (radius[:-1] > 0)]
+    second = np.stack([right, above + 1, above], axis=-1)[(length > 0) & (radius[1:] > 0)]
+    faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+    return {
+        "type": "mesh",
+        "vertices": position.astype(np.float32).reshape(-1, 3),
+        "normals": normal.astype(np.float32).reshape(-1, 3),
+        "uv": uv.astype(np.float32).reshape(-1, 2),
+        "faces": faces.astype(np.uint32),
+        "bsdf": bsdf,
+    }
+
+
+def make_curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np.float64]:
+    """Return a smooth curve through points of the plane, ``steps`` pieces between two of them.
+
+    Source: the cubic with tangents from neighbours, Catmull and Rom 1974, "A class of local interpolating splines".
+    """
+    knots = np.array(points, dtype=np.float64)
+    padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
+    t = np.arange(steps)[:, None] / steps
+    pieces = []
+    for a, b, c, d in zip(padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True):
+        pieces.append(b + 0.5 * t * (c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))))
+    curve: NDArray[np.float64] = np.concatenate([*pieces, knots[-1:]])
+    curve[:, 0] = np.maximum(curve[:, 0], 0.0)  # a spline may swing across the axis
+    return curve
+
+
+def make_blend(first: Item, second: Item, weight: float | Item) -> Item:
+    """Return two two-sided materials in one, ``weight`` (a number or a texture) of which is the second."""
+    blend = {"type": "blendbsdf", "weight": weight, "first": first["inner"], "second": second["inner"]}
+    return {"type": "twosided", "inner": blend}
+
+
+def make_normal_map(normals: NDArray[np.floating[Any]], bsdf: Item) -> Item:
+    """Return a two-sided material under a normal map, (rows, columns, 3) in [0, 1]."""
+    inner = {"type": "normalmap", "normalmap": make_texture(normals), "inner": bsdf["inner"]}
+    return {"type": "twosided", "inner": inner}
+
+
+def make_bump_map(heights: NDArray[np.floating[Any]], scale: float, bsdf: Item) -> Item:
+    """Return a two-sided material under a bump map of heights (rows, columns), ``scale`` units of length each."""
+    inner = {"type": "bumpmap", "heights": make_texture(heights), "scale": scale, "inner": bsdf["inner"]}
+    return {"type": "twosided", "inner": inner}
+
+
+def encode_normals(slope_x: NDArray[np.floating[Any]], slope_y: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return the normal map, (rows, columns, 3) in [0, 1], of normals (slope_x, slope_y, 1)."""
+    normal = np.stack([slope_x, slope_y, np.ones_like(slope_x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.asarray(0.5 * normal + 0.5, dtype=np.float64)

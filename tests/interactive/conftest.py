@@ -1,0 +1,3 @@
+"""Fixtures of the rendering tests."""
+
+from tests.render.conftest import make_furnace  # noqa: F401 - a fixture
