@@ -12,20 +12,14 @@ import numpy as np
 import pytest
 
 from lobewise.backend.devices import list_devices
-from lobewise.backend.targets import parse_target
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
-from lobewise.exporting.ahead_of_time import (
-    OUTPUT_CHANNELS,
-    FilterPlan,
-    list_filter_arguments,
-    list_lobe_arguments,
-)
-from lobewise.exporting.arguments import MEANINGS
 from lobewise.exporting.example import LARGEST_DIFFERENCE, choose_bound
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.native import export_library
+from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import make_sample
+from lobewise.exporting.targets import parse_target
 from lobewise.lobes.mixture_field import build_mixture_field
 
 WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
@@ -202,17 +196,17 @@ def test_padded_rows_and_four_channels_change_nothing(quick: Path, compiler: str
 
 def test_folder_says_what_is_there(quick: Path) -> None:
     readme, header = (quick / "README.md").read_text(), (quick / "quick.h").read_text()
-    arguments = [*list_filter_arguments(QUICK), *list_lobe_arguments(QUICK)]
+    arguments = [*QUICK.filter_arguments, *QUICK.lobe_arguments]
     for argument in arguments:
         assert f"| `{argument.name}` |" in readme
         assert re.search(rf"(\*|float ){argument.name}[,)]", header)
-        assert MEANINGS[argument.name].text in readme
+        assert argument.text in readme
     assert re.search(r"\{\w*\}", readme) is None
     for word in re.findall(r"^\| `([^`*]+)`", readme.split("## Build")[0], flags=re.M):
         assert (quick / word).exists(), word
     told = json.loads((quick / "lobewise-export.json").read_text())
     assert [each["name"] for each in told["functions"]["quick_filter"]] == [
-        argument.name for argument in list_filter_arguments(QUICK)
+        argument.name for argument in QUICK.filter_arguments
     ]
     sample = make_sample(QUICK)
     numbers = re.findall(r"^        ([\d.e+-]+)f,? /\* (\w+) \*/$", (quick / "example.c").read_text(), flags=re.M)
@@ -277,7 +271,7 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
 
 def test_mixture_kernel_is_the_mixture_field() -> None:
     from lobewise.backend.pointwise import run_pointwise
-    from lobewise.exporting.ahead_of_time import define_mixture
+    from lobewise.exporting.lobes import define_mixture
     from lobewise.frame import GBuffer
     from lobewise.io import read_frame
 
@@ -446,9 +440,7 @@ def test_arguments_of_every_plan_are_described() -> None:
     for similarity in ("normal", "diffuse", "sg", "sg_mixture", "asg", "ggx"):
         for anisotropic in (False, True) if similarity in ("asg", "ggx") else (False,):
             plan = FilterPlan(similarity, anisotropic=anisotropic)
-            arguments = [*list_filter_arguments(plan), *list_lobe_arguments(plan)]
-            assert {argument.name for argument in arguments} <= set(MEANINGS)
-            assert list_filter_arguments(plan)[-1].channels == OUTPUT_CHANNELS
-            made = {argument.name for argument in list_lobe_arguments(plan) if argument.role == "output"}
-            needed = {argument.name for argument in list_filter_arguments(plan)}
+            assert plan.filter_arguments[-1].channels == 5
+            made = {argument.name for argument in plan.lobe_arguments if argument.role == "output"}
+            needed = {argument.name for argument in plan.filter_arguments}
             assert made <= needed

@@ -117,7 +117,7 @@ class _Key:
 
 def _make(key: _Key, target: hl.Target) -> Scheduled:
     """Return the scheduled functions of a definition."""
-    signature = Signature(key.define.__name__.removeprefix("_define_"))
+    signature = Signature(key.define.__name__.lstrip("_").removeprefix("define_"))
     size = ("height", "width")
     images: dict[str, tuple[hl.ImageParam, int]] = {}
     for name, channels, truth in key.images:
@@ -135,10 +135,10 @@ def _make(key: _Key, target: hl.Target) -> Scheduled:
     for number, values in enumerate(outputs):
         axes = size if len(values) == 1 else (*size, len(values))
         signature.output(f"out{number}", *axes, type=hl.UInt(8) if values[0].type().is_uint() else None)
-    return Scheduled(_schedule(grid, outputs, target.natural_vector_size(hl.Float(32))), signature)
+    return Scheduled(schedule_rows(grid, outputs, target.natural_vector_size(hl.Float(32))), signature)
 
 
-def _schedule(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
+def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
     """Return the output functions: rows in parallel; all outputs of a row from values that are computed once.
 
     The values of a row lie in cache, one plane each, and are interleaved as they are written.

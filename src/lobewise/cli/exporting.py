@@ -86,8 +86,8 @@ def export(
         print_line(f"Wrote {output}: lobewise.{target}, README.md.")
         return
 
-    from lobewise.exporting.ahead_of_time import FilterPlan
     from lobewise.exporting.native import export_library
+    from lobewise.exporting.plan import FilterPlan
 
     command = export_library(output, FilterPlan(**given), target=target, name=name or "lobewise", force=force)
     print_line(f"Wrote {output}; README.md says what is there. In that folder: {command}")

@@ -1,82 +1,119 @@
-"""What the arguments of an exported function mean, said once for header and README."""
+"""What the arguments of an exported function are, said once for compiler, header, example and README."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from lobewise.exporting.ahead_of_time import Argument
+PLANAR = 0
+"""Channels of an image without an axis for them, (width, height)."""
 
 
 @dataclass(frozen=True)
-class Meaning:
-    """What an argument is."""
+class Argument:
+    """An argument of a compiled function."""
 
+    name: str
     text: str
+    """What it is."""
     unit: str = ""
     recipe: str = ""
     """Of a number: what the Python recipe takes."""
+    channels: int = PLANAR
+    type: str = "float32"
+    role: str = "input"
+    """"input", "output" or "number" (a float)."""
+
+    @property
+    def planar(self) -> bool:
+        """Whether it is an image without an axis for channels."""
+        return self.channels == PLANAR
+
+    @property
+    def extents(self) -> str:
+        """The extents of an image, fastest first, as the buffers have them."""
+        return "(width, height)" if self.planar else f"({self.channels}, width, height)"
 
 
-MEANINGS = {
-    "radiance": Meaning(
+def _number(name: str, text: str, unit: str, recipe: str) -> Argument:
+    return Argument(name, text, unit, recipe, role="number")
+
+
+_ARGUMENTS = (
+    Argument(
+        "radiance",
         "noisy linear radiance; a pixel with a negative, infinite or NaN channel has no weight and is filled from its "
         "neighbours",
         "any",
+        channels=3,
     ),
-    "albedo": Meaning(
+    Argument(
+        "albedo",
         "directional albedo of the lobe: divides the radiance on the way in, multiplies the result; a pixel whose "
         "channels are all 0.001 or less has no weight",
         "0 to 1",
+        channels=3,
     ),
-    "mask": Meaning("1 where a pixel gives and takes, 0 where it has no surface or no lobe; there the output is 0"),
-    "position": Meaning("world position of the surface", "world units"),
-    "depth": Meaning("distance of that position from the camera; 0 where there is no surface", "world units"),
-    "normal": Meaning("shading normal in world space; the filter wants unit length, the lobes any"),
-    "alpha": Meaning("microfacet roughness of GGX, the square of perceptual roughness; 0 is a mirror", "0 to 1"),
-    "alpha_u": Meaning("microfacet roughness of GGX along the tangent; 0 is a mirror", "0 to 1"),
-    "alpha_v": Meaning("the same across the tangent", "0 to 1"),
-    "tangent": Meaning("tangent in world space, any length; 0 where a surface has none"),
-    "axis": Meaning("unit axis of the reflection lobe, in world space, away from the surface"),
-    "sharpness": Meaning("sharpness of the spherical Gaussian, band-limited, above 0", "1/rad^2"),
-    "amplitude": Meaning("value at the axis, 0 for a lobe that is absent", "1/sr, any scale"),
-    "covariance": Meaning("covariance of the lobe across its axis: xx, xy, xz, yy, yz, zz", "rad^2"),
-    "determinant": Meaning("product of the two principal variances, above 0", "rad^4"),
-    "screen_sigma": Meaning(
+    Argument(
+        "mask",
+        "1 where a pixel gives and takes, 0 where it has no surface or no lobe; there the output is 0",
+        type="uint8",
+    ),
+    Argument("position", "world position of the surface", "world units", channels=3),
+    Argument("depth", "distance of that position from the camera; 0 where there is no surface", "world units"),
+    Argument("normal", "shading normal in world space; the filter wants unit length, the lobes any", channels=3),
+    Argument("alpha", "microfacet roughness of GGX, the square of perceptual roughness; 0 is a mirror", "0 to 1"),
+    Argument("alpha_u", "microfacet roughness of GGX along the tangent; 0 is a mirror", "0 to 1"),
+    Argument("alpha_v", "the same across the tangent", "0 to 1"),
+    Argument("tangent", "tangent in world space, any length; 0 where a surface has none", channels=3),
+    Argument("axis", "unit axis of the reflection lobe, in world space, away from the surface", channels=3),
+    Argument("sharpness", "sharpness of the spherical Gaussian, band-limited, above 0", "1/rad^2"),
+    Argument("amplitude", "value at the axis, 0 for a lobe that is absent", "1/sr, any scale"),
+    Argument("covariance", "covariance of the lobe across its axis: xx, xy, xz, yy, yz, zz", "rad^2", channels=6),
+    Argument("determinant", "product of the two principal variances, above 0", "rad^4"),
+    _number(
+        "screen_sigma",
         "standard deviation of the Gaussian over the distance on the screen",
         "pixels",
         "radius * min(1, 0.6 (8 / spp)^(1/4)), at least 0.5",
     ),
-    "position_sigma": Meaning(
+    _number(
+        "position_sigma",
         "standard deviation of the Gaussian over the distance in the scene, in what a pixel covers there",
         "footprints",
         "16",
     ),
-    "pixel_angle": Meaning(
-        "angle of a pixel: depth times it is the footprint", "rad", "2 tan(fov_y / 2) / height of the whole image"
+    _number(
+        "pixel_angle",
+        "angle of a pixel: depth times it is the footprint",
+        "rad",
+        "2 tan(fov_y / 2) / height of the whole image",
     ),
-    "normal_exponent": Meaning("sharpness e of exp(-e (1 - n_i . n_j))", "1/rad^2", "64"),
-    "beta": Meaning(
-        "exponent of the lobe similarity; larger keeps more detail and more noise", "", "2.5 spp^(1/3), from 1 to 64"
+    _number("normal_exponent", "sharpness e of exp(-e (1 - n_i . n_j))", "1/rad^2", "64"),
+    _number(
+        "beta",
+        "exponent of the lobe similarity; larger keeps more detail and more noise",
+        "",
+        "2.5 spp^(1/3), from 1 to 64",
     ),
-    "eye_x": Meaning("position of the camera, x", "world units", "camera.position"),
-    "eye_y": Meaning("position of the camera, y", "world units", "camera.position"),
-    "eye_z": Meaning("position of the camera, z", "world units", "camera.position"),
-    "tau": Meaning(
+    *(_number(f"eye_{axis}", f"position of the camera, {axis}", "world units", "camera.position") for axis in "xyz"),
+    _number(
+        "tau",
         "band-limit: its square is added to the variance of every lobe, which makes a mirror's finite",
         "rad",
         "0.03 sqrt(4 / spp), at least sqrt(pixel_angle^2 + 0.002^2)",
     ),
-    "output": Meaning(
-        "filtered red, green, blue; the sum of the weights; the effective number of samples (sum w)^2 / sum w^2"
+    Argument(
+        "output",
+        "filtered red, green, blue; the sum of the weights; the effective number of samples (sum w)^2 / sum w^2",
+        channels=5,
+        role="output",
     ),
-}
+)
+_BY_NAME = {argument.name: argument for argument in _ARGUMENTS}
 
 
-def describe_shape(argument: Argument) -> str:
-    """Return the extents of an image, fastest first, as the buffers have them."""
-    return "(width, height)" if argument.planar else f"({argument.channels}, width, height)"
-
-
-def get_meaning(argument: Argument) -> Meaning:
-    """Return what an argument is."""
-    return MEANINGS[argument.name]
+def list_arguments(*names: str, lobes: int = PLANAR, role: str = "") -> list[Argument]:
+    """Return arguments by their names; a mixture has so many ``lobes``; ``role`` is another than their usual one."""
+    found = [_BY_NAME[name] for name in names]
+    found = [replace(each, channels=lobes) if each.name in ("sharpness", "amplitude") else each for each in found]
+    return [replace(each, role=role) for each in found] if role else found

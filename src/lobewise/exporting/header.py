@@ -5,45 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from lobewise.exporting.ahead_of_time import Argument
-from lobewise.exporting.arguments import describe_shape, get_meaning
-
-_HELPERS = """\
-/* Describes an image of floats whose rows lie one after the other, and in a row the channels of each pixel; with 0
-   channels there is no axis for them. dim is room for three axes and must live as long as the result. */
-static inline halide_buffer_t {name}_floats(halide_dimension_t *dim, float *pixels, int channels, int width, int height)
-{{
-    const int sizes[3] = {{channels, width, height}};
-    static halide_buffer_t empty; /* all zeros */
-    halide_buffer_t image = empty;
-    int stride = 1, axis;
-    for (axis = channels ? 0 : 1; axis < 3; axis++) {{
-        halide_dimension_t *d = &dim[image.dimensions++];
-        d->min = 0;
-        d->extent = sizes[axis];
-        d->stride = stride;
-        d->flags = 0;
-        stride *= sizes[axis];
-    }}
-    image.host = (uint8_t *)pixels;
-    image.type.code = halide_type_float;
-    image.type.bits = 32;
-    image.type.lanes = 1;
-    image.dim = dim;
-    image.flags = halide_buffer_flag_host_dirty; /* a device, if there is one, has no copy yet */
-    return image;
-}}
-
-/* Describes a mask, one byte for each pixel. */
-static inline halide_buffer_t {name}_bytes(halide_dimension_t *dim, uint8_t *pixels, int width, int height)
-{{
-    halide_buffer_t image = {name}_floats(dim, (float *)0, 0, width, height);
-    image.host = pixels;
-    image.type.code = halide_type_uint;
-    image.type.bits = 8;
-    return image;
-}}
-"""
+from lobewise.exporting.arguments import Argument
+from lobewise.exporting.templating import fill_template
 
 
 def find_prototype(header: str, function: str) -> list[str]:
@@ -56,15 +19,14 @@ def find_prototype(header: str, function: str) -> list[str]:
 def _declare(function: str, title: str, arguments: Sequence[Argument]) -> str:
     lines = []
     for place, argument in enumerate(arguments):
-        meaning = get_meaning(argument)
         if argument.role == "number":
             word, kind = f"float {argument.name}", ""
         else:
             word = f"halide_buffer_t *{argument.name}"
-            kind = f"{argument.role}, {argument.type} {describe_shape(argument)}: "
-        unit = f" ({meaning.unit})" if meaning.unit else ""
+            kind = f"{argument.role}, {argument.type} {argument.extents}: "
+        unit = f" ({argument.unit})" if argument.unit else ""
         end = ");" if place == len(arguments) - 1 else ","
-        lines.append(f"    {word}{end} /* {kind}{meaning.text}{unit} */")
+        lines.append(f"    {word}{end} /* {kind}{argument.text}{unit} */")
     return "\n".join([f"/* {title} Returns 0, or an error code of Halide's. */", f"int {function}(", *lines])
 
 
@@ -85,25 +47,7 @@ def make_header(
     for function, _, arguments in functions:
         expected = ["float" if argument.role == "number" else "halide_buffer_t *" for argument in arguments]
         assert find_prototype(originals, function) == expected, f"{function} is declared otherwise"
-    guard = f"{name.upper()}_H"
     declared = "\n\n".join(_declare(*function) for function in functions)
-    return f"""\
-/* {title}, compiled for {target}. Made by lobewise; README.md says how to call it. */
-#ifndef {guard}
-#define {guard}
-
-#include "HalideRuntime.h"
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-{declared}
-
-{_HELPERS.format(name=name)}
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
+    return fill_template(
+        "header.h", name=name, title=title, target=target, guard=f"{name.upper()}_H", declared=declared
+    )

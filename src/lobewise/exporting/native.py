@@ -11,22 +11,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 import lobewise
-from lobewise.backend.targets import get_runtime_headers, parse_target
 from lobewise.errors import InputError, describe_problem
-from lobewise.exporting.ahead_of_time import (
-    Argument,
-    FilterPlan,
-    compile_filter,
-    compile_lobes,
-    list_filter_arguments,
-    list_lobe_arguments,
-)
-from lobewise.exporting.arguments import describe_shape, get_meaning
+from lobewise.exporting.arguments import Argument
+from lobewise.exporting.compiling import compile_filter, compile_lobes
 from lobewise.exporting.example import choose_bound, list_frame_images, make_example
 from lobewise.exporting.folder import MARK, open_folder, require_folder
 from lobewise.exporting.header import make_header
+from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.readme import describe_build, describe_plan, make_readme
 from lobewise.exporting.sample import make_sample
+from lobewise.exporting.targets import get_runtime_headers, parse_target
 from lobewise.io.files import PathLike
 
 Function = tuple[str, str, Sequence[Argument]]
@@ -44,7 +38,7 @@ def export_library(
     plan : FilterPlan
         The filter.
     target : str
-        A name from `lobewise.exporting.ahead_of_time.TARGETS`, or another one that Halide knows.
+        A name from `lobewise.exporting.names.TARGETS`, or another one that Halide knows.
     name : str
         What files and functions begin with: an identifier of C.
     force : bool
@@ -63,7 +57,7 @@ def export_library(
         )
     require_folder(output, force=force)
     chosen = parse_target(target).to_string()
-    filter_arguments, lobe_arguments = list_filter_arguments(plan), list_lobe_arguments(plan)
+    filter_arguments, lobe_arguments = plan.filter_arguments, plan.lobe_arguments
     functions: list[Function] = [(f"{name}_filter", "Filters a frame.", filter_arguments)]
     if lobe_arguments:
         made = "Makes the lobes that the filter compares, and its mask, from what a G-buffer holds."
@@ -100,10 +94,9 @@ def _describe(plan: FilterPlan, binaries: Sequence[str], target: str, functions:
     """Return the JSON that says what is in the folder."""
 
     def describe(argument: Argument) -> dict[str, object]:
-        meaning = get_meaning(argument)
         told = {"name": argument.name, "role": argument.role, "type": argument.type}
-        shape = {} if argument.role == "number" else {"extents": describe_shape(argument)}
-        return {**told, **shape, "unit": meaning.unit, "meaning": meaning.text}
+        shape = {} if argument.role == "number" else {"extents": argument.extents}
+        return {**told, **shape, "unit": argument.unit, "meaning": argument.text}
 
     content = {
         "lobewise": lobewise.__version__,

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
-from lobewise.backend.targets import get_gpu_api
-from lobewise.exporting.ahead_of_time import Argument, FilterPlan
-from lobewise.exporting.arguments import describe_shape, get_meaning
+from lobewise.exporting.arguments import Argument
 from lobewise.exporting.example import list_frame_images
+from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import Sample
+from lobewise.exporting.targets import get_gpu_api
+from lobewise.exporting.templating import fill_template
 
 DOCS = "https://github.com/lobewise/lobewise/blob/main/docs/export.md"
 
@@ -19,78 +20,7 @@ _FORMS = {
     "atrous": "five 5x5 passes whose steps double, inside one call; they reach 62 pixels",
 }
 
-_TEXT = """\
-# {title}
-
-Compiled for `{target}` by lobewise {version}. [How such a folder is made]({docs}).
-
-{files}
-
-## Build and run
-
-```
-{build}
-```
-
-The example prints the largest relative difference to Python's result and ends with 0 if that is at most {bound:g}. A
-second export in the same program needs another `--name`; the runtime may be there twice.
-
-## What it computes
-
-`out_i = sum_j w(i, j) radiance_j / sum_j w(i, j)` over {reach}.
-The weight is the product of Gaussians of the distances on the screen and in the scene, and of the overlap of what the
-two pixels reflect to the power `beta` (Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive
-Indirect Illumination").
-
-{tables}
-## Images
-
-All images of a call have the same width and height, row 0 on top, the channels of a pixel together: extents (channels,
-width, height) with strides (1, channels, channels * width), or (width, height) with strides (1, width). Rows may be
-padded (a larger last stride). `radiance` may have a fourth channel, which nobody reads: extents (4, width, height).
-`{name}_floats` and `{name}_bytes` fill in such a `halide_buffer_t`.
-Outputs need memory and must not overlap inputs.{least}
-
-A buffer of a wrong size, type or layout, and a constant that is not above 0, make a function return a code other than 0
-before anything is written. First Halide calls an error handler, whose default prints and **aborts**: install your own
-with `halide_set_error_handler`, as `example.c` does. In its messages `out0`, `out1`, ... are the outputs, in order.
-A buffer without memory, on host and device, makes the call a question for sizes: it returns 0 and computes nothing.
-
-Rows are shared out to as many threads as there are processors, or `HL_NUM_THREADS`, or `halide_set_num_threads`;
-`halide_set_custom_do_par_for` hands them to a scheduler of your own. The functions keep no state and may be called from
-several threads at once.
-{device}
-## frame.raw and expected.raw
-
-Little-endian arrays without headers, one after the other: {held}; and `output`.
-They are part of a frame that comes with lobewise, at 4 samples per pixel.
-
-## Licences
-
-What is not Halide's in this folder may be used under the BSD 3-clause licence of lobewise. The runtime in the library
-and `HalideRuntime*.h` are [Halide](https://github.com/halide/Halide)'s, under the MIT licence.
-"""
-
-_LEAST_WIDTH = """
-Those of `{name}_lobes` need at least as many columns as the processor has lanes, at most 16."""
-
-_DEVICE = """
-## On the device
-
-The filter runs by way of {api}, the lobes are made by the processor. An input whose flag
-`halide_buffer_flag_host_dirty` is set is copied to the device by the call, which clears the flag: later calls find it
-there, until the flag is set again. What the filter writes stays on the device until `halide_copy_to_host`. Buffers that
-are there already are wrapped by the functions of the second `HalideRuntime` header (`halide_..._wrap_...`; some of
-these headers are C++). `halide_device_free` frees what a call put there.
-"""
-
 _ALLOCATION = ":".join(("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE)))
-
-_VULKAN = f"""
-Halide 21 hands out overlapping Vulkan memory (its issues 8868, 9223 and 9224). Set
-`HL_VK_ALLOC_CONFIG={_ALLOCATION}` in the environment before the first call (`;` instead of `:` on Windows); then
-images below {VULKAN_BLOCK} MiB are safe, and larger ones whose bytes are a multiple of {VULKAN_MULTIPLE}.
-"""
 
 
 def describe_plan(plan: FilterPlan) -> str:
@@ -129,9 +59,8 @@ def _list_images(arguments: Sequence[Argument]) -> str:
     rows = []
     for argument in arguments:
         if argument.role != "number":
-            meaning = get_meaning(argument)
-            cells = [f"`{argument.name}`", argument.role, argument.type, describe_shape(argument), meaning.unit]
-            rows.append([*cells, meaning.text])
+            cells = [f"`{argument.name}`", argument.role, argument.type, argument.extents, argument.unit]
+            rows.append([*cells, argument.text])
     return _make_table(["image", "role", "type", "extents", "unit", "meaning"], rows)
 
 
@@ -139,9 +68,8 @@ def _list_numbers(arguments: Sequence[Argument], sample: Sample) -> str:
     rows = []
     for argument in arguments:
         if argument.role == "number":
-            meaning = get_meaning(argument)
             value = f"{sample.numbers[argument.name]:.6g}"
-            rows.append([f"`{argument.name}`", meaning.unit, meaning.text, meaning.recipe, value])
+            rows.append([f"`{argument.name}`", argument.unit, argument.text, argument.recipe, value])
     return _make_table(["constant", "unit", "meaning", "what Python takes", "in the example"], rows)
 
 
@@ -174,18 +102,22 @@ def make_readme(
         ["`lobewise-export.json`", "the same as this file, for programs"],
     ]
     api = get_gpu_api(target)
-    return _TEXT.format(
+    device = fill_template("device.md", api=api) if api else ""
+    if api == "vulkan":
+        device += fill_template("vulkan.md", allocation=_ALLOCATION, block=VULKAN_BLOCK, multiple=VULKAN_MULTIPLE)
+    return fill_template(
+        "readme.md",
         title=describe_plan(plan),
         target=target,
         version=version,
         docs=DOCS,
         files=_make_table(["file", "what it is"], rows),
         build=describe_build(name, binaries, target),
-        bound=bound,
+        bound=f"{bound:g}",
         reach=_FORMS[plan.form].format(radius=plan.radius),
         tables="\n".join(tables),
         name=name,
-        least=_LEAST_WIDTH.format(name=name) if plan.makes_lobes else "",
-        device=(_DEVICE.format(api=api) if api else "") + (_VULKAN if api == "vulkan" else ""),
+        least=fill_template("least_width.md", name=name) if plan.makes_lobes else "",
+        device=device,
         held=", ".join(f"`{argument.name}`" for argument in held),
     )

@@ -10,16 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.pointwise import run_pointwise
-from lobewise.camera import Camera
 from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose_tau
-from lobewise.exporting.ahead_of_time import FilterPlan, define_mixture, list_filter_arguments, list_lobe_arguments
-from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import DiffuseFeature, SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.exporting.lobes import define_guides
+from lobewise.exporting.plan import FilterPlan
 from lobewise.filters.cross_filter import run_filter
-from lobewise.frame import FloatArray, Frame, GBuffer
-from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.frame import FloatArray, Frame
 from lobewise.guides.surfaces import find_places
 from lobewise.io import read_frame
 from lobewise.lobes.field import default_tau
@@ -89,8 +84,13 @@ def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> 
         **{f"eye_{axis}": value for axis, value in zip("xyz", camera.position, strict=True)},
     }
     numbers = {name: float(np.float32(value)) for name, value in numbers.items()}
-    features, mask = _make_features(plan, images, numbers, camera)
-    images["mask"] = mask.astype(np.uint8)
+    arguments = plan.filter_arguments + plan.lobe_arguments
+    if plan.makes_lobes:
+        images |= _make_lobes(plan, images, numbers)
+    else:
+        images["mask"] = np.greater(images["depth"], 0.0).astype(np.uint8)
+    mask = images["mask"] != 0
+    features = plan.make_features(images, numbers)
     done = run_filter(
         color[part],
         mask,
@@ -100,7 +100,6 @@ def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> 
         albedo=albedo[part] if plan.albedo else None,
     )
     expected = np.dstack([done.image, done.weight_sum, done.effective_samples]).astype(np.float32)
-    arguments = [*list_filter_arguments(plan), *list_lobe_arguments(plan)]
     names = {argument.name for argument in arguments}
     return Sample(
         {name: np.ascontiguousarray(image) for name, image in images.items() if name in names},
@@ -109,38 +108,19 @@ def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> 
     )
 
 
-def _make_features(
-    plan: FilterPlan, images: Mapping[str, NDArray[np.generic]], numbers: Mapping[str, float], camera: Camera
-) -> tuple[list[Feature], NDArray[np.bool_]]:
-    """Return the features of a plan and the pixels that have a lobe, or a surface where none is needed."""
-    arrays = {name: np.asarray(image, np.float32) for name, image in images.items()}
-    shared: list[Feature] = [] if plan.form == "atrous" else [ScreenFeature(numbers["screen_sigma"])]
-    angle, sigma = numbers["pixel_angle"], numbers["position_sigma"]
-    shared.append(PositionFeature(arrays["position"], arrays["depth"], pixel_angle=angle, sigma=sigma))
-    beta, surface = numbers["beta"], arrays["depth"] > 0.0
-    if plan.similarity == "normal":
-        return [*shared, NormalFeature(arrays["normal"], numbers["normal_exponent"])], surface
-    if plan.similarity == "diffuse":
-        return [*shared, DiffuseFeature(arrays["normal"], beta)], surface
-    gbuffer = GBuffer(
-        depth=arrays["depth"],
-        position=arrays["position"],
-        normal=arrays["normal"],
-        alpha_u=arrays["alpha"],
-        alpha_v=arrays["alpha_v"] if plan.anisotropic else None,
-        tangent=arrays["tangent"] if plan.anisotropic else None,
-    )
-    tau = numbers["tau"]
-    if plan.similarity == "sg_mixture":
-        guides = {"normal": arrays["normal"], "position": arrays["position"], "depth": arrays["depth"]}
-        eye, noise = camera.position.astype(np.float32), np.float32(tau) * np.float32(tau)
-        given = {**guides, "alpha_u": arrays["alpha"]}, {"eye": eye, "noise": noise}
-        valid, axis, sharpness, amplitude = run_pointwise(define_mixture, *given, plan.lobes)
-        return [*shared, SgMixtureFeature(axis, sharpness, amplitude, beta)], valid
-    lobes = make_lobe_field(gbuffer, camera, tau=tau, representation=plan.similarity, diffuse_fallback=False)
-    if plan.similarity == "sg":
-        assert lobes.axis is not None and lobes.sharpness is not None
-        return [*shared, SgFeature(lobes.axis, lobes.sharpness, beta)], lobes.valid
-    assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
-    kind = AsgFeature if plan.similarity == "asg" else GgxFeature
-    return [*shared, kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, beta)], lobes.valid
+def _make_lobes(
+    plan: FilterPlan, images: Mapping[str, NDArray[np.generic]], numbers: Mapping[str, float]
+) -> dict[str, NDArray[np.generic]]:
+    """Return what the function that makes lobes gives, by the names of its arguments."""
+    given = {
+        each.name: np.asarray(images[each.name], np.float32) for each in plan.lobe_arguments if each.role == "input"
+    }
+    given = {{"alpha": "alpha_u"}.get(name, name): image for name, image in given.items()}
+    eye = np.array([numbers[f"eye_{axis}"] for axis in "xyz"], np.float32)
+    noise = np.float32(numbers["tau"]) * np.float32(numbers["tau"])
+    made = run_pointwise(define_guides, given, {"eye": eye, "noise": noise}, plan.similarity, plan.lobes)
+    names = [each.name for each in plan.lobe_arguments if each.role == "output"]
+    return {
+        name: image.view(np.uint8) if image.dtype == np.bool_ else image
+        for name, image in zip(names, made, strict=True)
+    }

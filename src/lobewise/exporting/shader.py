@@ -7,12 +7,11 @@ and vectors are called as in GLSL. What the three languages share (operators, fu
 from __future__ import annotations
 
 import re
-from importlib.resources import files
-from string import Template
 
 from lobewise.errors import require_choice
 from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
+from lobewise.exporting.templating import fill_template
 from lobewise.features.lobe import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
 from lobewise.lobes.brdf import MIN_WARP_COSINE
@@ -42,9 +41,8 @@ def make_shader(language: str) -> str:
         If there is no such language.
     """
     require_choice("shader language", language, SHADER_LANGUAGES)
-    text = Template((files("lobewise") / "exporting" / "weights.shader").read_text(encoding="utf-8"))
     lines, inside = [], False
-    for line in text.substitute(_list_constants()).splitlines():
+    for line in fill_template("weights.shader", **_list_constants()).splitlines():
         if line.startswith("struct "):
             inside = True
         lines.append(_translate(line, language, inside))
@@ -113,23 +111,6 @@ def _translate(line: str, language: str, inside: bool) -> str:
     return spell(code) + mark + comment
 
 
-_README = """\
-# lobewise weights in {title}
-
-`lobewise.{language}` is self-contained: include it, or paste what you need. It has no bindings and no entry point. Its
-first lines say how the functions make a filter, and what their arguments are.
-
-- Once per pixel: `lobewise_face_viewer`, then `lobewise_make_sg`, `_mixture`, `_ggx` or `_asg` (`_anisotropic_...`
-  where there are tangents), from normal, direction to the camera and roughness.
-- For every tap: `lobewise_screen_weight` times `lobewise_position_weight` times the weight of the same kind,
-  `lobewise_sg_weight`, `_mixture_weight`, `_ggx_weight` or `_asg_weight`; or `lobewise_normal_weight` alone, which
-  filters usually have, and `lobewise_diffuse_weight` for diffuse light.
-
-Made by lobewise {version} from the same constants as its own filters. [More]({docs}).
-It may be used under the BSD 3-clause licence of lobewise.
-"""
-
-
 def export_shader(output: PathLike, language: str, *, force: bool = False) -> None:
     """Write a folder with the weights as shader functions.
 
@@ -158,6 +139,8 @@ def export_shader(output: PathLike, language: str, *, force: bool = False) -> No
     version = lobewise.__version__
     with open_folder(output, force=force) as place:
         place(f"lobewise.{language}").write_text(text, encoding="utf-8")
-        readme = _README.format(title=language.upper(), language=language, version=version, docs=DOCS)
+        readme = fill_template(
+            "shader_readme.md", title=language.upper(), language=language, version=version, docs=DOCS
+        )
         place("README.md").write_text(readme, encoding="utf-8")
         place(MARK).write_text(json.dumps({"lobewise": version, "target": language}) + "\n", encoding="utf-8")

@@ -66,13 +66,13 @@ def make_lobe_field(
         "noise": np.float32(tau) * np.float32(tau),
         **get_ray_numbers(camera, gbuffer.shape),
     }
-    valid, *shapes = run_pointwise(_define_lobes, images, numbers, representation, diffuse_fallback)
+    valid, *shapes = run_pointwise(define_lobes, images, numbers, representation, diffuse_fallback)
     if representation == "sg":
         return LobeField(valid, axis=shapes[0], sharpness=shapes[1])
     return LobeField(valid, tangent_axis=shapes[0], covariance=shapes[1], determinant=shapes[2])
 
 
-def _define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> list[Vector]:
+def define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> list[Vector]:
     """Return validity; axis; and sharpness, or covariance and determinant."""
     one = hl.f32(1.0)
     raw = grid.read("normal")

@@ -1,0 +1,144 @@
+"""What is exported: a filter with its similarity, form and radius, and the arguments of its two functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.exporting.arguments import PLANAR, Argument, list_arguments
+from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
+from lobewise.features.covariance import AsgFeature, GgxFeature
+from lobewise.features.lobe import DiffuseFeature, SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.filters.forms import FORMS
+from lobewise.lobe_table import MAX_LOBES
+
+LARGEST_RADIUS = 64
+
+
+@dataclass(frozen=True)
+class Term:
+    """A feature of an exported filter, in terms of what the function is given."""
+
+    make: Callable[..., Feature]
+    """Of the arrays and then the numbers."""
+    arrays: tuple[str, ...]
+    powers: Mapping[str, int]
+    """The numbers, by the powers whose product the feature's parameter is proportional to."""
+
+
+def _place(position: Any, depth: Any, sigma: float, pixel_angle: float) -> Feature:
+    return PositionFeature(position, depth, pixel_angle=pixel_angle, sigma=sigma)
+
+
+SCREEN = Term(ScreenFeature, (), {"screen_sigma": -2})
+POSITION = Term(_place, ("position", "depth"), {"position_sigma": -1, "pixel_angle": -1})
+SIMILARITIES = {
+    "normal": Term(NormalFeature, ("normal",), {"normal_exponent": 1}),
+    "diffuse": Term(DiffuseFeature, ("normal",), {"beta": 1}),
+    "sg": Term(SgFeature, ("axis", "sharpness"), {"beta": 1}),
+    "sg_mixture": Term(SgMixtureFeature, ("axis", "sharpness", "amplitude"), {"beta": 1}),
+    "asg": Term(AsgFeature, ("axis", "covariance", "determinant"), {"beta": 1}),
+    "ggx": Term(GgxFeature, ("axis", "covariance", "determinant"), {"beta": 1}),
+}
+
+
+@dataclass(frozen=True)
+class FilterPlan:
+    """What is compiled.
+
+    Parameters
+    ----------
+    similarity : {"normal", "diffuse", "sg", "sg_mixture", "asg", "ggx"}
+        What makes two pixels similar, besides their places.
+    form : {"full", "separable", "atrous"}
+        See `lobewise.filters.cross_filter.run_filter`.
+    radius : int
+        Kernel radius, pixels, 0 to 64; "atrous" does not use it.
+    lobes : int
+        With "sg_mixture": spherical Gaussians per pixel, 2 to 4.
+    albedo : bool
+        Whether the radiance is divided by an albedo on the way in and multiplied by it on the way out.
+    anisotropic : bool
+        With "asg" and "ggx": whether lobes are made from two roughnesses and a tangent instead of one roughness.
+
+    Raises
+    ------
+    InputError
+        If one of them is out of range.
+    """
+
+    similarity: str = "ggx"
+    form: str = "separable"
+    radius: int = 8
+    lobes: int = 3
+    albedo: bool = True
+    anisotropic: bool = False
+
+    def __post_init__(self) -> None:
+        require_choice("similarity", self.similarity, SIMILARITIES)
+        require_choice("form", self.form, FORMS)
+        _require_integer("radius", self.radius, 0, LARGEST_RADIUS, "8 is usual")
+        _require_integer("lobes", self.lobes, 2, MAX_LOBES, "3 stand for GGX within 1 %, and one is similarity 'sg'")
+        if self.anisotropic and self.similarity not in ("asg", "ggx"):
+            raise InputError(
+                describe_problem(
+                    "anisotropic lobes",
+                    expected="similarity 'asg' or 'ggx'",
+                    got=repr(self.similarity),
+                    action="choose one of them, or leave it out",
+                )
+            )
+
+    @property
+    def makes_lobes(self) -> bool:
+        """Whether there is a second function, which makes the lobes from normal, roughness and position."""
+        return self.similarity not in ("normal", "diffuse")
+
+    @property
+    def terms(self) -> list[Term]:
+        """Its features."""
+        return [*([] if self.form == "atrous" else [SCREEN]), POSITION, SIMILARITIES[self.similarity]]
+
+    @property
+    def filter_arguments(self) -> list[Argument]:
+        """The arguments of the filter, in order."""
+        images = ["radiance", *(["albedo"] if self.albedo else []), "mask"]
+        images += [name for term in self.terms for name in term.arrays]
+        return self._list(*images, *(name for term in self.terms for name in term.powers), "output")
+
+    @property
+    def lobe_arguments(self) -> list[Argument]:
+        """The arguments of the function that makes lobes, in order; none where there is no such function."""
+        if not self.makes_lobes:
+            return []
+        alphas = ("alpha_u", "alpha_v", "tangent") if self.anisotropic else ("alpha",)
+        inputs = self._list("normal", "position", "depth", *alphas, "eye_x", "eye_y", "eye_z", "tau")
+        return [*inputs, *self._list("mask", *SIMILARITIES[self.similarity].arrays, role="output")]
+
+    def make_features(self, arrays: Mapping[str, Any], numbers: Mapping[str, float]) -> list[Feature]:
+        """Return the features with these values, by the names of arguments."""
+        return [
+            term.make(*(arrays[name] for name in term.arrays), *(numbers[name] for name in term.powers))
+            for term in self.terms
+        ]
+
+    def make_blank_features(self) -> list[Feature]:
+        """Return the features with arrays that tell numbers of channels alone, and with every number 1."""
+        given = self.filter_arguments
+        arrays = {each.name: np.zeros((1, 1, each.channels)[: 2 + (not each.planar)], np.float32) for each in given}
+        return self.make_features(arrays, {each.name: 1.0 for each in given})
+
+    def _list(self, *names: str, role: str = "") -> list[Argument]:
+        return list_arguments(*names, lobes=self.lobes if self.similarity == "sg_mixture" else PLANAR, role=role)
+
+
+def _require_integer(what: str, value: Any, least: int, most: int, action: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise InputError(
+            describe_problem(what, expected=f"an integer from {least} to {most}", got=repr(value), action=action)
+        )
