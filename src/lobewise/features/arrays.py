@@ -1,13 +1,68 @@
-"""What features hand over to a kernel: their arrays, checked, and their scalars."""
+"""What features hand over to a kernel: their arrays and their scalars, declared and given under the same names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import halide as hl
+
 from lobewise.backend.buffers import Image, take_dense
+from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 from lobewise.features.base import Feature
 from lobewise.frame import FloatArray
+
+
+def declare_features(signature: Signature, prefix: str, features: Sequence[Feature], *axes: str) -> list[hl.ImageParam]:
+    """Declare the arrays of every feature as images that a kernel reads, and return their parameters in order.
+
+    Parameters
+    ----------
+    signature : Signature
+        Of the kernel.
+    prefix : str
+        What their names begin with: whose pixels they are.
+    features : sequence of Feature
+        The channels of their arrays are known to the kernel.
+    *axes
+        Names of sizes: rows and columns, or one axis for all pixels.
+    """
+    return [signature.image(name, *axes, *array.shape[2:]) for name, array in _name_arrays(prefix, features).items()]
+
+
+def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:
+    """Return what `declare_features` declared, by name; raise InputError where an array is none of this size."""
+    arrays = take_arrays(features, size)
+    return dict(zip(_name_arrays(prefix, features), arrays, strict=True))
+
+
+def declare_scalars(signature: Signature, features: Sequence[Feature]) -> list[list[hl.Param]]:
+    """Declare the scalars of every feature as numbers, and return their parameters, one list for each feature."""
+    return [
+        [signature.number(_name_scalar(number, k)) for k in range(len(feature.get_parameters()))]
+        for number, feature in enumerate(features)
+    ]
+
+
+def give_scalars(features: Sequence[Feature]) -> dict[str, float]:
+    """Return what `declare_scalars` declared, by name."""
+    return {
+        _name_scalar(number, k): value
+        for number, feature in enumerate(features)
+        for k, value in enumerate(feature.get_parameters())
+    }
+
+
+def _name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
+    return {
+        f"{prefix}_feature{number}_{slot}": array
+        for number, feature in enumerate(features)
+        for slot, array in enumerate(feature.get_arrays())
+    }
+
+
+def _name_scalar(number: int, k: int) -> str:
+    return f"feature{number}_scalar{k}"
 
 
 def take_arrays(features: Sequence[Feature], size: tuple[int, int]) -> list[FloatArray]:
