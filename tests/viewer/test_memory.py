@@ -1,0 +1,78 @@
+"""The process that renders does not grow with the pictures that it gives; asked directly, which is quicker than a page."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lobewise.viewer.link import Link
+from lobewise.viewer.looks import FrameLook, SceneLook
+from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Target, Window
+
+pytestmark = pytest.mark.slow
+
+PATIENCE = 120.0
+PICTURES = 64
+GROWTH = 0.05
+"""Over the last half of them."""
+
+
+def ask_for_pictures(target: Target, make_request: Callable[[Description, int], Request]) -> list[int]:
+    """Return the bytes that the process held after each of `PICTURES` pictures."""
+    memory: list[int] = []
+    problems: list[str] = []
+    descriptions: list[Description] = []
+    arrived = threading.Semaphore(0)
+
+    def receive(report: Any) -> None:
+        if isinstance(report, Opened):
+            descriptions.append(report.description)
+        elif isinstance(report, Picture) and report.final:
+            memory.append(report.memory)
+        elif isinstance(report, Problem):
+            problems.append(report.text)
+        else:
+            return
+        arrived.release()
+
+    link = Link(target, receive, lambda text, again: problems.append(text))
+    link.start()
+    try:
+        assert arrived.acquire(timeout=PATIENCE)
+        for number in range(PICTURES):
+            assert not problems
+            link.submit(make_request(descriptions[0], number))
+            assert arrived.acquire(timeout=PATIENCE)
+    finally:
+        link.stop()
+    assert problems == []
+    return memory
+
+
+def test_a_frame_filtered_and_exposed_anew(floor_file: Path) -> None:
+    looks = [FrameLook(similarity="none"), FrameLook(similarity="normal", quality="fast", radius=3)]
+
+    def make_request(_: Description, number: int) -> Request:
+        return Request(1, number, Window(300, 200), looks[number % 2], stops=0.1 * (number % 20))
+
+    memory = ask_for_pictures(Target(str(floor_file), True), make_request)
+    assert memory[-1] < (1.0 + GROWTH) * memory[PICTURES // 2]
+
+
+@pytest.mark.mitsuba
+def test_an_orbit_of_a_scene(mi: Any) -> None:
+    look = SceneLook(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
+
+    def make_request(description: Description, number: int) -> Request:
+        assert description.camera is not None
+        step = 0.02 * (16 - abs(16 - number % 32))
+        camera = replace(description.camera, position=description.camera.position + step * description.camera.right)
+        return Request(1, number, Window(300, 200), look, camera=camera, size=(96, 64))
+
+    memory = ask_for_pictures(Target("showroom", False, (96, 64)), make_request)
+    assert memory[-1] < (1.0 + GROWTH) * memory[PICTURES // 2]
