@@ -1,4 +1,4 @@
-"""The process that renders does not grow with the pictures that it gives; asked directly, which is quicker than a page."""
+"""The process that renders does not grow with the pictures that it gives; asked directly, quicker than by a page."""
 
 from __future__ import annotations
 
