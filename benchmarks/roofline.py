@@ -33,7 +33,8 @@ from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
 from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
 from lobewise.filters.forms import Taps
-from lobewise.filters.schedules.cpu import count_lanes, schedule_pass
+from lobewise.filters.schedules.cross_pass import schedule_pass
+from lobewise.filters.schedules.rows import count_lanes
 
 NAMES = ("normal", "sg", "asg", "ggx", "sg_mixture, 3 coaxial")
 SIZE = 256

@@ -40,9 +40,9 @@ from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, WEIGHT, demodulate, make_pass_inputs, make_stage
-from lobewise.filters.planes import Rows, begin_at_zero, make_image, make_side
+from lobewise.filters.planes import Rows, begin_at_zero, make_guide_planes, make_image
 from lobewise.filters.runs import SampleGrid
-from lobewise.filters.schedules.cpu import STRIP_ROWS, count_lanes, fill_planes, fill_rows
+from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, render_frame, render_reference
@@ -92,8 +92,8 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
         radiance, good = demodulate(source, albedo, at, hl.f32(ALBEDO_FLOOR))
         return hl.select(good & usable, hl.mux(c, [*radiance, hl.f32(1.0)]), hl.f32(0.0))
 
-    image = make_image("image", mask, (x, y, c), rows, take)
-    side = make_side("tap", mask, features, given.scalars, (x, y, c), arrays=given.arrays, rows=rows)
+    image = make_image("image", mask, rows, take)
+    side = make_guide_planes("tap", mask, features, given.scalars, arrays=given.arrays, rows=rows)
     stages: list[hl.Func] = []
     stage = make_stage(stages, (x, y, k))
 
@@ -129,8 +129,8 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
     sums.update().reorder(x, taps.x).vectorize(x, lanes)
     for func in stages:
         func.compute_at(out, xv).vectorize(x, lanes).bound(k, 0, count)
-    fill_rows(image.compute_at(out, ys), WEIGHT + 1, (x, y, c), rows)
-    fill_planes(side.planes.compute_at(out, ys), side, (x, y, c), rows)
+    fill_rows(image.compute_at(out, ys), WEIGHT + 1, rows)
+    fill_planes(side, rows, (out, ys))
     arguments = [source, albedo, mask, *side.arrays, *(p for own in given.scalars for p in own), pattern]
     return Scheduled([out], arguments)
 

@@ -27,7 +27,7 @@ from lobewise.denoising.high import (
 )
 from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
-from lobewise.filters.dual_buffer_runs import Paired
+from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.filters.mixing import Network, count_features
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io import describe_file, read_frame, write_frame, write_result
@@ -217,12 +217,12 @@ class Recorder:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[dict[str, Any]] = []
-        self.gave: list[list[Paired]] = []
+        self.gave: list[list[DualBufferOutput]] = []
         self.guided: list[tuple[FloatArray, FloatArray]] = []
         self.guides: list[FloatArray] = []
         self.levels: list[float] = []
         self.rng = np.random.default_rng(11)
-        monkeypatch.setattr(high, "run_paired", self.run)
+        monkeypatch.setattr(high, "filter_dual_buffer", self.run)
         monkeypatch.setattr(high, "make_noise_guide", self.guide)
 
     def draw(self, *shape: int) -> FloatArray:
@@ -230,10 +230,10 @@ class Recorder:
 
     def run(
         self, halves: Any, mask: Any, place: Any, lobes: Any, variants: Sequence[Any], **options: Any
-    ) -> list[Paired]:
+    ) -> list[DualBufferOutput]:
         self.calls.append({"halves": halves, "variants": tuple(variants), **options})
         images = [[self.draw(*mask.shape, 3), self.draw(*mask.shape, 3)] for _ in variants]
-        self.gave.append([Paired(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
+        self.gave.append([DualBufferOutput(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
         return self.gave[-1]
 
     def guide(self, a: FloatArray, b: FloatArray, level: float, device: str) -> FloatArray:
@@ -242,7 +242,7 @@ class Recorder:
         self.guides.append(self.draw(*a.shape[:2], 4))
         return self.guides[-1]
 
-    def find_guide(self, found: Paired) -> FloatArray:
+    def find_guide(self, found: DualBufferOutput) -> FloatArray:
         """Return the guide that was made of both halves of a filter's result, once."""
         pairs = zip(self.guided, self.guides, strict=True)
         (guide,) = (guide for (a, b), guide in pairs if a is found.a and b is found.b)

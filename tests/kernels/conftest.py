@@ -11,7 +11,7 @@ from lobewise.backend.devices import list_devices
 
 RUNS = (
     "run_filter",
-    "run_paired",
+    "filter_dual_buffer",
     "run_reprojection",
     "run_upsampling",
     "SampleGrid",

@@ -1,4 +1,4 @@
-"""The guide of a paired pass against NumPy's logarithm and SciPy's Gaussian."""
+"""The guide of a dual-buffer pass against NumPy's logarithm and SciPy's Gaussian."""
 
 from __future__ import annotations
 

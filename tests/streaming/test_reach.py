@@ -15,7 +15,7 @@ from lobewise.filters import compositing as resolving
 from lobewise.filters import fireflies, mixing, noise_guides
 from lobewise.filters.compositing import resolve_light
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.dual_buffer_runs import Exponents, run_paired
+from lobewise.filters.dual_buffer import Exponents, filter_dual_buffer
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.mixing import find_features
@@ -70,7 +70,7 @@ def test_passes_reach_their_last_tap(radius: int, step: int) -> None:
     options: dict[str, Any] = {"radius": radius, "step": step}
     same = [Exponents(1.0, 1.0)]
     before, after = (
-        run_paired((image, b), mask, [ScreenFeature(50.0)], (), same, **options)[0].a for image in (a, alter(a))
+        filter_dual_buffer((image, b), mask, [ScreenFeature(50.0)], (), same, **options)[0].a for image in (a, alter(a))
     )
     assert measure(before, after) == radius * step
 

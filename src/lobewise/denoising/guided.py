@@ -22,7 +22,7 @@ from lobewise.features.base import Feature
 from lobewise.features.seen import SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.compositing import resolve_light
-from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
+from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
@@ -158,7 +158,7 @@ class CleanLayer:
     image : (height, width, 3)
         Filtered radiance, albedo included; the noisy one where nothing was gathered.
     weight_sum, effective_samples : (height, width)
-        See `lobewise.filters.dual_buffer_runs.Paired`.
+        See `lobewise.filters.dual_buffer.DualBufferOutput`.
     """
 
     image: FloatArray
@@ -225,7 +225,7 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: DenoiseSettings) 
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
-    (mean,) = run_paired(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
+    (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
     normal = np.float32(2.0) * mean.b - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
@@ -239,23 +239,27 @@ def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) ->
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
-def make_pass_guide(noisy: NoisyLayer, before: Paired | None, device: str) -> FloatArray | None:
+def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> FloatArray | None:
     """Return the guide of a pass: what the one ``before`` gave, or else the samples; None where they tell no noise."""
     if before is None:
         if not noisy.is_whole:
             return None
         layer, itself = noisy.layer, [Exponents(0.0, 0.0)]
-        (before,) = run_paired(noisy.halves, layer.mask, (), (), itself, radius=0, albedo=layer.albedo, device=device)
+        (before,) = filter_dual_buffer(
+            noisy.halves, layer.mask, (), (), itself, radius=0, albedo=layer.albedo, device=device
+        )
     return make_noise_guide(before.a, before.b, noisy.level, device)
 
 
-def run_pass(frame: Frame, noisy: NoisyLayer, number: int, before: Paired | None, settings: DenoiseSettings) -> Paired:
+def run_pass(
+    frame: Frame, noisy: NoisyLayer, number: int, before: DualBufferOutput | None, settings: DenoiseSettings
+) -> DualBufferOutput:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
     radius, step = chosen.get_kernel(settings.radius, follows=before is not None)
     seen = noisy.seen if before is not None else ()
     sparse = before is not None and chosen.step > 1
-    (found,) = run_paired(
+    (found,) = filter_dual_buffer(
         (before.a, before.b) if before is not None and sparse else noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, chosen.sigma),
@@ -291,7 +295,7 @@ def _find_plan_reach(plan: Plan, radius: int) -> int:
 
 def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> CleanLayer:
     """Filter a layer by its plan."""
-    found: Paired | None = None
+    found: DualBufferOutput | None = None
     weight_sum: FloatArray | None = None
     for number, chosen in enumerate(noisy.plan.passes):
         found = run_pass(frame, noisy, number, found, settings)

@@ -26,7 +26,7 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.settings import DenoiseSettings
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
+from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.mixing import REACH as MIXING_REACH
 from lobewise.filters.mixing import Network, mix_candidates
@@ -68,7 +68,7 @@ class Candidates(NamedTuple):
     ----------
     pairs : list of (a, b)
         Both halves of each, `COUNT` of them. Their supports are let go, which would take a third as much memory.
-    middle : Paired
+    middle : DualBufferOutput
         One of them, whole: what the others are compared with.
     extras : (height, width, EXTRAS)
         Base-2 logarithms: what the narrow and the middle candidate are worth in samples, the variance of the pilot's
@@ -77,7 +77,7 @@ class Candidates(NamedTuple):
     """
 
     pairs: list[tuple[FloatArray, FloatArray]]
-    middle: Paired
+    middle: DualBufferOutput
     extras: FloatArray
 
 
@@ -100,10 +100,10 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     kind = "diffuse" if noisy.name == "diffuse" else "specular"
     radius, device = settings.radius, settings.device
 
-    def guide(found: Paired) -> FloatArray:
+    def guide(found: DualBufferOutput) -> FloatArray:
         return make_noise_guide(found.a, found.b, noisy.level, device)
 
-    (pilot,) = run_paired(
+    (pilot,) = filter_dual_buffer(
         noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, PILOT.sigma),
@@ -119,9 +119,9 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     piloted = guide(pilot)
     del pilot
     pairs: list[tuple[FloatArray, FloatArray]] = []
-    first: list[Paired] = []
+    first: list[DualBufferOutput] = []
     for variants in DENSE:
-        dense = run_paired(
+        dense = filter_dual_buffer(
             noisy.halves,
             layer.mask,
             place,
@@ -141,7 +141,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) 
     for number, (taps, step) in enumerate(list_sparse(radius)):
         if number > 0:
             guides.append(guide(source))
-        sparse = run_paired(
+        sparse = filter_dual_buffer(
             (source.a, source.b),
             layer.mask,
             place,

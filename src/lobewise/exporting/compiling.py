@@ -24,9 +24,10 @@ from lobewise.exporting.plan import FilterPlan, Term
 from lobewise.exporting.targets import parse_target, refuse_target
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import PassInputs, PassKey, describe_structure, make_pass
-from lobewise.filters.forms import can_pair, list_passes
+from lobewise.filters.forms import can_mirror, list_passes
 from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.cpu import count_lanes, schedule_pass
+from lobewise.filters.schedules.cross_pass import schedule_pass
+from lobewise.filters.schedules.rows import count_lanes
 
 SMALLEST_NUMBER = 1e-9
 """What constants must be at least."""
@@ -176,7 +177,7 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
             last,
             demodulate=plan.albedo and first,
             modulate=plan.albedo and last,
-            paired=not target.has_gpu_feature() and can_pair(taps, reach),
+            mirrored=not target.has_gpu_feature() and can_mirror(taps, reach),
         )
         funcs = make_pass(key, features, given, lanes=count_lanes(target))
         if not last:

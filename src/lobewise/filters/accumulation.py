@@ -23,7 +23,7 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, SQUARED_WEIGHT, WEIGHT, demodulate, find_luminance, make_stage
-from lobewise.filters.planes import begin_at_zero, make_side
+from lobewise.filters.planes import begin_at_zero, make_guide_planes
 from lobewise.filters.reprojection import FRAMES, HISTORY_CHANNELS, MOMENT
 
 SMALLEST_WEIGHT = 1e-12
@@ -99,7 +99,7 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
 
     # Samples: the planes of every feature, radiance over albedo, 1 where it counts, its squared luminance, the trust
     # and where that counts.
-    side = make_side("tap", tap_mask, features, scalars, (x, y, c))
+    side = make_guide_planes("tap", tap_mask, features, scalars)
     at = hl.clamp(x, 0, columns - 1), hl.clamp(y, 0, rows - 1)
     usable = (x >= 0) & (x < columns) & (y >= 0) & (y < rows) & (tap_mask[at] != 0)
     floor = hl.f32(ALBEDO_FLOOR)
@@ -122,7 +122,7 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
     wide[x, c, y] = tap_planes[find_block(x), c, y]
 
     # The logarithm of the weights, by tap.
-    centre = make_side("own", own_mask, features, scalars, (x, y, c), inside=True)
+    centre = make_guide_planes("own", own_mask, features, scalars, inside=True)
     u, v = hl.Var("u"), hl.Var("v")
     block = find_block(x), find_block(y)
     shift = place_x + block[0] * factor - x, place_y + block[1] * factor - y

@@ -20,8 +20,9 @@ from lobewise.errors import require_choice
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
-from lobewise.filters.forms import FORMS, can_pair, list_passes
-from lobewise.filters.schedules.cpu import STRIP_ROWS, count_lanes, schedule_pass
+from lobewise.filters.forms import FORMS, can_mirror, list_passes
+from lobewise.filters.schedules.cross_pass import schedule_pass
+from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
 
 COLORS = 3
@@ -139,7 +140,7 @@ def run_filter(
             strict=strictness is not None,
             # Several images from one kernel would be computed several times elsewhere.
             apart=number == len(passes) - 1 and device == "cpu",
-            paired=device == "cpu" and strictness is None and can_pair(taps, reach),
+            mirrored=device == "cpu" and strictness is None and can_mirror(taps, reach),
         )
         for number, (taps, reach, _) in enumerate(passes)
     ]

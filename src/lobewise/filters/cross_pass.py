@@ -20,7 +20,15 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.features.base import Feature, Stage, dot
 from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
-from lobewise.filters.planes import Rows, Side, begin_at_zero, clamp_likely, list_inputs, make_image, make_side
+from lobewise.filters.planes import (
+    GuidePlanes,
+    Rows,
+    begin_at_zero,
+    clamp_likely,
+    list_inputs,
+    make_guide_planes,
+    make_image,
+)
 from lobewise.lobes.vectors import LUMINANCE
 
 SUM_CHANNELS = 5
@@ -52,8 +60,8 @@ class PassKey:
     """Raises the weights of every centre's taps to a power of its own."""
     apart: bool = False
     """Writes what supports the radiance of a last pass into images of their own."""
-    paired: bool = False
-    """Weighs two pixels of a row once, for both: only where `can_pair` says so, not ``strict``."""
+    mirrored: bool = False
+    """Weighs two pixels of a row once, for both: only where `can_mirror` says so, not ``strict``."""
 
     @property
     def channels(self) -> int:
@@ -97,14 +105,11 @@ class PassFuncs:
     image: hl.Func
     rows: Rows | None
     """What image and planes are made of, on processors."""
-    side: Side
+    planes: GuidePlanes
     """The planes that taps read."""
     stages: list[hl.Func]
     inner: hl.RDom
     outer: hl.RDom
-    x: hl.Var
-    y: hl.Var
-    c: hl.Var
     arguments: list[Any] = field(default_factory=list)
 
 
@@ -218,8 +223,8 @@ def make_pass(
     spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
     offset = hl.f32(u * spread), hl.f32(v * spread)
     rows = Rows(width, spread * across, lanes) if lanes else None
-    image = make_image("image", mask, (x, y, c), rows, take_image)
-    side = make_side("tap", mask, features, scalars, (x, y, c), arrays=inputs.arrays, rows=rows)
+    image = make_image("image", mask, rows, take_image)
+    side = make_guide_planes("tap", mask, features, scalars, arrays=inputs.arrays, rows=rows)
     stages: list[hl.Func] = []
     stage = make_stage(stages, (x, y, u, v))
 
@@ -249,7 +254,7 @@ def make_pass(
         return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
 
     weights = None
-    if key.paired:
+    if key.mirrored:
         weights = hl.Func("weights")
         weights[x, y, u] = expressions.exp2(log_weight[x, y, u, 0])
         inner = hl.RDom([(1, across)], "inner")
@@ -313,12 +318,9 @@ def make_pass(
         channels=key.channels,
         image=image,
         rows=rows,
-        side=side,
+        planes=side,
         stages=stages,
         inner=inner,
         outer=outer,
-        x=x,
-        y=y,
-        c=c,
         arguments=arguments,
     )

@@ -23,7 +23,7 @@ from lobewise.backend.jit import get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.gpu import ALIGNMENT, spread_channels, spread_pixels
+from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 from lobewise.frame import FloatArray
 
 REACH = 6

@@ -26,7 +26,7 @@ class Taps(Enum):
     """5x5, ``step`` pixels apart, with B-spline weights."""
 
 
-def can_pair(taps: Taps, radius: int) -> bool:
+def can_mirror(taps: Taps, radius: int) -> bool:
     """Return whether a processor's pass weighs the two pixels of a pair once: only rows gain (docs/performance.md)."""
     return taps is Taps.HORIZONTAL and radius > 0
 

@@ -23,7 +23,7 @@ from lobewise.backend.jit import get_kernel
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.cross_pass import find_luminance
 from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.gpu import keep_planes, spread_channels
+from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.frame import FloatArray
 
 COLORS = 3

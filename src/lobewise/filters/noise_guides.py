@@ -1,4 +1,4 @@
-"""What a paired pass compares colours by: the mean of both filtered halves' logarithms, and how noisy that is."""
+"""What a dual-buffer pass compares colours by: the mean of both filtered halves' logarithms, and how noisy that is."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from lobewise.backend.buffers import comes_down, lend, make_output, take_image, 
 from lobewise.backend.jit import get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
-from lobewise.filters.dual_buffer import COLORS, GUIDE_CHANNELS
+from lobewise.filters.dual_buffer_pass import COLORS, GUIDE_CHANNELS
 from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.gpu import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
+from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
 from lobewise.frame import FloatArray
 
 BLUR_RADIUS = 3

@@ -13,6 +13,9 @@ import halide as hl
 
 from lobewise.features.base import Feature, Pixel
 
+PIXEL = X, Y, C = hl.Var("x"), hl.Var("y"), hl.Var("c")
+"""Column, row and channel of every function here."""
+
 
 def begin_at_zero(image: hl.ImageParam) -> None:
     """Let the compiler know that an image's coordinates begin at 0, as those of every array do."""
@@ -99,38 +102,36 @@ class Rows:
     def fill(
         self,
         name: str,
-        variables: tuple[hl.Var, hl.Var, hl.Var],
         outside: hl.Expr,
         inside: Callable[[int, hl.Expr], hl.Expr],
     ) -> hl.Func:
         """Return a function of (x, c, y) that is ``outside``, and ``inside(part, column)`` in the image's columns."""
-        x, y, c = variables
         func = hl.Func(name)
-        func[x, c, y] = hl.undef(hl.Float(32))
+        func[X, C, Y] = hl.undef(hl.Float(32))
         for margin in self.margins:
-            func[margin.x, c, y] = outside
+            func[margin.x, C, Y] = outside
         for number, part in enumerate(self.parts):
             column = part.y * self.lanes + part.x if part.dimensions() == 2 else part.x
-            func[column, c, y] = inside(number, column)
+            func[column, C, Y] = inside(number, column)
         return func
 
 
-def _stack(name: str, values: Sequence[hl.Expr], x: hl.Var, c: hl.Var, y: hl.Var) -> hl.Func | None:
+def _stack(name: str, values: Sequence[hl.Expr]) -> hl.Func | None:
     """Return a function whose channel c is the c-th value; None for no values."""
     if not values:
         return None
     func = hl.Func(name)
-    func[x, c, y] = _choose(values, c)
+    func[X, C, Y] = _choose(values)
     return func
 
 
-def _choose(values: Sequence[hl.Expr], c: hl.Var) -> hl.Expr:
-    """Return the c-th value."""
-    return hl.mux(c, list(values)) if len(values) > 1 else values[0]
+def _choose(values: Sequence[hl.Expr]) -> hl.Expr:
+    """Return the value of channel C."""
+    return hl.mux(C, list(values)) if len(values) > 1 else values[0]
 
 
 @dataclass
-class Side:
+class GuidePlanes:
     """The guides and planes of one grid of pixels, and the parameters that hold its arrays."""
 
     arrays: list[hl.ImageParam]
@@ -148,51 +149,46 @@ class Side:
         return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
 
 
-def make_side(
+def make_guide_planes(
     name: str,
     mask: hl.ImageParam,
     features: Sequence[Feature],
     scalars: Sequence[Sequence[hl.Expr]],
-    variables: tuple[hl.Var, hl.Var, hl.Var],
     inside: bool = False,
     arrays: list[hl.ImageParam] | None = None,
     rows: Rows | None = None,
-) -> Side:
+) -> GuidePlanes:
     """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
-    x, y, c = variables
     arrays = list_inputs(name, features) if arrays is None else arrays
     count = sum(count_inputs(features))
 
     def read(guides: hl.Func | None, column: hl.Expr) -> list[hl.Expr]:
-        return [guides[column, k, y] for k in range(count)] if guides is not None else []
+        return [guides[column, k, Y] for k in range(count)] if guides is not None else []
 
     if rows is None:
-        at = (x, y) if inside else (clamp_likely(x, mask.width()), hl.clamp(y, 0, mask.height() - 1))
-        guides = _make_guides(f"{name}_guides", mask, features, arrays, at, variables)
-        values, slices = prepare_planes(features, scalars, read(guides, x))
-        return Side(arrays, guides, count, _stack(f"{name}_planes", values, x, c, y), len(values), slices)
+        at = (X, Y) if inside else (clamp_likely(X, mask.width()), hl.clamp(Y, 0, mask.height() - 1))
+        guides = _make_guides(f"{name}_guides", mask, features, arrays, at)
+        values, slices = prepare_planes(features, scalars, read(guides, X))
+        return GuidePlanes(arrays, guides, count, _stack(f"{name}_planes", values), len(values), slices)
 
-    line = hl.clamp(y, 0, mask.height() - 1)
+    line = hl.clamp(Y, 0, mask.height() - 1)
     outside, slices = prepare_planes(features, scalars, [hl.f32(v) for feature in features for v in feature.neutral])
     if not outside:
-        return Side(arrays, None, 0, None, 0, slices)
+        return GuidePlanes(arrays, None, 0, None, 0, slices)
     parts = [
-        _make_guides(f"{name}_guides{number}", mask, features, arrays, (x, line), variables)
-        for number in range(len(rows.parts))
+        _make_guides(f"{name}_guides{number}", mask, features, arrays, (X, line)) for number in range(len(rows.parts))
     ]
     planes = rows.fill(
         f"{name}_planes",
-        variables,
-        _choose(outside, c),
-        lambda number, column: _choose(prepare_planes(features, scalars, read(parts[number], column))[0], c),
+        _choose(outside),
+        lambda number, column: _choose(prepare_planes(features, scalars, read(parts[number], column))[0]),
     )
-    return Side(arrays, None, count, planes, len(outside), slices, [part for part in parts if part is not None])
+    return GuidePlanes(arrays, None, count, planes, len(outside), slices, [part for part in parts if part is not None])
 
 
 def make_image(
     name: str,
     mask: hl.ImageParam,
-    variables: tuple[hl.Var, hl.Var, hl.Var],
     rows: Rows | None,
     take: Callable[[tuple[hl.Expr, hl.Expr], hl.Expr], hl.Expr],
 ) -> hl.Func:
@@ -200,15 +196,14 @@ def make_image(
 
     Outside the image the pixel is the nearest one and not usable; where there are rows, the function is 0.
     """
-    x, y, c = variables
-    line = hl.clamp(y, 0, mask.height() - 1)
-    inside = (y >= 0) & (y < mask.height())
+    line = hl.clamp(Y, 0, mask.height() - 1)
+    inside = (Y >= 0) & (mask.height() > Y)
     if rows is not None:
         zero = hl.f32(0.0)
-        return rows.fill(name, variables, zero, lambda _, at: take((at, line), inside & (mask[at, line] != 0)))
-    column = clamp_likely(x, mask.width())
+        return rows.fill(name, zero, lambda _, at: take((at, line), inside & (mask[at, line] != 0)))
+    column = clamp_likely(X, mask.width())
     func = hl.Func(name)
-    func[x, c, y] = take((column, line), inside & (x >= 0) & (x < mask.width()) & (mask[column, line] != 0))
+    func[X, C, Y] = take((column, line), inside & (X >= 0) & (mask.width() > X) & (mask[column, line] != 0))
     return func
 
 
@@ -218,12 +213,10 @@ def _make_guides(
     features: Sequence[Feature],
     arrays: Sequence[hl.ImageParam],
     at: tuple[hl.Expr, hl.Expr],
-    variables: tuple[hl.Var, hl.Var, hl.Var],
 ) -> hl.Func | None:
     """Return the input channels of every feature side by side."""
-    x, y, c = variables
     channels: list[hl.Expr] = []
     for array, count in zip(arrays, count_inputs(features), strict=True):
         deep = array.dimensions() == 3
         channels += [array[k, at[0], at[1]] if deep else array[at] for k in range(count)]
-    return _stack(name, neutralize(features, channels, mask[at] != 0), x, c, y)
+    return _stack(name, neutralize(features, channels, mask[at] != 0))

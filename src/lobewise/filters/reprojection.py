@@ -23,7 +23,14 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import SQUARED_WEIGHT
-from lobewise.filters.planes import begin_at_zero, count_inputs, list_inputs, make_side, neutralize, prepare_planes
+from lobewise.filters.planes import (
+    begin_at_zero,
+    count_inputs,
+    list_inputs,
+    make_guide_planes,
+    neutralize,
+    prepare_planes,
+)
 
 HISTORY_CHANNELS = 7
 MOMENT, FRAMES = 5, 6
@@ -97,7 +104,7 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None = No
         [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
     ]
-    now = make_side("now", mask_now, features, scalars, (x, y, c), inside=True)
+    now = make_guide_planes("now", mask_now, features, scalars, inside=True)
     width, height = hl.Param(hl.Int(32), "width"), hl.Param(hl.Int(32), "height")
     zero, one = hl.f32(0.0), hl.f32(1.0)
 

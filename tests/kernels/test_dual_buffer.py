@@ -19,7 +19,7 @@ from lobewise.errors import InputError
 from lobewise.features.base import LOG2_E, Feature, Pixel, ScreenFeature, Stage
 from lobewise.features.lobe import DiffuseFeature
 from lobewise.features.seen import SeenFeature
-from lobewise.filters.dual_buffer_runs import Exponents, Paired, run_paired
+from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
 from lobewise.frame import FloatArray
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 from tests.kernels.oracles import Pixels, get_similarity
@@ -82,7 +82,7 @@ def make_own_feature(kind: str, shape: tuple[int, int]) -> Feature:
 
 @dataclass(frozen=True)
 class Case:
-    """What decides the code of a paired pass, and the exponents that it is tried with."""
+    """What decides the code of a dual-buffer pass, and the exponents that it is tried with."""
 
     radius: int
     place: tuple[str, ...]
@@ -121,7 +121,7 @@ CASES = {
 
 @dataclass(frozen=True)
 class Given:
-    """The arguments of a paired pass."""
+    """The arguments of a dual-buffer pass."""
 
     halves: tuple[FloatArray, FloatArray]
     mask: NDArray[np.bool_]
@@ -136,13 +136,13 @@ class Given:
     seen: Sequence[Feature] = ()
     joined: bool = False
 
-    def run(self) -> list[Paired]:
+    def run(self) -> list[DualBufferOutput]:
         """Return what the kernel gives."""
-        return run_paired(*_split(self), **_name(self))
+        return filter_dual_buffer(*_split(self), **_name(self))
 
     def run_oracle(self) -> list[Found]:
         """Return what the definition gives."""
-        return paired_reference(*_split(self), **_name(self))
+        return dual_buffer_reference(*_split(self), **_name(self))
 
 
 def _split(given: Given) -> tuple[Any, ...]:
@@ -154,7 +154,7 @@ def _name(given: Given) -> dict[str, Any]:
 
 
 class Found(NamedTuple):
-    """What a variant gives, float64; see `Paired`."""
+    """What a variant gives, float64; see `DualBufferOutput`."""
 
     a: FloatImage
     b: FloatImage
@@ -180,7 +180,7 @@ def find_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
     return np.where(known, light, mean[..., None])
 
 
-def paired_reference(
+def dual_buffer_reference(
     halves: tuple[FloatArray, FloatArray],
     mask: NDArray[np.bool_],
     place: Sequence[Feature],
@@ -309,12 +309,14 @@ def assert_agrees(given: Given, tolerance: float) -> None:
             assert found.dtype == np.float32
 
 
-def get_bits(found: Sequence[Paired]) -> bytes:
+def get_bits(found: Sequence[DualBufferOutput]) -> bytes:
     """Return the bits of every image."""
     return b"".join(image.tobytes() for each in found for image in each)
 
 
-def assert_close(found: Sequence[Paired], expected: Sequence[Paired], rtol: float = REORDERED) -> None:
+def assert_close(
+    found: Sequence[DualBufferOutput], expected: Sequence[DualBufferOutput], rtol: float = REORDERED
+) -> None:
     """Raise AssertionError unless all images of all variants are the same but for rounding."""
     for one, other in zip(found, expected, strict=True):
         for name, image in one._asdict().items():
@@ -368,7 +370,9 @@ def test_constant_light_stays_constant_where_colours_lack_a_channel(channel: int
     albedo[2:5, 8:, (channel + 1) % 3] = 0.0
     radiance = np.float32(1.5) * albedo
     everywhere = np.ones(albedo.shape[:2], dtype=bool)
-    (out,) = run_paired((radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo)
+    (out,) = filter_dual_buffer(
+        (radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo
+    )
     np.testing.assert_allclose(out.a, 1.5, rtol=1e-5)
     np.testing.assert_allclose(out.b, 1.5, rtol=1e-5)
 
@@ -581,7 +585,7 @@ def test_images_of_another_size_are_refused() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_paired import *
+from tests.kernels.test_dual_buffer import *
 sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
 """
 

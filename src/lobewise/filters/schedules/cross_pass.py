@@ -1,0 +1,81 @@
+"""How a pass of the cross filter is computed, on processors and on graphics cards."""
+
+from __future__ import annotations
+
+import halide as hl
+
+from lobewise.filters.cross_pass import PassFuncs
+from lobewise.filters.planes import PIXEL
+from lobewise.filters.schedules.blocks import keep_planes, spread_channels
+from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
+
+COLORS = 3
+
+
+def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
+    """Schedule a pass for a target."""
+    if target.has_gpu_feature():
+        _schedule_blocks(funcs)
+    else:
+        _schedule_rows(funcs, target)
+
+
+def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
+    """Rows in parallel, columns in vectors, the log-similarity of one row of taps at a time in cache.
+
+    What it takes, and what was tried: docs/performance.md.
+
+    What it rests on: every stage of the log-similarity has a loop of its own over a row of taps, whose results stay in
+    the first-level cache, so that neither loop runs out of vector registers; planes of a strip lie row by row beside
+    each other, padded to whole vectors, because planes a power of two apart would share cache sets; strips of rows
+    are independent, so memory is bounded and threads change nothing; a column of taps goes down vector by vector, whose
+    rows stay in the first-level cache; what a tile sums has a size known beforehand and lies on the stack, because
+    asking for memory in a loop costs as much as a dozen taps.
+    """
+    x, y, c = PIXEL
+    lanes = target.natural_vector_size(hl.Float(32))
+    out, row, tail = funcs.out, funcs.row, hl.TailStrategy.GuardWithIf
+    xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
+    rows, columns = 8, 8 * lanes
+    written = funcs.channels if funcs.rest is None else COLORS
+    out.bound(c, 0, written).reorder(c, x, y).unroll(c)
+    for func in (out, funcs.rest):
+        if func is not None:
+            func.split(y, ys, yt, STRIP_ROWS, tail).tile(x, yt, xo, yo, xi, yi, columns, rows, tail)
+            func.split(xi, xv, xw, lanes, tail).reorder(xw, xv, yi, xo, yo, ys)
+            func.vectorize(xw).parallel(ys).never_partition([xw, yi, xo, yo, ys])
+    out.reorder(c, xw)
+    if funcs.last:
+        # A known stride makes whole stores of interleaved vectors.
+        out.output_buffer().dim(1).set_stride(written)
+    if funcs.rest is not None:
+        assert funcs.finish is not None
+        # They are as large as each other; where the compiler does not know that, it writes every loop three times.
+        whole, beside = out.output_buffer(), funcs.rest.output_buffers()[0]
+        for axis in (0, 1):
+            beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
+        funcs.rest.compute_with(out, xv)
+        funcs.finish.compute_at(out, xv).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
+    sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
+    across, within = ([xw, y, xv], y) if funcs.vertical else ([xw, xv, y], xv)
+    sums.update().split(x, xv, xw, lanes).reorder(*across, funcs.outer.x).vectorize(xw)
+    row.compute_at(sums, within).vectorize(x, lanes)
+    row.update().reorder(x, funcs.inner.x).vectorize(x, lanes)
+    if funcs.weights is not None:
+        u = funcs.weights.args()[2]
+        weights = funcs.weights.compute_at(sums, y).split(x, xv, xw, lanes).reorder(xw, u, xv, y).vectorize(xw)
+    for stage in funcs.stages:
+        (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
+
+    assert funcs.rows is not None
+    fill_rows(funcs.image.compute_at(out, ys), funcs.channels, funcs.rows)
+    fill_planes(funcs.planes, funcs.rows, (out, ys))
+
+
+def _schedule_blocks(funcs: PassFuncs) -> None:
+    """One thread for one pixel of the sums; planes and image in memory."""
+    thread = spread_channels(funcs.out, funcs.channels, PIXEL)
+    funcs.sums.compute_at(funcs.out, thread)
+    funcs.row.compute_at(funcs.sums, funcs.outer.x)
+    keep_planes(funcs.image, funcs.channels, PIXEL)
+    keep_planes(funcs.planes.planes, funcs.planes.plane_count, PIXEL)
