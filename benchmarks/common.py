@@ -12,7 +12,10 @@ from lobewise.bench.machine import describe_machine
 from lobewise.frame import FloatArray, Frame
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 
-__all__ = ["describe_machine", "fetch_frame", "fetch_image", "write_json"]
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+
+__all__ = ["RESULTS", "ROOT", "describe_machine", "fetch_frame", "fetch_image", "write_json"]
 
 
 def write_json(path: Path, value: Any) -> None:

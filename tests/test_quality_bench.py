@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -20,13 +19,10 @@ from lobewise.reporting.display import choose_exposure, map_tones
 pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")
 stats = pytest.importorskip("scipy.stats", reason="the bench blurs with SciPy: pip install 'lobewise[fit]'")
 
-ROOT = Path(__file__).parents[1]
-# The bench is a program of several files beside the package.
-sys.path.insert(0, str(ROOT / "benchmarks"))
-quality, quality_frames, quality_methods, quality_page, quality_pictures, quality_summary = (
-    import_module(name)
-    for name in ("quality", *(f"quality_{part}" for part in ("frames", "methods", "page", "pictures", "summary")))
+quality, quality_frames, quality_methods, quality_pictures, quality_summary = (
+    import_module(f"benchmarks.quality.{part}") for part in ("measure", "frames", "methods", "pictures", "summary")
 )
+quality_page = import_module("benchmarks.pages.quality")
 
 HEIGHT, WIDTH = 40, 48
 # Four chunks estimate a variance with a deviation of 0.8 of it per value; 3 x 1000 values bring that to 1.5 %.

@@ -14,27 +14,23 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.peers import has_oidn
 
-BENCHMARKS = str(Path(__file__).parents[1] / "benchmarks")
-
 
 @pytest.fixture
-def startup(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Return benchmarks/startup.py."""
+def startup() -> ModuleType:
+    """Return benchmarks/performance/startup.py."""
     pytest.importorskip("mitsuba")
     pytest.importorskip("scipy")
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    import startup
+    from benchmarks.performance import startup
 
     return startup
 
 
 @pytest.fixture
-def page(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Return benchmarks/bench_page.py."""
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    import bench_page
+def page() -> ModuleType:
+    """Return benchmarks/pages/bench.py."""
+    from benchmarks.pages import bench
 
-    return bench_page
+    return bench
 
 
 def make_gradient() -> FloatArray:

@@ -1,11 +1,8 @@
-"""benchmarks/train.py: its derivatives, its steps, its weights of examples, and that it learns what the kernels run."""
+"""benchmarks/training/train.py: its derivatives, its steps, its weights of examples, and that it learns."""
 
 from __future__ import annotations
 
 import importlib
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -18,7 +15,6 @@ from lobewise.frame import Frame
 from lobewise.metrics import EPSILON
 from tests.kernels.test_mixing import CANDIDATES, EXTRAS, make_inputs
 
-ROOT = Path(__file__).parents[1]
 SLOPE = 2e-5
 """Relative, of the largest: steps of 1e-5 in float64 leave 1e-10 of a value's rounding over 1e-5."""
 
@@ -26,14 +22,12 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def train(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Return the program, with small networks."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    module = importlib.import_module("train")
+    module = importlib.import_module("benchmarks.training.train")
     monkeypatch.setattr(module, "UNITS", (6, 5))
     monkeypatch.setattr(module, "BATCH", 256)
-    yield module
-    sys.modules.pop("train", None)
+    return module
 
 
 def make_exact(train: ModuleType, features: Any, candidates: int, rng: np.random.Generator) -> Network:

@@ -1,9 +1,8 @@
-"""benchmarks/training_scenes.py: what its patterns and materials promise, and that the same seed is the same scene."""
+"""benchmarks/training/scenes.py: what its patterns and materials promise, and that the same seed is the same scene."""
 
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
-NAMES = ("training_scenes", "training_settings", "training_materials")
+NAMES = ("scenes", "settings", "materials")
 
 SMALLEST, LARGEST = 0.004, 0.71
 """Bounds of every alpha, as far as the single precision of a texture lets them be kept."""
@@ -24,12 +22,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def modules(monkeypatch: pytest.MonkeyPatch, mi: Any) -> Iterator[tuple[Any, ...]]:
+def modules(mi: Any) -> tuple[Any, ...]:
     """Return the program's three modules."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    yield tuple(importlib.import_module(name) for name in NAMES)
-    for name in NAMES:
-        sys.modules.pop(name, None)
+    return tuple(importlib.import_module(f"benchmarks.training.{name}") for name in NAMES)
 
 
 def _flatten(item: Any, prefix: str = "") -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,8 @@ def results() -> dict[str, Any]:
     return found
 
 
-def test_figures_come_from_the_results(monkeypatch: pytest.MonkeyPatch, results: dict[str, Any]) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    spec = importlib.util.spec_from_file_location("virtual_lights", ROOT / "benchmarks" / "virtual_lights.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_figures_come_from_the_results(results: dict[str, Any]) -> None:
+    module = import_module("benchmarks.interactive.virtual_lights")
     assert module.fill_page(PAGE.read_text(), results) == PAGE.read_text()
 
 

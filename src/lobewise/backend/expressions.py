@@ -2,7 +2,7 @@
 
 A filter tap needs one exponential and at most one logarithm. Both are polynomials on the mantissa, without table,
 branch or conversion of rounding mode, so that every target vectorises them. The coefficients are minimax fits made
-by ``benchmarks/fit_expressions.py``; their errors are stated and tested.
+by ``benchmarks/performance/fit_expressions.py``; their errors are stated and tested.
 """
 
 from __future__ import annotations

@@ -91,9 +91,10 @@ SPECULAR = Plan(
     ),
     beta=1.0,
 )
-"""Tuned on the scenes that ``benchmarks/quality.py`` calls train (docs/quality.md). Diffuse light varies slowly: a
-second, sparse pass over what the first gave reaches as far as a dense kernel of three times the cost. Of reflections
-only the rough take part in it: the axes of sharp lobes are too far apart, 4 pixels on, for so high a power."""
+"""Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train (docs/quality.md). Diffuse light varies
+slowly: a second, sparse pass over what the first gave reaches as far as a dense kernel of three times the cost. Of
+reflections only the rough take part in it: the axes of sharp lobes are too far apart, 4 pixels on, for so high a
+power."""
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel over which what reflections see is averaged: radius and sigma in pixels."""

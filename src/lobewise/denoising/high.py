@@ -2,8 +2,8 @@
 
 How wide to average is a trade of noise for blur that changes from pixel to pixel. Here thirteen filters run, each
 guided by what those before it found, and a small network, trained on scenes that are made at random
-(``benchmarks/train.py``), says in which proportions they count. It sees how noisy each is, how far they are apart and
-what kind of surface a pixel shows, all of it relative, so that neither exposure nor sample count matters.
+(``benchmarks/training/train.py``), says in which proportions they count. It sees how noisy each is, how far they are
+apart and what kind of surface a pixel shows, all of it relative, so that neither exposure nor sample count matters.
 """
 
 from __future__ import annotations

@@ -1,0 +1,115 @@
+"""The page that tells how the quality modes came about, from the recorded trials and the trainer's JSON."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+HEAD = """# Quality: how the noise enters
+
+`lobewise.denoise(frame, quality=...)`, `lobewise denoise --quality ...`. Guides and lobes tell which pixels reflect alike; they do not know how noisy a frame is, or how
+fast what is reflected changes. Three qualities:
+
+| quality | what it does |
+| --- | --- |
+| `fast` | The paper's: one pass, weights from guides alone. Any form, radius, upsampling and histories. |
+| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. A third, sparse pass over what that gave reaches further where light is diffuse or reflected by rough lobes. |
+| `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
+
+Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
+
+## What comes before and after
+
+- **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used; else the two colours of a checkerboard are.
+- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` and the command line say
+  which share of the light that took.
+- **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
+- **Edges.** Filters work with the surface at a pixel's centre. Where the frame has `coverage` (`lobewise render` does), the light that falls on the surfaces around is mixed over the
+  pixel's area at the end, so that silhouettes and textures are smooth; without it they are as the guides are.
+
+## Tried, kept, dropped
+
+One at a time, on the scenes that are tuned on alone. `rel_mse` in units of 1e-5, noise of the references subtracted; rows compare within a table, differences of a few percent mean little.
+
+"""
+
+TAIL = """
+## The networks of `high`
+
+Inputs, all of them relative, so that neither exposure nor sample count enters: the variance of every candidate (how far its halves are apart), how far it is from the middle one, slope and brightness, each averaged over
+5x5 pixels and once more over some 17x17; what the narrow and the middle candidate are worth in samples, the variance of both guides, albedo, roughness and anisotropy. Two hidden layers, a softmax over the candidates; one network for
+diffuse, one for specular light. Trained on {scenes} scenes made at random (`benchmarks/training/scenes.py`), none of which is a scene that results are judged on; {weights} weights, 3 networks.
+Every fifth scene was kept aside once, to see that the networks do not learn their scenes by heart (error of the mixture over that of the middle candidate, geometric mean over scenes):
+
+{ratios}
+
+```sh
+python -m benchmarks.training.scenes --cache DIR --count 24 --size 384 --reference-spp 256
+python -m benchmarks.training.train --cache DIR
+```
+
+## Together with Open Image Denoise
+
+`denoise(frame, with_oidn=True)`, `--with-oidn`: `high`, then a mixture with what Open Image Denoise makes of the frame, pixel by pixel, in proportions that a third network reads off the same
+inputs and the difference of both. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
+
+{peer}
+
+## Goals that are missed
+
+Two of the goals of error in [quality_results.md](quality_results.md) are: near-mirrors and anisotropic metal no worse than Open Image Denoise at 16 and 64 samples. What was tried, each measured above:
+
+1. What reflections see, compared: as it comes it is noise itself at few samples; averaged over 5x5 pixels by the lobes it gained 6 to 11 % on near-mirrors, over 3x3 by place alone no less; that is in `balanced` and `high`.
+2. Narrower and stricter candidates for the network, down to a sigma of 2 pixels, and inputs at two scales (what the networks gain on scenes kept aside from training is below).
+3. A pilot guided by the samples themselves, so that a lamp seen in a mirror does not leak into its surroundings: an order of magnitude on `corridor` at 64 samples.
+
+A third goal is `balanced` at 1920x1080 in less time than Open Image Denoise with its `fast` quality. Three attempts: one guide for both halves with smaller pilots and a diffuse similarity without root
+and logarithm; no copies or sums in NumPy between the passes; single lobes in the pilot, a mean of what is seen over 3x3 pixels, a last pass that averages all samples at once. At 384x384 both take as long as
+each other; at 1920x1080 part of what is left is memory that the system hands out anew after another method has run.
+
+What remains of the error is mostly glass (reflected and refracted light are one radiance with one lobe) and edges inside a reflection, which no guide knows before the noise is gone.
+
+## What is not settled
+
+- Samples of pixels that two surfaces share count as samples of the one at the centre. Leaving them out made things worse.
+- Emission and background pass through as they came.
+- Radius and sigmas are those of images of some 400 to 1100 rows; scale `radius` with the resolution.
+"""
+
+
+def make_table(header: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table, figures to the right."""
+    align = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in [header, align, *rows])
+
+
+def make_trials(trials: list[dict[str, Any]]) -> str:
+    """Return a table for each group of trials."""
+    parts = []
+    for group, members in groupby(trials, key=lambda trial: trial["group"]):
+        rows = list(members)
+        header = [group, *rows[0]["columns"], ""]
+        table = [
+            [row["name"], *map(str, row["values"]), ": ".join(word for word in (row["verdict"], row["note"]) if word)]
+            for row in rows
+        ]
+        parts.append(make_table(header, table))
+    return "\n\n".join(parts) + "\n"
+
+
+def make_ratios(ratios: dict[str, dict[str, float]]) -> str:
+    """Return the trainer's table."""
+    names = list(next(iter(ratios.values())))
+    rows = [[f"{spp} spp", *(f"{row[name]:.2f}" for name in names)] for spp, row in ratios.items()]
+    return make_table(["samples", *names], rows)
+
+
+def make_trials_page(trials: dict[str, Any], training: dict[str, Any]) -> str:
+    """Return docs/quality.md."""
+    tail = TAIL.format(
+        scenes=len(training["scenes"]),
+        weights=training["weights"],
+        ratios=make_ratios(training["ratios"]),
+        peer=make_ratios(training["ratios_with_peer"]),
+    )
+    return HEAD + make_trials(trials["trials"]) + tail
