@@ -12,16 +12,12 @@ import pytest
 
 import lobewise
 from lobewise.camera import Camera
-from lobewise.denoising import (
-    DenoiseSettings,
-    choose_beta,
-    choose_screen_sigma,
-    choose_tau,
-    denoise,
-    estimate_spp,
-)
+from lobewise.denoising import denoise
+from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.denoising.noise import estimate_spp
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
+from lobewise.settings import DenoiseSettings
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
 SHAPE = (40, 50)

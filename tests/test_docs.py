@@ -129,7 +129,7 @@ def test_published_figures_come_from_the_results() -> None:
 
 
 def test_default_similarity_is_the_winner_of_the_comparison() -> None:
-    from lobewise.denoising import DEFAULT_SIMILARITY
+    from lobewise.denoising.automatic import DEFAULT_SIMILARITY
 
     similarities = json.loads((ROOT / "benchmarks" / "results" / "similarities.json").read_text())
     logs = dict.fromkeys(("sg", "sg_mixture", "asg", "ggx"), 0.0)

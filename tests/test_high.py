@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import DenoiseSettings, combining, denoise, high, recipe
+from lobewise.denoising import combining, denoise, high, recipe
+from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
 from lobewise.denoising.guided import finish_layer, make_noisy_layers, make_pass_guide, resolve_guided
 from lobewise.denoising.high import (
@@ -25,12 +26,12 @@ from lobewise.denoising.high import (
     pack_network,
     unpack_network,
 )
-from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.filters.mixing import Network, count_features
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io import describe_file, read_frame, write_frame, write_result
+from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -456,7 +457,7 @@ class TestContract:
         assert result.image.shape == (*shape, 3)
         assert np.isfinite(result.image).all()
 
-    @pytest.mark.parametrize("quality", QUALITIES)
+    @pytest.mark.parametrize("quality", ["auto", *QUALITIES])
     def test_radius_zero(self, quality, networks):
         # No pass has a tap but the pixel's own: reflections stay as they are.
         networks["specular"] = force(networks["specular"], MIDDLE)

@@ -10,9 +10,11 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
 ROOMS = [
     "errors",
+    "settings",
     "chunks",
     "lobe_table",
     "camera",
+    "images",
     "frame",
     "sparse_frame",
     "motion",

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising import denoise
+from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.guided import make_noisy_layers, resolve_guided
-from lobewise.denoising.settings import QUALITIES, choose_quality
 from lobewise.errors import InputError
 from lobewise.features.base import ScreenFeature
 from lobewise.filters.compositing import resolve_light
 from lobewise.frame import Frame, Radiance
 from lobewise.lobes.field import default_tau
+from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample

@@ -20,9 +20,9 @@ from lobewise.bench.kernels import make_kernel_calls, time_kernels
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
 from lobewise.denoising import denoise
-from lobewise.filters.forms import FORMS
 from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.settings import FORMS
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080))
 RADII = (8, 16)

@@ -33,9 +33,8 @@ from lobewise.backend import expressions
 from lobewise.backend.buffers import Buffer, take_mask
 from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.bench.timing import time_best
-from lobewise.denoising import DenoiseSettings
+from lobewise.denoising import resolve_settings
 from lobewise.denoising.layers import Layer, make_layers
-from lobewise.denoising.settings import resolve_settings
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
@@ -46,6 +45,7 @@ from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes, fill_planes
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, render_frame, render_reference
+from lobewise.settings import DenoiseSettings
 
 SCENES = ("showroom", "brushed", "parlour", "sparks")
 SAMPLES = (4, 16)

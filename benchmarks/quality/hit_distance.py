@@ -21,7 +21,6 @@ from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_imag
 
 import lobewise
 from lobewise.denoising import denoise, resolve_settings
-from lobewise.denoising.settings import DenoiseSettings
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.render import render_frame, render_reference
@@ -36,6 +35,7 @@ from lobewise.scenes.build import (
     make_rectangle,
     make_texture,
 )
+from lobewise.settings import DenoiseSettings
 
 SIZE = 384
 REFERENCE_SPP = 4096

@@ -11,10 +11,11 @@ import numpy as np
 from benchmarks.quality.frames import SAMPLES, Bench
 from benchmarks.quality.summary import TRAIN
 
-from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.settings import DenoiseSettings
 
 NORMAL_EXPONENTS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 SCREEN_SIGMAS = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.5, 8.0)

@@ -23,11 +23,12 @@ from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_imag
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse, smape
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.render import load_scene, render_frame, render_reference
+from lobewise.settings import DenoiseSettings
 
 Mask = NDArray[np.bool_]
 

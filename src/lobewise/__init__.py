@@ -9,15 +9,16 @@ from lobewise.errors import LobewiseError
 if TYPE_CHECKING:
     from lobewise.adaptive import find_unsupported, recompute
     from lobewise.camera import Camera
-    from lobewise.denoising import DenoiseSettings, denoise
+    from lobewise.denoising import denoise
     from lobewise.features.base import Feature
     from lobewise.frame import Frame, GBuffer, LobeKind, Radiance, Result
     from lobewise.io.exr import read_frame, write_frame, write_result
     from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.lobe_table import LobeTable
+    from lobewise.settings import DenoiseSettings, TemporalSettings
     from lobewise.sparse_frame import SparseFrame, make_sparse
     from lobewise.streaming import DenoisedFile, denoise_file
-    from lobewise.temporal import TemporalFilter, TemporalSettings
+    from lobewise.temporal import TemporalFilter
     from lobewise.upsampling import upsample
 
 __version__ = "0.1.0"
@@ -54,7 +55,7 @@ __all__ = [
 # NumPy, Halide and OpenEXR load on first use, so that importing the package and asking the program for help are cheap.
 _LAZY = {
     "Camera": "lobewise.camera",
-    "DenoiseSettings": "lobewise.denoising",
+    "DenoiseSettings": "lobewise.settings",
     "DenoisedFile": "lobewise.streaming",
     "Feature": "lobewise.features.base",
     "Frame": "lobewise.frame",
@@ -65,7 +66,7 @@ _LAZY = {
     "Result": "lobewise.frame",
     "SparseFrame": "lobewise.sparse_frame",
     "TemporalFilter": "lobewise.temporal",
-    "TemporalSettings": "lobewise.temporal",
+    "TemporalSettings": "lobewise.settings",
     "denoise": "lobewise.denoising",
     "denoise_file": "lobewise.streaming",
     "find_unsupported": "lobewise.adaptive",

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import TypeVar
+
+ErrorT = TypeVar("ErrorT", bound="LobewiseError")
 
 
 class LobewiseError(Exception):
     """Root of every error that a user can mend; the command line turns it into exit code 2."""
+
+    @classmethod
+    def about(cls: type[ErrorT], what: str, *, expected: str, got: str, action: str) -> ErrorT:
+        """Return the error whose one sentence is that of `describe_problem`."""
+        return cls(describe_problem(what, expected=expected, got=got, action=action))
 
 
 class InputError(LobewiseError, ValueError):

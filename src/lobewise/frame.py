@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.images import FloatArray as FloatArray  # every room has it from here
+from lobewise.images import Images, refuse_size, say_size
 from lobewise.lobe_table import LobeTable
-
-FloatArray = NDArray[np.float32]
 
 
 class LobeKind(IntEnum):
@@ -32,69 +33,8 @@ class LobeKind(IntEnum):
     """Perfect mirror or smooth dielectric; the alphas are 0."""
 
 
-def _as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
-    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels)."""
-    if value is None:
-        return None
-    array = np.asarray(value)
-    shape = "(height, width)" if channels is None else f"(height, width, {channels})"
-    good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
-    if not good or array.dtype.kind not in "fiub":
-        raise InputError(
-            describe_problem(
-                name,
-                expected=f"a real array of shape {shape}",
-                got=f"{array.dtype} of shape {array.shape}",
-                action="reshape it or leave it out",
-            )
-        )
-    if 0 in array.shape:
-        raise InputError(
-            describe_problem(
-                name, expected="at least one pixel", got=f"an image of shape {array.shape}", action="give it pixels"
-            )
-        )
-    out = np.ascontiguousarray(array, dtype=np.float32)
-    if out is value or not out.flags.owndata:
-        out = out.view()
-    out.flags.writeable = False
-    return out
-
-
-class _Images:
-    """Shared checks of the frozen data classes whose fields are images of one size."""
-
-    def _check(self, channels: dict[str, int | None]) -> None:
-        size: tuple[str, tuple[int, int]] | None = None
-        for item in fields(self):  # type: ignore[arg-type]
-            if item.name not in channels:
-                continue
-            image = _as_image(item.name, getattr(self, item.name), channels[item.name])
-            object.__setattr__(self, item.name, image)
-            if image is None:
-                continue
-            this = (int(image.shape[0]), int(image.shape[1]))
-            if size is not None and size[1] != this:
-                raise InputError(
-                    describe_problem(
-                        item.name,
-                        expected=f"the size of {size[0]}, {size[1][1]}x{size[1][0]} pixels",
-                        got=f"{this[1]}x{this[0]}",
-                        action="give every image of a frame the same width and height",
-                    )
-                )
-            size = size or (item.name, this)
-
-    def _shape(self) -> tuple[int, int] | None:
-        for item in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray) and value.ndim >= 2:
-                return int(value.shape[0]), int(value.shape[1])
-        return None
-
-
-@dataclass(frozen=True)
-class Radiance(_Images):
+@dataclass(frozen=True, repr=False)
+class Radiance(Images):
     """Linear radiance of one image, in total and by part; also used for its variance.
 
     Parameters
@@ -121,14 +61,17 @@ class Radiance(_Images):
 
     def __post_init__(self) -> None:
         if self.color is None:
-            raise InputError(
-                describe_problem("color", expected="an image", got="nothing", action="pass the noisy radiance")
-            )
-        self._check(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
+            raise InputError.about("color", expected="an image", got="nothing", action="pass the noisy radiance")
+        self.check_images(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
+
+    @property
+    def parts(self) -> tuple[FloatArray, FloatArray] | None:
+        """Diffuse and specular radiance where they are known apart, else None."""
+        return None if self.diffuse is None or self.specular is None else (self.diffuse, self.specular)
 
 
-@dataclass(frozen=True)
-class GBuffer(_Images):
+@dataclass(frozen=True, repr=False)
+class GBuffer(Images):
     """The first surface that every pixel sees. World space, row 0 on top; a missing surface has depth 0.
 
     Parameters
@@ -198,22 +141,80 @@ class GBuffer(_Images):
     material: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        channels: dict[str, int | None] = {item.name: None for item in fields(self)}
-        for name in channels:
-            if name.endswith(("position", "normal", "tangent", "albedo")):
-                channels[name] = 3
-        channels["motion"] = 2
-        channels["coverage"] = 9
-        self._check(channels)
+        vectors = ("position", "normal", "tangent", "albedo")
+        channels = {item.name: 3 if item.name.endswith(vectors) else None for item in fields(self)}
+        self.check_images({**channels, "motion": 2, "coverage": 9})
 
     @property
-    def shape(self) -> tuple[int, int] | None:
-        """(height, width), or None when the G-buffer is empty."""
-        return self._shape()
+    def is_placed(self) -> bool:
+        """Whether a camera tells the surface point of every pixel: there is its position or its depth."""
+        return self.position is not None or self.depth is not None
+
+    def require(self, name: str, whose: str) -> FloatArray:
+        """Return the image of that name, which ``whose`` needs.
+
+        Raises
+        ------
+        MissingChannelError
+            If it is not there.
+        """
+        image: FloatArray | None = getattr(self, name)
+        if image is None:
+            raise MissingChannelError.about(
+                f"channel {name}",
+                expected=f"one for {whose}",
+                got="none",
+                action="render it with the frame, or choose another similarity",
+            )
+        return image
 
 
-@dataclass(frozen=True)
-class Frame:
+class Guided(ABC):
+    """What frames share that have guides of some size and perhaps a camera, whatever pixels were shaded."""
+
+    gbuffer: GBuffer
+    camera: Camera | None
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the guides."""
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.shape[0]
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.shape[1]
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether every pixel's surface point is known: there is a camera, and position or depth."""
+        return self.camera is not None and self.gbuffer.is_placed
+
+    def require_camera(self, whose: str) -> Camera:
+        """Return the camera, which ``whose`` needs.
+
+        Raises
+        ------
+        MissingChannelError
+            If there is none.
+        """
+        if self.camera is None:
+            raise MissingChannelError.about(
+                "camera",
+                expected=f"one for {whose}",
+                got="none in the frame",
+                action="give the frame a camera, or use similarity 'normal'",
+            )
+        return self.camera
+
+
+@dataclass(frozen=True, repr=False)
+class Frame(Guided):
     """A noisy frame and what is known of it.
 
     Parameters
@@ -250,54 +251,46 @@ class Frame:
 
     def __post_init__(self) -> None:
         for name in ("gbuffer", "half_a", "half_b", "variance"):
-            part: Any = getattr(self, name)
-            shape = part._shape() if part is not None else None
+            part: Images | None = getattr(self, name)
+            shape = part.shape if part is not None else None
             if shape is not None and shape != self.shape:
-                raise InputError(
-                    describe_problem(
-                        name,
-                        expected=f"the size of the radiance, {self.width}x{self.height} pixels",
-                        got=f"{shape[1]}x{shape[0]}",
-                        action="give every image of a frame the same width and height",
-                    )
-                )
+                raise refuse_size(name, "the radiance", self.shape, shape)
         if self.spp is not None and self.spp < 1:
-            raise InputError(
-                describe_problem("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
-            )
+            raise InputError.about("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
         material = self.gbuffer.material
         if material is not None and not (material.min() >= 0.0 and material.max() <= len(self.lobe_tables)):
-            raise InputError(
-                describe_problem(
-                    "material",
-                    expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
-                    got=f"{material.min():g} to {material.max():g}",
-                    action="give the frame the tables of its materials, or leave the channel out",
-                )
+            raise InputError.about(
+                "material",
+                expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
+                got=f"{material.min():g} to {material.max():g}",
+                action="give the frame the tables of its materials, or leave the channel out",
             )
+
+    def __repr__(self) -> str:
+        return f"Frame({say_size(self.shape)}{describe_content(self)})"
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return int(self.radiance.color.shape[0]), int(self.radiance.color.shape[1])
 
-    @property
-    def height(self) -> int:
-        """Rows."""
-        return self.shape[0]
-
-    @property
-    def width(self) -> int:
-        """Columns."""
-        return self.shape[1]
-
     def with_changes(self, **changes: Any) -> Frame:
         """Return a copy with some fields replaced, checked again."""
         return replace(self, **changes)
 
 
-@dataclass(frozen=True)
+def describe_content(frame: Any) -> str:
+    """Return in one line what a whole or sparse frame holds."""
+    told = [f"{name} ({', '.join(getattr(frame, name).names)})" for name in ("radiance", "gbuffer")]
+    told += [name for name in ("half_a", "half_b", "variance", "camera") if getattr(frame, name, None) is not None]
+    told += [f"{frame.spp} spp"] if frame.spp else []
+    tables = len(frame.lobe_tables)
+    told += [f"{tables} lobe table{'s' if tables > 1 else ''}"] if tables else []
+    return ", ".join(told)
+
+
+@dataclass(frozen=True, repr=False)
 class Result:
     """A denoised frame.
 
@@ -339,3 +332,10 @@ class Result:
     def bad_pixel_count(self) -> int:
         """How many pixels were refilled."""
         return int(np.count_nonzero(self.bad_pixels))
+
+    def __repr__(self) -> str:
+        images = [name for name in ("image", "diffuse", "specular", "variance") if getattr(self, name) is not None]
+        named = [f"{name} {self.settings[name]}" for name in ("quality", "similarity") if name in self.settings]
+        size = say_size((self.image.shape[0], self.image.shape[1]))
+        told = [*images, *named, f"{self.bad_pixel_count} bad pixels", f"{self.seconds:.3g} s"]
+        return f"Result({size}{', '.join(told)})"

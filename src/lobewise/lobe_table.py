@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.settings import MAX_LOBES
 
 KINDS = ("sg", "asg")
 """Spherical Gaussians, as sharp in every direction about their axis, or anisotropic ones."""
-MAX_LOBES = 4
 UNIT_TOLERANCE = 1e-3
 """How far the length of a stored axis may be from 1: what four written digits leave."""
 SG_TOLERANCE = 1e-5

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.errors import InputError
+from lobewise.frame import Frame, GBuffer, Guided, Radiance, describe_content
 from lobewise.lobe_table import LobeTable
 
 MOST_SCALE = 16
@@ -15,27 +15,20 @@ MOST_SCALE = 16
 def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
     """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
     if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MOST_SCALE:
-        raise InputError(
-            describe_problem(
-                "scale",
-                expected=f"an integer from 1 to {MOST_SCALE}",
-                got=repr(scale),
-                action="2 or 4 is usual",
-            )
+        raise InputError.about(
+            "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=repr(scale), action="2 or 4 is usual"
         )
     if not (0 <= place[0] < min(scale, size[0]) and 0 <= place[1] < min(scale, size[1])):
-        raise InputError(
-            describe_problem(
-                "place",
-                expected=f"row and column from 0 to {scale - 1}",
-                got=repr(place),
-                action="say which pixel of each block was shaded",
-            )
+        raise InputError.about(
+            "place",
+            expected=f"row and column from 0 to {scale - 1}",
+            got=repr(place),
+            action="say which pixel of each block was shaded",
         )
 
 
-@dataclass(frozen=True)
-class SparseFrame:
+@dataclass(frozen=True, repr=False)
+class SparseFrame(Guided):
     """A frame that was shaded at every ``scale``-th pixel only.
 
     Parameters
@@ -76,10 +69,8 @@ class SparseFrame:
     def __post_init__(self) -> None:
         size = self.gbuffer.shape
         if size is None:
-            raise InputError(
-                describe_problem(
-                    "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
-                )
+            raise InputError.about(
+                "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
             )
         _check_blocks(size, self.scale, self.place)
         row, column = self.place
@@ -87,31 +78,22 @@ class SparseFrame:
         samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
         grid = -(-(size[0] - row) // self.scale), -(-(size[1] - column) // self.scale)
         if samples.shape != grid:
-            raise InputError(
-                describe_problem(
-                    "radiance",
-                    expected=f"{grid[1]}x{grid[0]} samples, one for each block of {self.scale}x{self.scale} pixels",
-                    got=f"{samples.width}x{samples.height}",
-                    action="check scale and place",
-                )
+            raise InputError.about(
+                "radiance",
+                expected=f"{grid[1]}x{grid[0]} samples, one for each block of {self.scale}x{self.scale} pixels",
+                got=f"{samples.width}x{samples.height}",
+                action="check scale and place",
             )
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
+
+    def __repr__(self) -> str:
+        where = f"one of {self.scale}x{self.scale} pixels at {self.place}"
+        return f"SparseFrame({self.width}x{self.height}, {where}: {describe_content(self)})"
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the full image."""
-        assert self.gbuffer.shape is not None
-        return self.gbuffer.shape
-
-    @property
-    def height(self) -> int:
-        """Rows of the full image."""
-        return self.shape[0]
-
-    @property
-    def width(self) -> int:
-        """Columns of the full image."""
-        return self.shape[1]
+        return self.gbuffer.shape or (0, 0)
 
     @property
     def shaded(self) -> tuple[slice, slice]:
@@ -161,28 +143,19 @@ def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> Sp
 
     Its radiance counts as shaded; guides stay whole. Raises as `SparseFrame`.
     """
-
     _check_blocks(frame.shape, scale, place)
+    shaded = slice(place[0], None, scale), slice(place[1], None, scale)
 
-    def pick(part: Radiance | None) -> Radiance | None:
-        if part is None:
-            return None
-        shaded = slice(place[0], None, scale), slice(place[1], None, scale)
-        images: dict[str, FloatArray | None] = {
-            name: None if image is None else image[shaded]
-            for name, image in ((name, getattr(part, name)) for name in Radiance.__dataclass_fields__)
-        }
-        return Radiance(**images)  # type: ignore[arg-type]  # colour is always there
+    def pick(part: Radiance) -> Radiance:
+        return replace(part, **{name: getattr(part, name)[shaded] for name in part.names})
 
-    radiance = pick(frame.radiance)
-    assert radiance is not None
     return SparseFrame(
-        radiance,
+        pick(frame.radiance),
         frame.gbuffer,
         scale,
         place,
         camera=frame.camera,
-        variance=pick(frame.variance),
+        variance=None if frame.variance is None else pick(frame.variance),
         spp=frame.spp,
         lobe_tables=frame.lobe_tables,
     )

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
-from typing import Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
-from lobewise.denoising.settings import DenoiseSettings, require_plain, resolve_settings
-from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.features.base import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.runs import run_upsampling
 from lobewise.frame import Frame, Result
+from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 DEFAULT_RADIUS = 5
 """Samples from the centre to the edge of the kernel."""
@@ -31,7 +34,7 @@ def upsample(
     *,
     bilinear: bool = False,
     features: Sequence[Feature] = (),
-    **changes: Any,
+    **changes: Unpack[DenoiseChanges],
 ) -> Result:
     """Bring sparsely shaded radiance to every pixel, by averaging the samples whose pixels reflect like it.
 
@@ -67,13 +70,8 @@ def upsample(
         If the device cannot run here.
     """
     start = time.perf_counter()
-    for name in changes:
-        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
-    asked = replace(settings or DenoiseSettings(radius=DEFAULT_RADIUS), **changes)
-    if asked.form != "full":
-        raise InputError(
-            describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
-        )
+    asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
+    require_full(asked)
     require_plain(asked, "upsampling")
     chosen = resolve_settings(frame, asked, frame.scale)
     bad = find_bad_pixels(Frame(frame.radiance))
@@ -89,7 +87,7 @@ def upsample(
         )
     outputs = [_run(frame, layer, reach, chosen) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
-    apart = not bilinear and frame.radiance.diffuse is not None and frame.radiance.specular is not None
+    apart = not bilinear and frame.radiance.parts is not None
     # The rest, emission and background, is compared by place alone: what it lacks is no lack of a lobe.
     lobes = 2 if apart else 1
     weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
@@ -109,7 +107,7 @@ def upsample(
     )
 
 
-def _run(frame: SparseFrame, layer: Layer, radius: int, settings: DenoiseSettings) -> FilterOutput:
+def _run(frame: SparseFrame, layer: Layer, radius: int, settings: ResolvedSettings) -> FilterOutput:
     return run_upsampling(
         layer.radiance,
         layer.mask,

@@ -216,9 +216,9 @@ def test_folder_says_what_is_there(quick: Path) -> None:
 
 
 def test_constants_are_those_of_the_recipe(quick: Path) -> None:
-    from lobewise.denoising import DenoiseSettings
-    from lobewise.denoising.settings import resolve_settings
+    from lobewise.denoising import resolve_settings
     from lobewise.io import read_frame
+    from lobewise.settings import DenoiseSettings
 
     frame = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "showroom-4spp.exr")
     assert frame.camera is not None

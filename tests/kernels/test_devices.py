@@ -21,10 +21,10 @@ from lobewise.backend.buffers import (
     transfers,
 )
 from lobewise.backend.devices import DEVICES, Device, choose_device, list_devices
-from lobewise.denoising import DenoiseSettings
 from lobewise.errors import DeviceError, InputError
 from lobewise.features.base import ScreenFeature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.settings import DenoiseSettings
 
 pytestmark = pytest.mark.processor  # each test says itself what it runs on
 

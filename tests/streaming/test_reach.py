@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.denoising.automatic import ask
 from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
-from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
+from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, refill
 from lobewise.features.base import ScreenFeature
 from lobewise.filters import compositing as resolving

@@ -14,9 +14,9 @@ from lobewise.bench.kernels import PAPER_RADII, PAPER_SIZE, Calls, make_kernel_c
 from lobewise.bench.machine import count_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture, make_place
 from lobewise.denoising import denoise
-from lobewise.filters.forms import FORMS
 from lobewise.frame import Frame, Radiance
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.settings import FORMS
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 

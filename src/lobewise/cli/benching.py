@@ -118,13 +118,14 @@ def interactive(
 
     if output is not None:
         require_writable(output)
+    asked: dict[str, Any] = {"similarity": similarity, "scale": scale}
     with show_progress() as progress:
         found = measure_devices(
             [device] if device else None,
             scene=scene,
             sizes=[parse_size(text) for text in size or ("512x512", "1024x1024")],
             methods=method,
-            settings=InteractiveSettings(similarity=similarity, scale=scale),
+            settings=InteractiveSettings(**asked),
             frames=frames,
             progress=lambda done, total: progress("frames", done, total),
         )

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.automatic import choose_quality, resolve_settings
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
 from lobewise.denoising.noise import find_halves
-from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.features.base import Feature
 from lobewise.features.seen import SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
@@ -29,6 +29,7 @@ from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.field import default_tau
+from lobewise.settings import DenoiseSettings, ResolvedSettings
 
 
 @dataclass(frozen=True)
@@ -107,19 +108,18 @@ TAU = 0.01
 for it."""
 
 
-def resolve_guided(frame: Frame, settings: DenoiseSettings) -> DenoiseSettings:
+def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
     """Return ``settings`` with what "auto" stands for where the noise is known."""
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    widest = WIDEST * max(settings.radius, 1) / 8.0
     told = replace(
         settings,
         beta=SPECULAR.beta if settings.beta == "auto" else settings.beta,
         diffuse_beta=DIFFUSE.beta if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
-        screen_sigma=WIDEST * max(settings.radius, 1) / 8.0
-        if settings.screen_sigma == "auto"
-        else settings.screen_sigma,
+        screen_sigma=widest if settings.screen_sigma == "auto" else settings.screen_sigma,
     )
-    return replace(resolve_settings(frame, told), quality=settings.quality, with_oidn=settings.with_oidn)
+    return replace(resolve_settings(frame, told), quality=choose_quality(settings), with_oidn=settings.with_oidn)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class CleanLayer:
     effective_samples: FloatArray
 
 
-def make_bounded_layers(frame: Frame, settings: DenoiseSettings) -> list[BoundedLayer]:
+def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
     """Return the layers of a frame with both their halves."""
     halves = find_halves(frame)
     layers = make_lobe_layers(frame, settings)
@@ -180,13 +180,13 @@ def make_bounded_layers(frame: Frame, settings: DenoiseSettings) -> list[Bounded
     return found
 
 
-def measure_layer(layer: BoundedLayer, settings: DenoiseSettings) -> NDArray[np.float64]:
+def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
     """Return what the rows of a layer add to its level; see `measure_light`."""
     return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
 
 
 def make_noisy_layers(
-    frame: Frame, settings: DenoiseSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
+    frame: Frame, settings: ResolvedSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> list[NoisyLayer]:
     """Return the layers of a frame with what they are compared by; ``extra`` features count like the lobes.
 
@@ -214,7 +214,7 @@ def make_noisy_layers(
     return found
 
 
-def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: DenoiseSettings) -> tuple[Feature, ...]:
+def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
     """Return the feature of what lobes see; nothing where the frame does not tell.
 
     What few samples hit is noise like radiance, so it is first averaged over near pixels.
@@ -232,11 +232,10 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: DenoiseSettings) 
     return (SeenFeature(mean.a, normal, **sharpness),)
 
 
-def make_pass_features(frame: Frame, settings: DenoiseSettings, sigma: float) -> list[Feature]:
+def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
     """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
-    assert not isinstance(settings.screen_sigma, str)
     screen = max(sigma * settings.screen_sigma / WIDEST, 0.5)
-    position = screen * settings.position_sigma / DenoiseSettings().position_sigma
+    position = screen * settings.position_sigma / DenoiseSettings.position_sigma
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
@@ -253,7 +252,7 @@ def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: 
 
 
 def run_pass(
-    frame: Frame, noisy: NoisyLayer, number: int, before: DualBufferOutput | None, settings: DenoiseSettings
+    frame: Frame, noisy: NoisyLayer, number: int, before: DualBufferOutput | None, settings: ResolvedSettings
 ) -> DualBufferOutput:
     """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
@@ -279,7 +278,7 @@ def run_pass(
     return found
 
 
-def find_balanced_reach(settings: DenoiseSettings) -> int:
+def find_balanced_reach(settings: ResolvedSettings) -> int:
     """Return from how many pixels away `filter_balanced` and `finish_layer` can be told anything."""
     return max(_find_plan_reach(plan, settings.radius) for plan in (DIFFUSE, SPECULAR)) + COVERAGE_REACH
 
@@ -294,16 +293,15 @@ def _find_plan_reach(plan: Plan, radius: int) -> int:
     return reach
 
 
-def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> CleanLayer:
+def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> CleanLayer:
     """Filter a layer by its plan."""
-    found: DualBufferOutput | None = None
-    weight_sum: FloatArray | None = None
-    for number, chosen in enumerate(noisy.plan.passes):
+    found = run_pass(frame, noisy, 0, None, settings)
+    weight_sum, effective_samples = found.weight_sum, found.effective_samples
+    for number, chosen in enumerate(noisy.plan.passes[1:], 1):
         found = run_pass(frame, noisy, number, found, settings)
         # Sparse passes average averages: what they gather is no count of samples.
         if chosen.step == 1:
             weight_sum, effective_samples = found.weight_sum, found.effective_samples
-    assert found is not None and weight_sum is not None
     return finish_layer(frame, noisy, (found.a,), weight_sum, effective_samples)
 
 

@@ -23,7 +23,6 @@ from lobewise.denoising.guided import (
     make_pass_features,
     make_pass_guide,
 )
-from lobewise.denoising.settings import DenoiseSettings
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
@@ -34,6 +33,7 @@ from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.settings import ResolvedSettings
 
 PILOT = Pass(5, 6.0, 40.0, lobes=4.0)
 NOISE = {"diffuse": 12.0, "specular": 6.0}
@@ -86,7 +86,7 @@ def list_sparse(radius: int) -> list[tuple[int, int]]:
     return [(min(SPARSE_RADIUS, radius), max(round(step * radius / 8.0), 1)) for step in SPARSE_STEPS]
 
 
-def find_high_reach(settings: DenoiseSettings) -> int:
+def find_high_reach(settings: ResolvedSettings) -> int:
     """Return from how many pixels away `mix_layer` can be told anything."""
     kernels = [PILOT.get_kernel(settings.radius, follows=False), (settings.radius, 1), *list_sparse(settings.radius)]
     # Every pass reads the one before through the blurred variance of its guide.
@@ -94,7 +94,7 @@ def find_high_reach(settings: DenoiseSettings) -> int:
     return FIREFLY_REACH + passes + MIXING_REACH + COVERAGE_REACH
 
 
-def find_candidates(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> Candidates:
+def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:
     """Run every filter of a layer."""
     layer = noisy.layer
     kind = "diffuse" if noisy.name == "diffuse" else "specular"
@@ -205,7 +205,7 @@ def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
     return arrays
 
 
-def mix_layer(frame: Frame, noisy: NoisyLayer, settings: DenoiseSettings) -> tuple[CleanLayer, FloatArray]:
+def mix_layer(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> tuple[CleanLayer, FloatArray]:
     """Filter a layer in every way and mix what comes out; also return the candidates' extras."""
     candidates = find_candidates(frame, noisy, settings)
     kind = "diffuse" if noisy.name == "diffuse" else "specular"

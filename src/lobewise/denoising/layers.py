@@ -9,8 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.settings import DenoiseSettings
-from lobewise.errors import MissingChannelError, describe_problem
 from lobewise.features.base import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
 from lobewise.features.covariance import AsgFeature, GgxFeature
 from lobewise.features.lobe import DiffuseFeature, SgFeature
@@ -22,7 +20,10 @@ from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surfac
 from lobewise.lobes.field import LobeField
 from lobewise.lobes.hits import HitField
 from lobewise.lobes.mixture_field import build_mixture_field
+from lobewise.settings import ResolvedSettings
 from lobewise.sparse_frame import AnyFrame
+
+Mask = NDArray[np.bool_]
 
 NEAREST_HIT = 2.0
 """Hits count as no nearer than this many pixel footprints."""
@@ -46,63 +47,80 @@ class Layer:
 
     radiance: FloatArray
     albedo: FloatArray | None
-    mask: NDArray[np.bool_]
+    mask: Mask
     features: tuple[Feature, ...]
 
 
-def _require_channel(value: FloatArray | None, name: str, settings: DenoiseSettings) -> FloatArray:
-    if value is None:
-        raise MissingChannelError(
-            describe_problem(
-                f"channel {name}",
-                expected=f"one for similarity {settings.similarity!r}",
-                got="none",
-                action="render it with the frame, or choose another similarity",
-            )
-        )
-    return value
+def _name_similarity(settings: ResolvedSettings) -> str:
+    return f"similarity {settings.similarity!r}"
 
 
-def make_position_features(frame: AnyFrame, settings: DenoiseSettings) -> list[Feature]:
-    assert not isinstance(settings.screen_sigma, str)
+def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[Feature]:
+    """Return what compares places: on the screen, and in the scene where the frame tells."""
     features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
-    guides = frame.gbuffer
-    if frame.camera is not None and (guides.position is not None or guides.depth is not None):
-        place, depth = find_places(guides, frame.camera)
+    if frame.camera is not None and frame.gbuffer.is_placed:
+        place, depth = find_places(frame.gbuffer, frame.camera)
         pixel_angle = frame.camera.get_pixel_angle(frame.height)
         features.append(PositionFeature(place, depth, pixel_angle=pixel_angle, sigma=settings.position_sigma))
     return features
 
 
-def _make_normal_features(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeField | None) -> list[Feature]:
-    normal = _require_channel(frame.gbuffer.normal, "normal", settings)
+def _make_normal_features(frame: AnyFrame, settings: ResolvedSettings, mask: Mask) -> tuple[list[Feature], Mask]:
+    normal = frame.gbuffer.require("normal", _name_similarity(settings))
     features: list[Feature] = [NormalFeature(normal, settings.normal_exponent)]
-    if settings.band_limit is not None:
-        assert lobes is not None and lobes.sharpness is not None and frame.camera is not None
-        features.append(
-            BandLimitFeature(
-                lobes.sharpness,
-                pixel_angle=frame.camera.get_pixel_angle(frame.height),
-                scale=settings.band_limit,
-                largest_sigma=float(max(settings.radius, 1)),
-            )
-        )
-    return features
+    if settings.band_limit is None:
+        return features, mask
+    lobes = _make_lobes(frame, settings, "sg")
+    assert lobes.sharpness is not None, "what a field of single lobes has"
+    limit = BandLimitFeature(
+        lobes.sharpness,
+        pixel_angle=frame.require_camera(_name_similarity(settings)).get_pixel_angle(frame.height),
+        scale=settings.band_limit,
+        largest_sigma=float(max(settings.radius, 1)),
+    )
+    return [*features, limit], mask & lobes.valid
 
 
-def _make_hits(frame: AnyFrame, settings: DenoiseSettings) -> HitField | None:
+def _make_lobes(frame: AnyFrame, settings: ResolvedSettings, representation: str) -> LobeField:
+    camera = frame.require_camera(_name_similarity(settings))
+    return make_lobe_field(
+        frame.gbuffer, camera, tau=settings.tau, representation=representation, diffuse_fallback=True
+    )
+
+
+def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
     """Return the hits, no nearer than `NEAREST_HIT` footprints, so that contacts do not close the kernel."""
     if not settings.hit_distance:
         return None
-    assert frame.camera is not None
-    distance = _require_channel(frame.gbuffer.hit_distance, "hit_distance", settings)
-    place, depth = find_places(frame.gbuffer, frame.camera)
-    nearest = NEAREST_HIT * frame.camera.get_pixel_angle(frame.height)
+    camera = frame.require_camera(_name_similarity(settings))
+    distance = frame.gbuffer.require("hit_distance", _name_similarity(settings))
+    place, depth = find_places(frame.gbuffer, camera)
+    nearest = NEAREST_HIT * camera.get_pixel_angle(frame.height)
     return HitField(place, find_inverse_hits(distance, depth, nearest))
 
 
-def _make_lobe_feature(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeField) -> Feature:
-    assert not isinstance(settings.beta, str)
+def make_specular_features(
+    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool
+) -> tuple[list[Feature], Mask]:
+    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
+    if settings.similarity == "normal":
+        return _make_normal_features(frame, settings, surface)
+    if settings.similarity == "sg_mixture":
+        mixture = build_mixture_field(
+            frame.gbuffer,
+            frame.require_camera(_name_similarity(settings)),
+            tau=settings.tau,
+            lobes=settings.lobes,
+            lobe_tables=frame.lobe_tables,
+            diffuse=not apart,
+        )
+        feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
+        return [feature], surface & mixture.valid
+    lobes = _make_lobes(frame, settings, settings.similarity)
+    return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
+
+
+def _make_lobe_feature(frame: AnyFrame, settings: ResolvedSettings, lobes: LobeField) -> Feature:
     hits = _make_hits(frame, settings)
     if settings.similarity == "sg":
         assert lobes.axis is not None and lobes.sharpness is not None
@@ -112,90 +130,48 @@ def _make_lobe_feature(frame: AnyFrame, settings: DenoiseSettings, lobes: LobeFi
     return kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, settings.beta, hits)
 
 
-def make_specular_features(
-    frame: AnyFrame, settings: DenoiseSettings, surface: NDArray[np.bool_], apart: bool
-) -> tuple[list[Feature], NDArray[np.bool_]]:
-    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
-    if settings.similarity == "normal" and settings.band_limit is None:
-        return _make_normal_features(frame, settings, None), surface
-    assert not isinstance(settings.beta, str) and not isinstance(settings.tau, str)
-    if frame.camera is None:
-        raise MissingChannelError(
-            describe_problem(
-                "camera",
-                expected=f"one for similarity {settings.similarity!r}",
-                got="none in the frame",
-                action="give the frame a camera, or use similarity 'normal'",
-            )
-        )
-    if settings.similarity == "sg_mixture":
-        mixture = build_mixture_field(
-            frame.gbuffer,
-            frame.camera,
-            tau=settings.tau,
-            lobes=settings.lobes,
-            lobe_tables=frame.lobe_tables,
-            diffuse=not apart,
-        )
-        feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
-        return [feature], surface & mixture.valid
-    lobes = make_lobe_field(
-        frame.gbuffer,
-        frame.camera,
-        tau=settings.tau,
-        representation=settings.similarity if settings.similarity in ("ggx", "asg") else "sg",
-        diffuse_fallback=True,
-    )
-    if settings.similarity == "normal":
-        return _make_normal_features(frame, settings, lobes), surface & lobes.valid
-    return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
-
-
-def find_surface(frame: AnyFrame) -> NDArray[np.bool_]:
+def find_surface(frame: AnyFrame) -> Mask:
     """Return where a pixel sees a surface with finite guides."""
     return find_surface_pixels(frame.gbuffer, frame.shape)
 
 
-def make_layers(frame: AnyFrame, settings: DenoiseSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
+def make_layers(frame: AnyFrame, settings: ResolvedSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
     """Return the layers of a frame; ``extra`` features count in all of them."""
     shared = (*make_position_features(frame, settings), *extra)
     return [replace(layer, features=(*shared, *layer.features)) for layer in make_lobe_layers(frame, settings)]
 
 
-def make_lobe_layers(frame: AnyFrame, settings: DenoiseSettings) -> list[Layer]:
+def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings) -> list[Layer]:
     """Return the layers of a frame, compared by what they reflect alone."""
-    guides, radiance = frame.gbuffer, frame.radiance
-    normal = _require_channel(guides.normal, "normal", settings)
-    apart = radiance.diffuse is not None and radiance.specular is not None
-    assert not isinstance(settings.diffuse_beta, str)
+    guides, parts = frame.gbuffer, frame.radiance.parts
+    normal = guides.require("normal", _name_similarity(settings))
     surface = find_surface(frame)
-    specular, specular_mask = make_specular_features(frame, settings, surface, apart)
-    if not apart:
+    specular, specular_mask = make_specular_features(frame, settings, surface, parts is not None)
+    if parts is None:
         albedo = None
         if guides.diffuse_albedo is not None and guides.specular_albedo is not None:
             albedo = guides.diffuse_albedo + guides.specular_albedo
-        return [Layer(radiance.color, albedo, specular_mask, tuple(specular))]
-    assert radiance.diffuse is not None and radiance.specular is not None
-    diffuse: list[Feature]
+        return [Layer(frame.radiance.color, albedo, specular_mask, tuple(specular))]
+    diffuse: Feature
     if settings.similarity == "normal":
-        diffuse = [NormalFeature(normal, settings.normal_exponent)]
+        diffuse = NormalFeature(normal, settings.normal_exponent)
     else:
-        diffuse = [DiffuseFeature(normal, settings.diffuse_beta)]
+        diffuse = DiffuseFeature(normal, settings.diffuse_beta)
     return [
-        Layer(radiance.diffuse, guides.diffuse_albedo, surface, tuple(diffuse)),
-        Layer(radiance.specular, guides.specular_albedo, specular_mask, tuple(specular)),
+        Layer(parts[0], guides.diffuse_albedo, surface, (diffuse,)),
+        Layer(parts[1], guides.specular_albedo, specular_mask, tuple(specular)),
     ]
 
 
-def make_rest_layer(frame: AnyFrame, settings: DenoiseSettings, features: Sequence[Feature]) -> list[Layer]:
+def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:
     """Return what no lobe scattered, emission and background, as a layer that is compared by place alone."""
-    radiance = frame.radiance
-    if radiance.diffuse is None or radiance.specular is None:
+    color, parts = frame.radiance.color, frame.radiance.parts
+    if parts is None:
         return []
     with np.errstate(invalid="ignore", over="ignore"):
-        rest = radiance.color - radiance.diffuse - radiance.specular
+        rest = color - parts[0] - parts[1]
     # Rounding leaves a little of a scattered sample behind.
-    rest = np.where(rest > 1e-4 * radiance.color, rest, np.float32(0.0))
+    rest = np.where(rest > 1e-4 * color, rest, np.float32(0.0))
     if not (rest > 0.0).any():
         return []
     everywhere = np.ones(frame.shape, dtype=bool)
@@ -218,7 +194,7 @@ def find_support(layers: Sequence[Layer], outputs: Sequence[Support]) -> tuple[F
     return total, effective
 
 
-def _find_reflecting(layer: Layer) -> NDArray[np.bool_]:
+def _find_reflecting(layer: Layer) -> Mask:
     """Return where a layer's lobe reflects more than `ALBEDO_FLOOR` of the light; everywhere without albedo."""
     if layer.albedo is None:
         return layer.mask

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import comes_down
+from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
 from lobewise.denoising.guided import (
@@ -23,14 +24,16 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
-from lobewise.denoising.settings import DenoiseSettings, choose_quality, resolve_settings
-from lobewise.errors import require_choice
 from lobewise.features.base import Feature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.peers import require_oidn
+from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 def denoise(
@@ -38,7 +41,7 @@ def denoise(
     settings: DenoiseSettings | None = None,
     *,
     features: Sequence[Feature] = (),
-    **changes: Any,
+    **changes: Unpack[DenoiseChanges],
 ) -> Result:
     """Denoise a frame by averaging, for every pixel, the neighbours that reflect like it.
 
@@ -108,23 +111,10 @@ def denoise(
     )
 
 
-def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any]) -> DenoiseSettings:
-    """Return ``settings`` with single parameters replaced and their quality chosen.
-
-    Raises
-    ------
-    InputError
-        If a parameter is unknown or out of range.
-    """
-    for name in changes:
-        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
-    asked = replace(settings or DenoiseSettings(), **changes)
-    return replace(asked, quality=choose_quality(asked))
-
-
-def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> DenoiseSettings:
-    """Return settings of a chosen quality with every "auto" replaced; for ``spp`` see `resolve_settings`."""
-    return resolve_settings(frame, asked, spp=spp) if asked.quality == "fast" else resolve_guided(frame, asked)
+def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> ResolvedSettings:
+    """Return settings with every "auto" replaced, for their own quality; for ``spp`` see `resolve_settings`."""
+    fast = choose_quality(asked) == "fast"
+    return resolve_settings(frame, asked, spp=spp) if fast else resolve_guided(frame, asked)
 
 
 @dataclass(frozen=True)
@@ -149,15 +139,15 @@ class Filtered:
 
 
 def filter_frame(
-    frame: Frame, settings: DenoiseSettings, features: Sequence[Feature] = (), levels: Sequence[float] | None = None
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature] = (), levels: Sequence[float] | None = None
 ) -> Filtered:
-    """Filter a frame by settings without "auto"; ``levels`` as in `make_noisy_layers`."""
+    """Filter a frame; ``levels`` as in `make_noisy_layers`."""
     if settings.quality == "fast":
         return filter_plain(frame, settings, features)
     return filter_guided(frame, settings, features, levels)
 
 
-def find_reach(settings: DenoiseSettings) -> int:
+def find_reach(settings: ResolvedSettings) -> int:
     """Return from how many pixels away anything can tell on a pixel that `filter_frame` gives.
 
     Of frames without halves of their samples the pilot has no guide, so they are told of less.
@@ -170,7 +160,7 @@ def find_reach(settings: DenoiseSettings) -> int:
 
 
 @comes_down
-def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Feature]) -> Filtered:
+def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> Filtered:
     """Filter every layer in one pass, by its guides alone."""
     layers = make_layers(frame, settings, features)
     outputs = [
@@ -191,7 +181,7 @@ def filter_plain(frame: Frame, settings: DenoiseSettings, features: Sequence[Fea
 
 @comes_down
 def filter_guided(
-    frame: Frame, settings: DenoiseSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> Filtered:
     """Filter both halves of every layer by their guides and by what they tell of light and noise."""
     noisy = make_noisy_layers(frame, settings, features, levels)
@@ -220,11 +210,10 @@ def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
 
 def compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
     """Return the total: the filtered parts, and what was in none of them (emission, background) as it came."""
-    if len(parts) == 1:
+    if frame.radiance.parts is None:
         return parts[0]
-    radiance = frame.radiance
-    assert radiance.diffuse is not None and radiance.specular is not None
+    diffuse, specular = frame.radiance.parts
     with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
-        rest = radiance.color - radiance.diffuse - radiance.specular
+        rest = frame.radiance.color - diffuse - specular
     rest = np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
     return np.asarray(parts[0] + parts[1] + rest, dtype=np.float32)

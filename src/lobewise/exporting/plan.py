@@ -14,8 +14,7 @@ from lobewise.features.base import Feature, NormalFeature, PositionFeature, Scre
 from lobewise.features.covariance import AsgFeature, GgxFeature
 from lobewise.features.lobe import DiffuseFeature, SgFeature
 from lobewise.features.sg_mixture import SgMixtureFeature
-from lobewise.filters.forms import FORMS
-from lobewise.lobe_table import MAX_LOBES
+from lobewise.settings import FORMS, MAX_LOBES
 
 LARGEST_RADIUS = 64
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.pointwise import run_pointwise
-from lobewise.denoising.settings import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
 from lobewise.exporting.lobes import define_guides
 from lobewise.exporting.plan import FilterPlan
 from lobewise.filters.cross_filter import run_filter

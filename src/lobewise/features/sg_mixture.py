@@ -10,7 +10,7 @@ from lobewise.backend import expressions
 from lobewise.errors import InputError, describe_problem
 from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
 from lobewise.frame import FloatArray
-from lobewise.lobe_table import MAX_LOBES
+from lobewise.settings import MAX_LOBES
 
 
 class SgMixtureFeature(Feature):

@@ -20,10 +20,11 @@ from lobewise.errors import require_choice
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
-from lobewise.filters.forms import FORMS, can_mirror, list_passes
+from lobewise.filters.forms import can_mirror, list_passes
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
+from lobewise.settings import FORMS
 
 COLORS = 3
 LARGEST_SCRATCH = 1 << 29

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from enum import Enum
 
-FORMS = ("full", "separable", "atrous")
 ATROUS_RADIUS = 2
 # Cubic B-spline (1, 4, 6, 4, 1)/16 over its peak, so that a matching centre counts 1.
 ATROUS_PROFILE = (1.0, 2.0 / 3.0, 1.0 / 6.0)
@@ -32,7 +31,7 @@ def can_mirror(taps: Taps, radius: int) -> bool:
 
 
 def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
-    """Return taps, radius and step of every pass of a form of `FORMS`."""
+    """Return taps, radius and step of every pass of a form of `lobewise.settings.FORMS`."""
     if form == "full":
         return [(Taps.SQUARE, radius, 1)]
     if form == "separable":

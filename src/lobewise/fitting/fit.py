@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingDependencyError, describe_problem, require_choice
 from lobewise.fitting.fit_shapes import LobeFamily
-from lobewise.lobe_table import KINDS, MAX_LOBES, LobeTable
+from lobewise.lobe_table import KINDS, LobeTable
 from lobewise.lobes.brdf import ggx_brdf
 from lobewise.lobes.table import order_lobes
 from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.settings import MAX_LOBES
 
 Evaluate = Callable[[Array, Array], Any]
 """``evaluate(view, light)``: BRDF in 1/sr, shape (n, 3) or (n,), of local unit vectors of shape (n, 3)."""

@@ -6,15 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.layers import make_layers
-from lobewise.denoising.settings import DenoiseSettings, resolve_settings
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame, Radiance
 from lobewise.render.stages import DirectLight, FirstHits
+from lobewise.settings import DenoiseSettings, Similarity
 
 RADIUS = 2
 """Kernel radius, pixels: the samples of 4x4 pixels are stratified together. 3 gains nothing."""
-SIMILARITY = "sg"
+SIMILARITY: Similarity = "sg"
 """What compares lobes where they are compared: over so few pixels it has the error of `ggx` on brushed metal, and less
 on the showroom's floor, and takes three quarters of the time."""
 SIGMA = 1.5
@@ -34,7 +35,7 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     samples : int
         How many of each pixel the light is the mean of, >= 1; the filter gives way as they get more.
     """
-    similarity = settings.similarity if settings.similarity == "normal" else SIMILARITY
+    similarity: Similarity = "normal" if settings.similarity == "normal" else SIMILARITY
     asked = replace(settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
     radiance = Radiance(light.diffuse, diffuse=light.diffuse, specular=light.specular)
     frame = Frame(radiance, hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)

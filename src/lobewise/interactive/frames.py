@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from lobewise.camera import Camera
-from lobewise.denoising.settings import SIMILARITIES, DenoiseSettings
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.methods import METHODS
 from lobewise.interactive.views import VIEWS, make_view
 from lobewise.render.stages import FirstHits
+from lobewise.settings import SIMILARITIES, Auto, DenoiseSettings, Similarity
 from lobewise.sparse_frame import MOST_SCALE
 
 UNFILTERED = "none"
@@ -56,11 +56,11 @@ class InteractiveSettings:
     method: str = "paths"
     scale: int = 4
     spp: int = 1
-    similarity: str = "ggx"
-    beta: float | str = "auto"
+    similarity: Similarity | Auto | Literal["none"] = "ggx"
+    beta: float | Auto = "auto"
     radius: int = 2
-    screen_sigma: float | str = "auto"
-    tau: float | str = "auto"
+    screen_sigma: float | Auto = "auto"
+    tau: float | Auto = "auto"
     normal_exponent: float = 64.0
     temporal: bool = True
     adaptive: float = 0.05
@@ -70,7 +70,7 @@ class InteractiveSettings:
 
     def __post_init__(self) -> None:
         require_choice("method", self.method, METHODS)
-        require_choice("similarity", self.similarity, (*SIMILARITIES, UNFILTERED))
+        require_choice("similarity", self.similarity, ("auto", *SIMILARITIES, UNFILTERED))
         for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
@@ -89,9 +89,8 @@ class InteractiveSettings:
 
     def make_filter_settings(self) -> DenoiseSettings:
         """Return the settings of the filter that these ask for."""
-        similarity = "auto" if self.similarity == UNFILTERED else self.similarity
         return DenoiseSettings(
-            similarity=similarity,
+            similarity="auto" if self.similarity == "none" else self.similarity,
             beta=self.beta,
             radius=self.radius,
             screen_sigma=self.screen_sigma,

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
 from lobewise.camera import Camera
-from lobewise.denoising import DenoiseSettings
 from lobewise.errors import InputError, describe_problem
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
@@ -25,6 +24,7 @@ from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
 from lobewise.render.loading import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
+from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample

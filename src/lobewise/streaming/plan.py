@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 from lobewise.denoising.recipe import find_reach
-from lobewise.denoising.settings import DenoiseSettings
 from lobewise.io.bands import BandReader
+from lobewise.settings import DenoiseSettings, ResolvedSettings
 
 GIB = float(2**30)
 DEFAULT_MEMORY = 3.0
@@ -73,7 +73,7 @@ def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
     return height * width * estimate_bytes(reader, settings) > WHOLE * GIB
 
 
-def choose_rows(reader: BandReader, settings: DenoiseSettings, memory: float) -> int:
+def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -> int:
     """Return how many rows a band can have so that it and the rows around it fit ``memory`` GiB, at least a few."""
     _, width = reader.shape
     fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))

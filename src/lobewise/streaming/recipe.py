@@ -6,16 +6,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.automatic import ask, needs_spp
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, require_some_good
 from lobewise.denoising.guided import make_bounded_layers, measure_layer
-from lobewise.denoising.recipe import ask, filter_frame, find_reach, resolve_all
+from lobewise.denoising.noise import judge_noise, list_relative_variances
+from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, find_mean_color, refill, sum_colors
-from lobewise.denoising.settings import DenoiseSettings, judge_noise, list_relative_variances, needs_spp
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
@@ -24,6 +25,7 @@ from lobewise.frame import FloatArray
 from lobewise.io.bands import BandReader, BandWriter
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
+from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.streaming.plan import (
     DEFAULT_MEMORY,
     MEASURED_ROWS,
@@ -35,6 +37,9 @@ from lobewise.streaming.plan import (
     list_measured,
     widen,
 )
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many rows of it are, and how many there are."""
@@ -72,7 +77,7 @@ def denoise_file(
     rows: int | None = None,
     memory: float = DEFAULT_MEMORY,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[DenoiseChanges],
 ) -> DenoisedFile:
     """Denoise an EXR file of any size in bounded memory.
 
@@ -179,7 +184,7 @@ class _Measured:
     mean_color: FloatArray
 
 
-def _measure(reader: BandReader, settings: DenoiseSettings, bands: Bands, tell: Progress) -> _Measured:
+def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
     """Read a frame once; everything is summed by rows, and so to the same bits as of the whole frame."""
     height, width = reader.shape
     guided = settings.quality != "fast"
@@ -216,7 +221,7 @@ def _filter(
     reader: BandReader,
     writer: BandWriter,
     finisher: _Finisher,
-    settings: DenoiseSettings,
+    settings: ResolvedSettings,
     levels: Sequence[float] | None,
     bands: Bands,
     tell: Progress,
@@ -243,7 +248,7 @@ def _filter(
 
 def _filter_band(
     reader: BandReader,
-    settings: DenoiseSettings,
+    settings: ResolvedSettings,
     levels: Sequence[float] | None,
     rows: tuple[int, int],
     core: slice,

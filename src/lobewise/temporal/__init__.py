@@ -1,6 +1,5 @@
 """Filtering over time: a history per pixel, found again in every frame."""
 
 from lobewise.temporal.recipe import TemporalFilter
-from lobewise.temporal.settings import TemporalSettings
 
-__all__ = ["TemporalFilter", "TemporalSettings"]
+__all__ = ["TemporalFilter"]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
+from lobewise.denoising.automatic import can_use_hits
 from lobewise.denoising.layers import find_surface, make_specular_features
-from lobewise.denoising.settings import DenoiseSettings, can_use_hits
 from lobewise.features.base import Feature, NormalFeature, PlaneFeature
 from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature
 from lobewise.filters.cross_pass import describe_structure
@@ -26,7 +26,7 @@ from lobewise.guides.surfaces import (
 )
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.field import default_tau
-from lobewise.temporal.settings import TemporalSettings
+from lobewise.settings import ResolvedSettings, TemporalSettings
 
 FAR = 1e8
 """Distance of the background, world units."""
@@ -65,8 +65,7 @@ class Guides:
     @property
     def is_placed(self) -> bool:
         """Whether every pixel's surface point is known."""
-        placed = self.gbuffer.position is not None or self.gbuffer.depth is not None
-        return placed and self.camera is not None
+        return self.gbuffer.is_placed and self.camera is not None
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ class Marks:
 
 
 def make_marks(
-    guides: Guides, settings: DenoiseSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
+    guides: Guides, settings: ResolvedSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
 ) -> dict[str, Marks]:
     """Return the marks of every layer by its name: ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
 
@@ -109,8 +108,8 @@ def make_marks(
     ----------
     guides : Guides
         Of one frame.
-    settings : DenoiseSettings
-        Resolved; which similarity compares lobes.
+    settings : ResolvedSettings
+        Which similarity compares lobes.
     temporal : TemporalSettings
         How strictly.
     allowance : array, shape (height, width), optional

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.denoising.settings import DenoiseSettings
 from lobewise.errors import InputError, LobewiseError, describe_problem
 from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS
 from lobewise.filters.runs import run_reprojection
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import find_surface_places
 from lobewise.lobe_table import LobeTable
+from lobewise.settings import ResolvedSettings, TemporalSettings
 from lobewise.temporal.marks import Guides, Marks, make_marks
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
-from lobewise.temporal.settings import TemporalSettings
 
 AGREES = 0.1
 """Agreement from which a pixel counts as found, and continues the frame before."""
@@ -68,7 +67,7 @@ class Recollection:
     def __init__(
         self,
         guides: Guides,
-        settings: DenoiseSettings,
+        settings: ResolvedSettings,
         temporal: TemporalSettings,
         past: Past | None,
         apart: bool,

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.chunks import map_chunks
+from lobewise.denoising.automatic import require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.denoising.noise import estimate_spp, expect_noise
 from lobewise.denoising.recipe import compose, keep_unfiltered
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
-from lobewise.denoising.settings import DenoiseSettings, estimate_spp, require_plain, resolve_settings
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import require_choice
 from lobewise.features.base import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.runs import JoinedOutput, SampleGrid
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past
-from lobewise.temporal.settings import TemporalSettings
 from lobewise.temporal.sums import (
     FRAMES,
     LARGEST_OWN_WEIGHT,
@@ -38,6 +38,9 @@ from lobewise.temporal.sums import (
 )
 from lobewise.temporal.trust import find_trust, find_trust_radius, spread_trust
 from lobewise.upsampling import DEFAULT_RADIUS, spread
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 BORROWED_ERROR = 0.005
 """Squared relative error that a neighbour's radiance has as an estimate of the pixel's own, noise aside."""
@@ -80,13 +83,13 @@ class TemporalFilter:
         settings: DenoiseSettings | None = None,
         *,
         temporal: TemporalSettings | None = None,
-        **changes: Any,
+        **changes: Unpack[TemporalChanges],
     ) -> None:
         own = {item.name for item in fields(TemporalSettings)} - {"beta"}
         for name in changes:
             require_choice("setting", name, [*(item.name for item in fields(DenoiseSettings)), *sorted(own)])
-        spatial = {name: value for name, value in changes.items() if name not in own}
-        over_time = {name: value for name, value in changes.items() if name in own}
+        spatial: dict[str, Any] = {name: value for name, value in changes.items() if name not in own}
+        over_time: dict[str, Any] = {name: value for name, value in changes.items() if name in own}
         self.temporal = replace(temporal or TemporalSettings(), **over_time)
         self._settings = replace(settings, **spatial) if settings is not None else None
         self._changes = spatial
@@ -159,20 +162,18 @@ class TemporalFilter:
         self._past = Past(guides, chosen.similarity, kept, recollection.marks, recollection.allowance)
         return replace(result, seconds=time.perf_counter() - start)
 
-    def _resolve(self, frame: AnyFrame) -> DenoiseSettings:
+    def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
         sparse = isinstance(frame, SparseFrame)
         asked = self._settings
         if asked is None:
             asked = replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
         require_plain(asked, "a filter with history")
-        if sparse and asked.form != "full":
-            raise InputError(
-                describe_problem("form", expected="'full'", got=repr(asked.form), action="upsampling has no other form")
-            )
+        if sparse:
+            require_full(asked)
         return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
 
     @staticmethod
-    def _make_layers(frame: AnyFrame, chosen: DenoiseSettings, features: Sequence[Feature]) -> dict[str, Layer]:
+    def _make_layers(frame: AnyFrame, chosen: ResolvedSettings, features: Sequence[Feature]) -> dict[str, Layer]:
         layers = make_layers(frame, chosen, features)
         named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
         if isinstance(frame, SparseFrame):
@@ -184,10 +185,10 @@ class TemporalFilter:
         """Return the relative variance of a sample, >= 0."""
         if frame.variance is not None and not frame.variance.color.any():
             return 0.0
-        return 0.0825 * math.pow(4.0 / estimate_spp(frame), 0.56)
+        return expect_noise(estimate_spp(frame))
 
     def _join(
-        self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: DenoiseSettings, noise: float
+        self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: ResolvedSettings, noise: float
     ) -> JoinedOutput:
         """Return the sums of this frame and its history, and what they tell."""
         scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
@@ -237,7 +238,7 @@ class TemporalFilter:
         frame: AnyFrame,
         layers: dict[str, Layer],
         outputs: dict[str, JoinedOutput],
-        chosen: DenoiseSettings,
+        chosen: ResolvedSettings,
         bad: NDArray[np.bool_],
         share: float,
     ) -> Result:

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising import DenoiseSettings, denoise
+from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.denoising.settings import QUALITIES, resolve_settings
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.views import SHARPEST
@@ -22,6 +21,7 @@ from lobewise.io.exr import read_frame, require_beauty, write_frame, write_resul
 from lobewise.io.schema import SPARSE
 from lobewise.io.sparse import read_sparse_frame
 from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look
@@ -59,10 +59,9 @@ class FrameTarget:
         frame = self._frame
         sparse = isinstance(frame, SparseFrame)
         guides = frame.gbuffer
-        placed = guides.position is not None or guides.depth is not None
-        lobes = guides.normal is not None and guides.alpha_u is not None and frame.camera is not None and placed
+        lobes = guides.normal is not None and guides.alpha_u is not None and frame.is_placed
         similarities = FRAME_SIMILARITIES if lobes else ("normal", "none") if guides.normal is not None else ("none",)
-        apart = frame.radiance.diffuse is not None and frame.radiance.specular is not None
+        apart = frame.radiance.parts is not None
         has = {
             "image": True,
             "noisy": True,
@@ -80,8 +79,8 @@ class FrameTarget:
             width=frame.width,
             height=frame.height,
             similarities=similarities,
-            qualities=("fast",) if sparse else tuple(name for name in QUALITIES if name != "auto"),
-            forms=("full",) if sparse else ("full", "separable", "atrous"),
+            qualities=("fast",) if sparse else QUALITIES,
+            forms=("full",) if sparse else FORMS,
             views=tuple(name for name, there in has.items() if there),
             sparse=sparse,
             hit_distance=lobes and guides.hit_distance is not None,

@@ -1,0 +1,157 @@
+"""What "auto" stands for on a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from lobewise.backend.devices import choose_device
+from lobewise.denoising.noise import estimate_spp
+from lobewise.errors import InputError, require_choice
+from lobewise.lobes.field import default_tau
+from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
+from lobewise.sparse_frame import AnyFrame
+
+DEFAULT_SIMILARITY: Similarity = "ggx"
+"""What "auto" takes where the frame has lobes: the winner of benchmarks/results/similarities.json."""
+DEFAULT_QUALITY: Quality = "balanced"
+"""What "auto" takes for the full form."""
+
+
+def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> DenoiseSettings:
+    """Return settings with single parameters replaced.
+
+    Raises
+    ------
+    InputError
+        If a parameter is unknown or out of range.
+    """
+    for name in changes:
+        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
+    return replace(settings, **changes)
+
+
+def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any]) -> DenoiseSettings:
+    """Return what `denoise` is asked for: settings with single parameters replaced and their quality chosen.
+
+    Raises
+    ------
+    InputError
+        If a parameter is unknown or out of range.
+    """
+    asked = change_settings(settings or DenoiseSettings(), changes)
+    return replace(asked, quality=choose_quality(asked))
+
+
+def choose_quality(settings: DenoiseSettings) -> Quality:
+    """Return the quality that "auto" stands for in `denoise`; others are returned as they are."""
+    if settings.quality != "auto":
+        return settings.quality
+    if settings.with_oidn:
+        return "high"
+    return DEFAULT_QUALITY if settings.form == "full" else "fast"
+
+
+def require_plain(settings: DenoiseSettings, what: str) -> None:
+    """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
+    if settings.quality not in ("auto", "fast") or settings.with_oidn:
+        raise InputError.about(
+            "quality",
+            expected=f"'fast' for {what}",
+            got="with_oidn" if settings.with_oidn else repr(settings.quality),
+            action="leave it out, or denoise frame by frame",
+        )
+
+
+def require_full(settings: DenoiseSettings) -> None:
+    """Raise InputError if ``settings`` ask for a form that upsampling does not have."""
+    if settings.form != "full":
+        raise InputError.about(
+            "form", expected="'full'", got=repr(settings.form), action="upsampling has no other form"
+        )
+
+
+def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:
+    """Return the similarity that "auto" stands for on this frame; others are returned as they are."""
+    if settings.similarity != "auto":
+        return settings.similarity
+    guides = frame.gbuffer
+    has_lobes = guides.normal is not None and guides.alpha_u is not None and frame.is_placed
+    return DEFAULT_SIMILARITY if has_lobes else "normal"
+
+
+def choose_beta(spp: float) -> float:
+    """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls.
+
+    The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
+    with the cube root of the sample count; the factor is fitted (benchmarks/results/similarities.json, "tuned beta").
+    """
+    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
+
+
+def choose_screen_sigma(spp: float, radius: int) -> float:
+    """Return the standard deviation of the screen distance, pixels, for a sample count.
+
+    It bounds what lobes cannot see: how fast the reflected light itself changes.
+    """
+    return max(radius * min(1.0, 0.6 * math.pow(8.0 / max(spp, 1.0), 0.25)), 0.5)
+
+
+def choose_tau(spp: float, pixel_tau: float) -> float:
+    """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
+
+    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does, and
+    mirrors become sharp as their noise goes. The factor was fitted on the built-in scenes.
+    """
+    return max(0.03 * math.sqrt(4.0 / max(spp, 0.25)), pixel_tau)
+
+
+def can_use_hits(frame: AnyFrame) -> bool:
+    """Return whether the frame tells where its surfaces are and how far away is what they reflect."""
+    return frame.gbuffer.hit_distance is not None and frame.is_placed
+
+
+def needs_spp(settings: DenoiseSettings) -> bool:
+    """Return whether what "auto" stands for depends on the noise, for the quality "fast"."""
+    return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
+
+
+def resolve_settings(
+    frame: AnyFrame, settings: DenoiseSettings, scale: int = 1, *, spp: float | None = None
+) -> ResolvedSettings:
+    """Return ``settings`` with every "auto" replaced by what it stands for on this frame, for the quality "fast".
+
+    With one of ``scale`` times ``scale`` pixels shaded there are fewer samples for the same area, so the screen sigma
+    and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
+    samples of another material are as near as those of the own one (fitted on the built-in scenes at scale 4).
+    What lobes hit is compared only where that is asked for: it costs time and gains nothing in the mean.
+    ``spp`` is what `estimate_spp` says of the whole image, where the frame is a part of it.
+    """
+    sigma, tau = settings.screen_sigma, settings.tau
+    if spp is None:
+        # It looks at every pixel, so only where it is asked for.
+        spp = estimate_spp(frame) if needs_spp(settings) else 1.0
+    density = 1.0 / scale**2
+    beta = choose_beta(spp) * math.pow(density, -0.15)
+    pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    if tau == "auto":
+        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
+        tau = max(scale * choose_tau(math.sqrt(spp * (frame.spp or spp)), 0.0), pixel_tau)
+    return ResolvedSettings(
+        quality="fast",
+        similarity=choose_similarity(frame, settings),
+        form=settings.form,
+        radius=settings.radius,
+        beta=beta if settings.beta == "auto" else float(settings.beta),
+        diffuse_beta=beta if settings.diffuse_beta == "auto" else float(settings.diffuse_beta),
+        device=choose_device(settings.device),
+        screen_sigma=choose_screen_sigma(density * spp, settings.radius * scale) if sigma == "auto" else float(sigma),
+        position_sigma=settings.position_sigma,
+        tau=float(tau),
+        normal_exponent=settings.normal_exponent,
+        band_limit=settings.band_limit,
+        lobes=settings.lobes,
+        hit_distance=settings.hit_distance not in ("auto", False),
+    )

@@ -1,0 +1,85 @@
+"""Arrays that are images: real, read-only, of one size with those beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError
+
+FloatArray = NDArray[np.float32]
+
+
+def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
+    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels)."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    shape = "(height, width)" if channels is None else f"(height, width, {channels})"
+    good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
+    if not good or array.dtype.kind not in "fiub":
+        raise InputError.about(
+            name,
+            expected=f"a real array of shape {shape}",
+            got=f"{array.dtype} of shape {array.shape}",
+            action="reshape it or leave it out",
+        )
+    if 0 in array.shape:
+        raise InputError.about(
+            name, expected="at least one pixel", got=f"an image of shape {array.shape}", action="give it pixels"
+        )
+    out = np.ascontiguousarray(array, dtype=np.float32)
+    if out is value or not out.flags.owndata:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+def refuse_size(name: str, whose: str, expected: tuple[int, int], got: tuple[int, int]) -> InputError:
+    """Return the error that an image has another size than those beside it, each (height, width)."""
+    return InputError.about(
+        name,
+        expected=f"the size of {whose}, {expected[1]}x{expected[0]} pixels",
+        got=f"{got[1]}x{got[0]}",
+        action="give every image of a frame the same width and height",
+    )
+
+
+class Images:
+    """Shared checks of the frozen data classes whose fields are images of one size."""
+
+    def check_images(self, channels: Mapping[str, int | None]) -> None:
+        """Make read-only images of the named fields, each (height, width) or of so many channels, all of one size."""
+        size: tuple[str, tuple[int, int]] | None = None
+        for name, count in channels.items():
+            image = as_image(name, getattr(self, name), count)
+            object.__setattr__(self, name, image)
+            if image is None:
+                continue
+            this = (int(image.shape[0]), int(image.shape[1]))
+            if size is not None and size[1] != this:
+                raise refuse_size(name, *size, this)
+            size = size or (name, this)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Which images there are."""
+        return tuple(name for name, value in vars(self).items() if isinstance(value, np.ndarray))
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """(height, width), or None where there is no image."""
+        for name in self.names:
+            height, width = getattr(self, name).shape[:2]
+            return int(height), int(width)
+        return None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({say_size(self.shape)}{', '.join(self.names)})"
+
+
+def say_size(shape: tuple[int, int] | None) -> str:
+    """Return how a short description begins: columns and rows, or nothing."""
+    return f"{shape[1]}x{shape[0]}: " if shape else ""

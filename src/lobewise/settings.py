@@ -1,0 +1,366 @@
+"""Every setting, declared once: what it means, which values it takes, and what it is where nobody says.
+
+Validation, docstrings, the options of the program, the controls of the viewer and what can be exported all derive from
+these declarations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import cache
+from textwrap import fill
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
+
+from lobewise.errors import InputError, require_choice
+
+Auto = Literal["auto"]
+Quality = Literal["fast", "balanced", "high"]
+Similarity = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
+Form = Literal["full", "separable", "atrous"]
+
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
+SIMILARITIES: tuple[Similarity, ...] = get_args(Similarity)
+FORMS: tuple[Form, ...] = get_args(Form)
+LARGEST_RADIUS = 64
+MAX_LOBES = 4
+"""Spherical Gaussians that a sum of them has at most."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """What a setting means and which values it takes.
+
+    Parameters
+    ----------
+    text : str
+        What it means; the first sentence alone says enough for a hint.
+    low, high : float, optional
+        Ends of the range of a number. With both they belong to it; without ``high`` the number is above ``low``.
+    usual : str
+        What to do about a value that is none.
+    label : str
+        Its name beside a control.
+    unit : str
+        Of a number.
+    """
+
+    text: str
+    low: float = 0.0
+    high: float = math.inf
+    usual: str = "leave it out if unsure"
+    label: str = ""
+    unit: str = ""
+    # What the field itself tells.
+    name: str = ""
+    default: Any = None
+    kind: type = str
+    choices: tuple[str, ...] = ()
+    """The words that it can be; of a number or switch "auto", or none."""
+    optional: bool = False
+
+    @property
+    def hint(self) -> str:
+        """The first sentence, without what it says of details."""
+        return self.text.replace("`", "").split(". ")[0].removesuffix(".") + "."
+
+    @property
+    def expected(self) -> str:
+        """Which values it takes, in words."""
+        if self.kind is bool:
+            words = "True, False" if self.choices else "True or False"
+        elif self.high < math.inf:
+            words = f"{'an integer' if self.kind is int else 'a number'} from {self.low:g} to {self.high:g}"
+        else:
+            words = f"a finite number above {self.low:g}"
+        auto = "".join(f'"{word}"' for word in self.choices)
+        if self.kind is bool and auto:
+            return f"{words} or {auto}"
+        return f"{auto} or {words}" if auto else words
+
+    def check(self, value: Any) -> None:
+        """Raise InputError unless ``value`` is one that the setting takes."""
+        if self.kind is str:
+            if self.choices:
+                require_choice(self.name, value, self.choices)
+        elif not (value is None and self.optional) and not self._takes(value):
+            raise InputError.about(self.name, expected=self.expected, got=repr(value), action=self.usual)
+
+    def _takes(self, value: Any) -> bool:
+        if isinstance(value, str):
+            return value in self.choices
+        if self.kind is bool:
+            return value in (True, False)
+        if self.kind is int and (isinstance(value, bool) or not isinstance(value, int)):
+            return False
+        try:
+            # Written so that NaN fails.
+            return bool(self.low <= value <= self.high if self.high < math.inf else self.low < value < math.inf)
+        except TypeError:
+            return False
+
+
+@cache
+def list_knobs(kind: type) -> Mapping[str, Knob]:
+    """Return the declarations of a class of settings by the names of its fields."""
+    found: dict[str, Knob] = {}
+    for owner in reversed(kind.__mro__):
+        # Of a class alone: what narrows a type says nothing else of the setting.
+        hints = get_type_hints(owner, include_extras=True) if "__annotations__" in vars(owner) else {}
+        for name, hint in hints.items():
+            declared = [each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Knob)]
+            if declared and get_origin(hint) is Annotated:
+                default = getattr(owner, name, MISSING)
+                found[name] = replace(declared[0], name=name, default=default, **_read_type(get_args(hint)[0]))
+    return found
+
+
+def _read_type(kind: Any) -> dict[str, Any]:
+    """Return what the type of a field tells: the type of values that are no words, the words, whether None is one."""
+    parts = [kind] if get_origin(kind) is Literal or isinstance(kind, type) else list(get_args(kind))
+    words = [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
+    kinds = [part for part in parts if part in (bool, int, float)]
+    return {
+        "kind": kinds[0] if kinds else str,
+        "choices": tuple(sorted(words, key=lambda word: word != "auto")),
+        "optional": type(None) in parts,
+    }
+
+
+class Declared:
+    """What classes of settings share: values are checked, and the docstring lists the fields."""
+
+    def __post_init__(self) -> None:
+        kind: type = type(self)
+        for name, knob in list_knobs(kind).items():
+            knob.check(getattr(self, name))
+
+
+def document(kind: type) -> None:
+    """Add the parameters of a class of settings to its docstring, from their declarations."""
+    lines = [f"{kind.__doc__}", "", "    Parameters", "    ----------"]
+    for name, knob in list_knobs(kind).items():
+        words = ", ".join(f'"{word}"' for word in knob.choices)
+        shown = f"{{{words}}}" if knob.kind is str and words else knob.kind.__name__
+        if knob.kind in (int, float):
+            shown += f" from {knob.low:g} to {knob.high:g}" if knob.high < math.inf else f" > {knob.low:g}"
+        if knob.kind is not str:
+            shown += f" or {words}" if words else " or None" if knob.optional else ""
+        shown += f", {knob.unit}" if knob.unit else ""
+        text = fill(knob.text, 118, initial_indent=" " * 8, subsequent_indent=" " * 8)
+        lines += [f"    {name} : {shown}", text]
+    kind.__doc__ = "\n".join([*lines, "    "])
+
+
+@dataclass(frozen=True)
+class DenoiseSettings(Declared):
+    """Parameters of `denoise`."""
+
+    quality: Annotated[
+        Quality | Auto,
+        Knob(
+            'How the noise enters. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and '
+            '"high" filter two halves of the samples narrowly, and then widely by what that tells of light and noise; '
+            '"high" does so in several ways and mixes what comes out pixel by pixel. "auto" takes "balanced" for the '
+            'full form and "fast" for the others, which have nothing else; so have upsampling and histories.',
+            label="Quality",
+        ),
+    ] = "auto"
+    similarity: Annotated[
+        Similarity | Auto,
+        Knob(
+            "What two pixels must share to be averaged. Compared on specular pixels are shading normals, one spherical "
+            "Gaussian per lobe, a sum of them, one anisotropic spherical Gaussian, or the GGX covariance of the lobe. "
+            '"auto" takes "ggx" where the frame has roughness and camera, else "normal".',
+            label="Similarity",
+        ),
+    ] = "auto"
+    form: Annotated[
+        Form,
+        Knob(
+            "Which neighbours count: all (2r+1)^2, a row and then a column, or five 5x5 levels of doubling step "
+            "(radius 62). Full is best; separable and atrous, of quality fast, take less time.",
+            label="Kernel",
+        ),
+    ] = "full"
+    radius: Annotated[
+        int,
+        Knob(
+            'Pixels from the centre to the edge of the kernel (samples, where few pixels are shaded). "atrous" does '
+            "not use it.",
+            high=LARGEST_RADIUS,
+            usual="8 is usual; form='atrous' reaches further",
+            label="Radius",
+            unit="pixels",
+        ),
+    ] = 8
+    beta: Annotated[
+        float | Auto,
+        Knob(
+            'Exponent of the similarity of lobes: larger keeps more detail and more noise. "auto" follows the noise.',
+            label="Beta",
+        ),
+    ] = "auto"
+    diffuse_beta: Annotated[float | Auto, Knob("The same for the overlap of diffuse lobes.")] = "auto"
+    device: Annotated[str, Knob('Where the kernels run; see `list_devices`, or "lobewise devices".')] = "auto"
+    screen_sigma: Annotated[
+        float | Auto,
+        Knob(
+            'Standard deviation of the screen distance; not used by "atrous". "auto" follows radius and noise.',
+            unit="pixels",
+        ),
+    ] = "auto"
+    position_sigma: Annotated[
+        float, Knob("Standard deviation of the distance in the scene.", unit="pixel footprints")
+    ] = 16.0
+    tau: Annotated[
+        float | Auto,
+        Knob(
+            "Band-limit of the lobes, from 1e-5 to 1: what makes a mirror's lobe finite (see `lobewise.lobes.field`). "
+            '"auto" follows the noise, down to the angle of a pixel.',
+            label="Band-limit",
+            unit="radians",
+        ),
+    ] = "auto"
+    normal_exponent: Annotated[
+        float, Knob('Sharpness with which "normal" compares normals.', label="Normal exponent")
+    ] = 64.0
+    band_limit: Annotated[
+        float | None,
+        Knob('With "normal": scale of the screen-space band-limit by BRDF parameter; None for none.'),
+    ] = None
+    lobes: Annotated[
+        int,
+        Knob(
+            'With "sg_mixture": spherical Gaussians that stand for a GGX lobe; where diffuse and specular radiance '
+            "are not apart 1 to 3, and one more is the diffuse lobe.",
+            low=1,
+            high=MAX_LOBES,
+            usual="3 is usual",
+        ),
+    ] = 3
+    hit_distance: Annotated[
+        bool | Auto,
+        Knob(
+            'With "sg", "asg" and "ggx": compare footprints on what the lobes hit (see `lobewise.lobes.hits`), where '
+            'the frame has hit distances. "auto" does not.',
+            usual="leave it out",
+            label="Hit distance",
+        ),
+    ] = "auto"
+    with_oidn: Annotated[
+        bool,
+        Knob(
+            'With the quality "high", which it implies: mix the result pixel by pixel with that of Intel Open Image '
+            "Denoise; needs lobewise[compare]."
+        ),
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        quality = "high" if self.with_oidn else self.quality
+        if quality in ("balanced", "high") and self.form != "full":
+            raise InputError.about(
+                "form",
+                expected=f"'full' with quality {quality!r}",
+                got=repr(self.form),
+                action="use quality 'fast' for the other forms",
+            )
+        if self.with_oidn and self.quality not in ("auto", "high"):
+            raise InputError.about(
+                "quality",
+                expected="'high' with Open Image Denoise",
+                got=repr(self.quality),
+                action="leave the quality out",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedSettings(DenoiseSettings):
+    """What `DenoiseSettings` stand for on a frame: every "auto" is chosen. Only `resolve_settings` makes them."""
+
+    quality: Quality
+    similarity: Similarity
+    beta: float
+    diffuse_beta: float
+    screen_sigma: float
+    tau: float
+    hit_distance: bool
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        left = [item.name for item in fields(self) if getattr(self, item.name) == "auto"]
+        if left:
+            raise ValueError(f"settings {left} are not resolved")
+
+
+@dataclass(frozen=True)
+class TemporalSettings(Declared):
+    """Parameters of `TemporalFilter` beside those of the filter itself."""
+
+    memory: Annotated[
+        float,
+        Knob(
+            "Share of its history that a frame keeps for the next, 0 for none; with m a history is worth at most "
+            "1 / (1 - m) frames.",
+            high=1.0,
+        ),
+    ] = 0.95
+    beta: Annotated[float, Knob("Exponent of the similarity between a pixel's lobe and what it was a frame ago.")] = 1.0
+    plane_sigma: Annotated[
+        float,
+        Knob(
+            "How far a surface point may lie off its plane of a frame ago, a standard deviation.",
+            unit="pixel footprints",
+        ),
+    ] = 2.0
+    strictness: Annotated[
+        float,
+        Knob(
+            "How the kernel narrows as the history grows, 0 for not: weights are raised to the power "
+            "frames**strictness of the frames that a pixel's history is worth.",
+            high=1.0,
+        ),
+    ] = 0.5
+    cut_share: Annotated[
+        float,
+        Knob(
+            "Share of pixels that must find their history within a quarter of the image; where fewer do it is a "
+            "camera cut and all is dropped.",
+            high=1.0,
+        ),
+    ] = 0.4
+
+
+for _kind in (DenoiseSettings, TemporalSettings):
+    document(_kind)
+
+
+class DenoiseChanges(TypedDict, total=False):
+    """Single fields of `DenoiseSettings` by name, for type checkers, which cannot derive them."""
+
+    quality: Quality | Auto
+    similarity: Similarity | Auto
+    form: Form
+    radius: int
+    beta: float | Auto
+    diffuse_beta: float | Auto
+    device: str
+    screen_sigma: float | Auto
+    position_sigma: float
+    tau: float | Auto
+    normal_exponent: float
+    band_limit: float | None
+    lobes: int
+    hit_distance: bool | Auto
+    with_oidn: bool
+
+
+class TemporalChanges(DenoiseChanges, total=False):
+    """The same with those of `TemporalSettings`, but for its ``beta``, which is the filter's here."""
+
+    memory: float
+    plane_sigma: float
+    strictness: float
+    cut_share: float
