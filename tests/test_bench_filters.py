@@ -21,7 +21,7 @@ from lobewise.bench.summary import Section, format_time, make_sections
 from lobewise.bench.timing import time_best
 from lobewise.cli.main import run
 from lobewise.errors import InputError, MissingDependencyError
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.peers import has_oidn
 

@@ -12,7 +12,7 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.guided import make_noisy_layers, resolve_guided
 from lobewise.errors import InputError
-from lobewise.features.base import ScreenFeature
+from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import resolve_light
 from lobewise.frame import Frame, Radiance
 from lobewise.lobes.field import default_tau

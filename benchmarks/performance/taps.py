@@ -16,7 +16,6 @@ The references take some three minutes on two cores.
 from __future__ import annotations
 
 import argparse
-import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -35,8 +34,8 @@ from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.bench.timing import time_best
 from lobewise.denoising import resolve_settings
 from lobewise.denoising.layers import Layer, make_layers
+from lobewise.features import Feature, ScreenFeature
 from lobewise.features.arrays import take_arrays, take_parameters
-from lobewise.features.base import Feature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, WEIGHT, demodulate, make_pass_inputs, make_stage
 from lobewise.filters.planes import Rows, begin_at_zero, make_guide_planes, make_image
@@ -102,8 +101,8 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
 
     across, down = find_offset(k)
     exponent: hl.Expr = hl.f32(0.0)
-    for feature, part, own in zip(features, side.slices, given.scalars, strict=True):
-        i, j = side.read(part, x, y), side.read(part, x + across, y + down)
+    for feature, layout, own in zip(features, side.layouts, given.scalars, strict=True):
+        i, j = side.read(layout, x, y), side.read(layout, x + across, y + down)
         exponent = exponent + feature.log2_similarity(i, j, own, (hl.f32(across), hl.f32(down)), stage)
     log_weight = hl.Func("log_weight")
     log_weight[x, y, k] = exponent
@@ -164,13 +163,13 @@ def take_every_second(layer: Layer) -> Layer:
     mean = add(light) / np.maximum(add(good[..., None]), 1)
     features = []
     for feature in layer.features:
-        coarse = copy.copy(feature)
+        changes: dict[str, Any] = {}
         for name, value in vars(feature).items():
             if isinstance(value, np.ndarray) and value.shape[:2] == good.shape:
-                setattr(coarse, name, np.ascontiguousarray(value[::2, ::2]))
-        if isinstance(coarse, ScreenFeature):
-            coarse.sigma *= 0.5
-        features.append(coarse)
+                changes[name] = np.ascontiguousarray(value[::2, ::2])
+        if isinstance(feature, ScreenFeature):
+            changes["sigma"] = 0.5 * feature.sigma
+        features.append(replace(feature, **changes))
     return Layer(np.asarray(mean, np.float32), None, layer.mask[::2, ::2] & good[::2, ::2], tuple(features))
 
 

@@ -14,7 +14,7 @@ from lobewise.denoising.automatic import change_settings, require_full, require_
 from lobewise.denoising.bad_pixels import find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
-from lobewise.features.base import Feature, TentFeature
+from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.runs import run_upsampling
 from lobewise.frame import Frame, Result

@@ -22,7 +22,7 @@ from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call
 from lobewise.backend.sources import describe_modules, take_apart
 from lobewise.errors import DeviceError
-from lobewise.features.base import NormalFeature, ScreenFeature
+from lobewise.features import NormalFeature, ScreenFeature
 from lobewise.filters.cross_pass import PassKey
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
@@ -33,8 +33,8 @@ pytestmark = pytest.mark.processor
 
 PROGRAM = """
 import numpy as np
+from lobewise.features import NormalFeature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
-from lobewise.features.base import NormalFeature, ScreenFeature
 import lobewise.backend.jit as jit
 import lobewise.backend.runtime as runtime
 made = []

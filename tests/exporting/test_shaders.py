@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.errors import FileError, InputError
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shader import export_shader, make_shader
-from lobewise.features.lobe import LAMBERT_COEFFICIENTS
+from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.lobes import asg, brdf, mixture, sg, tangent
 from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE
 from lobewise.lobes.vectors import normalize

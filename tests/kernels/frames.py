@@ -5,17 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.features.base import (
+from lobewise.features import (
+    AsgFeature,
     BandLimitFeature,
+    DiffuseFeature,
     Feature,
+    GgxFeature,
+    HitDistanceFeature,
     NormalFeature,
     PlaneFeature,
     PositionFeature,
     ScreenFeature,
+    SgFeature,
+    SgMixtureFeature,
 )
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature, SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 

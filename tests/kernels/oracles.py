@@ -8,19 +8,22 @@ from functools import singledispatch
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.features.base import (
+from lobewise.features import (
+    AsgFeature,
     BandLimitFeature,
+    DiffuseFeature,
     Feature,
+    GgxFeature,
+    HitDistanceFeature,
     NormalFeature,
     PlaneFeature,
     PositionFeature,
     ScreenFeature,
+    SeenFeature,
+    SgFeature,
+    SgMixtureFeature,
     TentFeature,
 )
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature, SgFeature
-from lobewise.features.seen import SeenFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
 from lobewise.lobes import asg, mixture, sg, tangent
 from lobewise.lobes.hits import find_hit_shift
 

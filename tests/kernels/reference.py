@@ -6,13 +6,13 @@ It shares nothing with the kernels; the similarities are written a second time i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 from tests.kernels.oracles import get_similarity
@@ -138,14 +138,14 @@ def stack_frames(before: Feature, now: Feature) -> Feature:
 
     Its parameters are those of this frame. A feature of the distance on the screen has no meaning between two frames.
     """
-    both = copy(now)
+    both: dict[str, Any] = {}
     for name, value in vars(now).items():
         old = getattr(before, name)
         if isinstance(value, np.ndarray):
-            setattr(both, name, np.concatenate([old, value]))
+            both[name] = np.concatenate([old, value])
         elif isinstance(value, HitField):
-            setattr(both, name, HitField(*(np.concatenate(pair) for pair in zip(old, value, strict=True))))
-    return both
+            both[name] = HitField(*(np.concatenate(pair) for pair in zip(old, value, strict=True)))
+    return replace(now, **both)  # type: ignore[type-var]
 
 
 def reproject_reference(

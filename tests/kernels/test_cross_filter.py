@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.backend.jit import count_compiled_kernels
-from lobewise.features.base import Feature, ScreenFeature
+from lobewise.features import Feature, ScreenFeature
 from lobewise.filters import cross_filter as engine
 from lobewise.filters.cross_filter import FilterOutput, _list_tiles, run_filter
 from lobewise.frame import FloatArray

@@ -22,7 +22,7 @@ from lobewise.backend.buffers import (
 )
 from lobewise.backend.devices import DEVICES, Device, choose_device, list_devices
 from lobewise.errors import DeviceError, InputError
-from lobewise.features.base import ScreenFeature
+from lobewise.features import ScreenFeature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.settings import DenoiseSettings
 

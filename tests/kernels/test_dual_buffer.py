@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
-from lobewise.features.base import LOG2_E, Feature, Pixel, ScreenFeature, Stage
-from lobewise.features.lobe import DiffuseFeature
-from lobewise.features.seen import SeenFeature
+from lobewise.features import DiffuseFeature, Feature, ScreenFeature, SeenFeature
+from lobewise.features.base import Pixel, Stage
 from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
 from lobewise.frame import FloatArray
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance

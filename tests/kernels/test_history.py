@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS, SNAP
 from lobewise.filters.runs import run_reprojection
 from lobewise.frame import FloatArray

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from lobewise.features.covariance import GGX_UNIT, TAIL_SQUARINGS, GgxFeature
-from lobewise.features.lobe import LAMBERT_COEFFICIENTS
+from lobewise.features import GgxFeature
+from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
+from lobewise.features.ggx import GGX_UNIT, TAIL_SQUARINGS
 from lobewise.filters.cross_filter import run_filter
 from tests.kernels.reference import filter_reference
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.features.base import Feature, TentFeature
+from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.runs import run_upsampling
 from lobewise.frame import FloatArray

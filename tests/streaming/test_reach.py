@@ -11,7 +11,7 @@ from lobewise.denoising.automatic import ask
 from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, refill
-from lobewise.features.base import ScreenFeature
+from lobewise.features import ScreenFeature
 from lobewise.filters import compositing as resolving
 from lobewise.filters import fireflies, mixing, noise_guides
 from lobewise.filters.compositing import resolve_light

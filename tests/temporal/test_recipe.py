@@ -10,7 +10,7 @@ import pytest
 from lobewise import TemporalFilter
 from lobewise.denoising import denoise
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.features.base import ScreenFeature
+from lobewise.features import ScreenFeature
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import find_disoccluded, rel_mse
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse

@@ -1,4 +1,4 @@
-"""Fast base-2 exponential and logarithm as Halide expressions: the only transcendental functions in a tap.
+"""What taps are computed with, as Halide expressions: a fast base-2 exponential and logarithm, vectors, bad numbers.
 
 A filter tap needs one exponential and at most one logarithm. Both are polynomials on the mantissa, without table,
 branch or conversion of rounding mode, so that every target vectorises them. The coefficients are minimax fits made
@@ -7,9 +7,12 @@ by ``benchmarks/performance/fit_expressions.py``; their errors are stated and te
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import halide as hl
+
+LOG2_E = math.log2(math.e)
 
 # Relative minimax polynomial of 2^f on [0, 1], degree 4, highest power first: error 2.7e-6.
 EXP2_COEFFICIENTS = (0.013534168, 0.0520114623, 0.241442754, 0.693003835, 1.00000259)
@@ -60,3 +63,14 @@ def is_bad(x: hl.Expr) -> hl.Expr:
     """Return whether a float32 is NaN, infinite or negative, from its bits (safe under fast-math)."""
     bits = hl.reinterpret(hl.UInt(32), x)
     return (bits >= hl.u32(0x7F800000)) & (bits != hl.u32(0x80000000))
+
+
+def dot(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> hl.Expr:
+    """Return the scalar product of two vectors."""
+    first, *rest = (p * q for p, q in zip(a, b, strict=True))
+    return sum(rest, first)
+
+
+def subtract(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> list[hl.Expr]:
+    """Return a - b, component by component."""
+    return [p - q for p, q in zip(a, b, strict=True)]

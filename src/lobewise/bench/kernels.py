@@ -9,7 +9,7 @@ import numpy as np
 
 from lobewise.bench.plane import SIMILARITIES, make_features
 from lobewise.bench.timing import time_best
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_LEVELS
 from lobewise.frame import Frame

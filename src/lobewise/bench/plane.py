@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.features import (
+    AsgFeature,
+    Feature,
+    GgxFeature,
+    NormalFeature,
+    PositionFeature,
+    ScreenFeature,
+    SgFeature,
+    SgMixtureFeature,
+)
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.lobes.field import build_lobe_field, default_tau
 from lobewise.lobes.mixture_field import build_mixture_field

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import choose_quality, resolve_settings
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
 from lobewise.denoising.noise import find_halves
-from lobewise.features.base import Feature
-from lobewise.features.seen import SeenFeature
+from lobewise.features import Feature, SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.compositing import resolve_light
 from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer

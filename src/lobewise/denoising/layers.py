@@ -9,10 +9,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.features.base import BandLimitFeature, Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import DiffuseFeature, SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.features import (
+    AsgFeature,
+    BandLimitFeature,
+    DiffuseFeature,
+    Feature,
+    GgxFeature,
+    NormalFeature,
+    PositionFeature,
+    ScreenFeature,
+    SgFeature,
+    SgMixtureFeature,
+)
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray
 from lobewise.guides.lobe_fields import make_lobe_field

@@ -24,7 +24,7 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
@@ -57,7 +57,7 @@ def denoise(
     settings : DenoiseSettings, optional
         Parameters; by default those that won the comparison.
     features : sequence of Feature
-        More distributions that two pixels must share, of your own or from `lobewise.features.base`; their
+        More distributions that two pixels must share, of your own or from `lobewise.features`; their
         similarities multiply the others in every layer.
     **changes
         Single parameters, by name, that replace those of ``settings``.

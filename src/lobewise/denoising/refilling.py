@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.features.base import Feature, ScreenFeature
+from lobewise.features import Feature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray

@@ -22,7 +22,7 @@ from lobewise.exporting.arguments import Argument
 from lobewise.exporting.lobes import define_guides
 from lobewise.exporting.plan import FilterPlan, Term
 from lobewise.exporting.targets import parse_target, refuse_target
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.cross_pass import PassInputs, PassKey, describe_structure, make_pass
 from lobewise.filters.forms import can_mirror, list_passes
 from lobewise.filters.planes import begin_at_zero

@@ -10,10 +10,17 @@ import numpy as np
 
 from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.exporting.arguments import PLANAR, Argument, list_arguments
-from lobewise.features.base import Feature, NormalFeature, PositionFeature, ScreenFeature
-from lobewise.features.covariance import AsgFeature, GgxFeature
-from lobewise.features.lobe import DiffuseFeature, SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.features import (
+    AsgFeature,
+    DiffuseFeature,
+    Feature,
+    GgxFeature,
+    NormalFeature,
+    PositionFeature,
+    ScreenFeature,
+    SgFeature,
+    SgMixtureFeature,
+)
 from lobewise.settings import FORMS, MAX_LOBES
 
 LARGEST_RADIUS = 64

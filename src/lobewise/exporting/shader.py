@@ -12,7 +12,7 @@ from lobewise.errors import require_choice
 from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.templating import fill_template
-from lobewise.features.lobe import LAMBERT_COEFFICIENTS
+from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
 from lobewise.lobes.brdf import MIN_WARP_COSINE
 from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE

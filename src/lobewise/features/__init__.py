@@ -1,1 +1,30 @@
 """What makes two pixels similar: a distribution per pixel, one file each."""
+
+from lobewise.features.asg import AsgFeature
+from lobewise.features.band_limit import BandLimitFeature
+from lobewise.features.base import Feature
+from lobewise.features.diffuse import DiffuseFeature
+from lobewise.features.ggx import GgxFeature
+from lobewise.features.normal import NormalFeature
+from lobewise.features.position import PlaneFeature, PositionFeature
+from lobewise.features.screen import ScreenFeature, TentFeature
+from lobewise.features.seen import HitDistanceFeature, SeenFeature
+from lobewise.features.sg import SgFeature
+from lobewise.features.sg_mixture import SgMixtureFeature
+
+__all__ = [
+    "AsgFeature",
+    "BandLimitFeature",
+    "DiffuseFeature",
+    "Feature",
+    "GgxFeature",
+    "HitDistanceFeature",
+    "NormalFeature",
+    "PlaneFeature",
+    "PositionFeature",
+    "ScreenFeature",
+    "SeenFeature",
+    "SgFeature",
+    "SgMixtureFeature",
+    "TentFeature",
+]

@@ -1,16 +1,64 @@
-"""What reflections see, compared: the albedo and the normal of what a lobe hits."""
+"""What reflections see, compared: how far away it is, and its albedo and normal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
+from lobewise.backend.expressions import LOG2_E, dot, subtract
+from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
 
 
-class SeenFeature(Feature):
+class Distance(NamedTuple):
+    """What taps read of a hit distance."""
+
+    inverse_distance: hl.Expr
+    precision: hl.Expr
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HitDistanceFeature(DeclaredFeature):
+    """Gaussian of how much the inverse hit distances of two lobes differ, relative to the larger of them.
+
+    ``exp(-(x_i - x_j)^2 / (2 max(x_i, x_j)^2 s_i s_j))`` with x = 1/t: 1 for equal distances, both infinite included.
+    What a mirror sees has changed when something else is at another distance.
+
+    Parameters
+    ----------
+    inverse_distance : array, shape (height, width)
+        1/t, >= 0; 0 where nothing is seen.
+    tolerance : array, shape (height, width)
+        Relative standard deviation s that is no change, > 0.
+    """
+
+    name = "hit_distance"
+    neutral = (0.0, 1.0)
+    inverse_distance: FloatArray
+    tolerance: FloatArray
+
+    def prepare(self, inputs: Vector, parameters: Vector) -> Distance:
+        inverse, tolerance = inputs
+        return Distance(inverse, hl.f32(math.sqrt(0.5 * LOG2_E)) / hl.max(tolerance, hl.f32(1e-6)))
+
+    def log2_similarity(self, i: Distance, j: Distance, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+        largest = hl.max(i.inverse_distance, j.inverse_distance, hl.f32(1e-12))
+        step = (i.inverse_distance - j.inverse_distance) / largest
+        return -step * step * (i.precision * j.precision)
+
+
+class Seen(NamedTuple):
+    """What taps read of what a lobe sees."""
+
+    albedo: Vector
+    normal: Vector
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenFeature(DeclaredFeature):
     """Gaussian of the differences of what two lobes see, ``exp(-a |d albedo|^2 - n |d normal|^2)``.
 
     Parameters
@@ -22,23 +70,17 @@ class SeenFeature(Feature):
     """
 
     name = "seen"
-
-    def __init__(
-        self, albedo: FloatArray, normal: FloatArray, *, albedo_sharpness: float, normal_sharpness: float
-    ) -> None:
-        self.albedo = albedo
-        self.normal = normal
-        self.albedo_sharpness = require_positive("albedo sharpness", albedo_sharpness)
-        self.normal_sharpness = require_positive("normal sharpness", normal_sharpness)
-
-    def get_arrays(self) -> tuple[FloatArray, ...]:
-        return self.albedo, self.normal
+    albedo: FloatArray
+    normal: FloatArray
+    albedo_sharpness: float
+    normal_sharpness: float
 
     def get_parameters(self) -> tuple[float, ...]:
         return self.albedo_sharpness * LOG2_E, self.normal_sharpness * LOG2_E
 
-    def log2_similarity(
-        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
-    ) -> hl.Expr:
-        albedo, normal = subtract(i[:3], j[:3]), subtract(i[3:], j[3:])
+    def prepare(self, inputs: Vector, parameters: Vector) -> Seen:
+        return Seen(*self.split(inputs))
+
+    def log2_similarity(self, i: Seen, j: Seen, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+        albedo, normal = subtract(i.albedo, j.albedo), subtract(i.normal, j.normal)
         return -(dot(albedo, albedo) * parameters[0] + dot(normal, normal) * parameters[1])

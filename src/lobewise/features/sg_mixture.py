@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.backend import expressions
+from lobewise.backend.expressions import LOG2_E, dot, exp2, log2, subtract
 from lobewise.errors import InputError, describe_problem
-from lobewise.features.base import LOG2_E, Feature, Pixel, Stage, dot, require_positive, subtract
+from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
 from lobewise.settings import MAX_LOBES
 
 
-class SgMixtureFeature(Feature):
+class MixturePlanes(NamedTuple):
+    """What taps read of a mixture: a number per lobe, and an axis per lobe or one for all."""
+
+    axes: list[Vector]
+    widths: Vector
+    """``u = 2 / (log2(e) lambda)``."""
+    scales: Vector
+    """Amplitude times u, over the norm of the whole."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SgMixtureFeature(DeclaredFeature):
     """Overlap of two sums of spherical Gaussians, ``<f_i, f_j> / (|f_i| |f_j|)``, to the power beta.
 
     ``<f_i, f_j> = sum_a sum_b mu_a mu_b 2 pi / (la + lb) exp(-la lb / (la + lb) (1 - axis_a . axis_b))``; the norms are
@@ -39,8 +52,14 @@ class SgMixtureFeature(Feature):
     """
 
     name = "sg_mixture"
+    axis: FloatArray
+    sharpness: FloatArray
+    amplitude: FloatArray
+    beta: float
 
-    def __init__(self, axis: FloatArray, sharpness: FloatArray, amplitude: FloatArray, beta: float) -> None:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axis, sharpness, amplitude = self.get_arrays()
         lobes = sharpness.shape[2] if sharpness.ndim == 3 else 0
         fits = sharpness.shape == amplitude.shape and axis.ndim == 3 and axis.shape[2] in (3, 3 * lobes)
         if not fits or not 1 <= lobes <= MAX_LOBES:
@@ -52,72 +71,44 @@ class SgMixtureFeature(Feature):
                     action="stack the lobes of a pixel along the last axis",
                 )
             )
-        self.axis = axis
-        self.sharpness = sharpness
-        self.amplitude = amplitude
-        self.beta = require_positive("beta", beta)
-        self.lobes = int(lobes)
-        self.coaxial = axis.shape[2] == 3
 
     @property
     def structure(self) -> Hashable:
-        return self.lobes, self.coaxial
+        return self.sharpness.shape[2], self.axis.shape[2]
 
     @property
     def neutral(self) -> tuple[float, ...]:
-        return (*[0.0] * self.axis.shape[2], *[1.0] * (2 * self.lobes))
+        return (*[0.0] * self.axis.shape[2], *[1.0] * (2 * self.sharpness.shape[2]))
 
-    def get_arrays(self) -> tuple[FloatArray, ...]:
-        return self.axis, self.sharpness, self.amplitude
-
-    def get_parameters(self) -> tuple[float, ...]:
-        return (self.beta,)
-
-    def _split(self, channels: Pixel) -> tuple[list[Pixel], Pixel, Pixel]:
-        """Return the axes, and both numbers of every lobe."""
-        first, n = self.axis.shape[2], self.lobes
-        axes = [channels[k : k + 3] for k in range(0, first, 3)]
-        return axes, channels[first : first + n], channels[first + n :]
-
-    def prepare(self, inputs: Pixel, parameters: Sequence[hl.Expr]) -> list[hl.Expr]:
-        # With u = 2/(log2(e) lambda) a term is a_i a_j / (u_i + u_j) 2^(-|d|^2 / (u_i + u_j)), a = amplitude u; the
-        # amplitudes are divided by the norm, so that the sum over all terms is the similarity.
-        axes, sharpness, amplitude = self._split(inputs)
-        width = [hl.f32(2.0 / LOG2_E) / value for value in sharpness]
-        scale = [value * u for value, u in zip(amplitude, width, strict=True)]
-        square = self._sum_terms(axes, width, scale, axes, width, scale)
+    def prepare(self, inputs: Vector, parameters: Vector) -> MixturePlanes:
+        # A term is a_i a_j / (u_i + u_j) 2^(-|d|^2 / (u_i + u_j)), a = amplitude u; the amplitudes are divided by the
+        # norm, so that the sum over all terms is the similarity.
+        axis, sharpness, amplitude = self.split(inputs)
+        axes = [axis[k : k + 3] for k in range(0, len(axis), 3)]
+        widths = [hl.f32(2.0 / LOG2_E) / value for value in sharpness]
+        scales = [value * u for value, u in zip(amplitude, widths, strict=True)]
+        own = MixturePlanes(axes, widths, scales)
+        square = _sum_terms(own, own)
         inverse = hl.select(square > hl.f32(0.0), hl.f32(1.0) / hl.sqrt(hl.max(square, hl.f32(1e-37))), hl.f32(0.0))
-        return [*inputs[: self.axis.shape[2]], *width, *[value * inverse for value in scale]]
-
-    def _sum_terms(
-        self,
-        axes_i: list[Pixel],
-        width_i: Pixel,
-        scale_i: Pixel,
-        axes_j: list[Pixel],
-        width_j: Pixel,
-        scale_j: Pixel,
-    ) -> hl.Expr:
-        """Return the product integral: every lobe of one pixel with every lobe of the other."""
-        squares: dict[tuple[int, int], hl.Expr] = {}
-        total: hl.Expr | None = None
-        for a in range(self.lobes):
-            row: hl.Expr | None = None
-            for b in range(self.lobes):
-                pair = (0, 0) if self.coaxial else (a, b)
-                if pair not in squares:
-                    d = subtract(axes_j[pair[1]], axes_i[pair[0]])
-                    squares[pair] = dot(d, d)
-                inverse = hl.f32(1.0) / (width_i[a] + width_j[b])
-                term = scale_j[b] * inverse * expressions.exp2(-squares[pair] * inverse)
-                row = term if row is None else row + term
-            assert row is not None
-            total = scale_i[a] * row if total is None else total + scale_i[a] * row
-        assert total is not None
-        return total
+        return MixturePlanes(axes, widths, [value * inverse for value in scales])
 
     def log2_similarity(
-        self, i: Pixel, j: Pixel, parameters: Sequence[hl.Expr], offset: tuple[hl.Expr, hl.Expr], stage: Stage
+        self, i: MixturePlanes, j: MixturePlanes, parameters: Vector, offset: Offset, stage: Stage
     ) -> hl.Expr:
-        total = stage(self._sum_terms(*self._split(i), *self._split(j)))
-        return parameters[0] * expressions.log2(hl.max(total, hl.f32(1e-30)))
+        return parameters[0] * log2(hl.max(stage(_sum_terms(i, j)), hl.f32(1e-30)))
+
+
+def _sum_terms(i: MixturePlanes, j: MixturePlanes) -> hl.Expr:
+    """Return the product integral: every lobe of one pixel with every lobe of the other."""
+    steps = [[subtract(q, p) for q in j.axes] for p in i.axes]
+    squares = [[dot(d, d) for d in row] for row in steps]
+    shared = len(i.axes) == 1
+    rows: list[hl.Expr] = []
+    for a, (width, scale) in enumerate(zip(i.widths, i.scales, strict=True)):
+        terms: list[hl.Expr] = []
+        for b, (other, amplitude) in enumerate(zip(j.widths, j.scales, strict=True)):
+            inverse = hl.f32(1.0) / (width + other)
+            square = squares[0][0] if shared else squares[a][b]
+            terms.append(amplitude * inverse * exp2(-square * inverse))
+        rows.append(scale * sum(terms[1:], terms[0]))
+    return sum(rows[1:], rows[0])

@@ -131,9 +131,9 @@ def make_joining(features: Sequence[Feature], tinted: bool) -> JoiningFuncs:
     stage = make_stage(stages, (x, y, u, v))
 
     exponent: hl.Expr = zero
-    for feature, part, parameters in zip(features, side.slices, scalars, strict=True):
-        i = centre.read(part, x, y)
-        j = [wide[x + u * factor, k, block[1] + v] for k in range(part.start, part.stop)]
+    for feature, layout, parameters in zip(features, side.layouts, scalars, strict=True):
+        i = centre.read(layout, x, y)
+        j = layout.read(lambda k: wide[x + u * factor, k, block[1] + v])
         exponent = exponent + feature.log2_similarity(i, j, parameters, offset, stage)
     log_weight = hl.Func("log_weight")
     log_weight[x, y, u, v] = exponent

@@ -18,7 +18,8 @@ from typing import Any
 import halide as hl
 
 from lobewise.backend import expressions
-from lobewise.features.base import Feature, Stage, dot
+from lobewise.backend.expressions import dot
+from lobewise.features.base import Feature, Stage
 from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
 from lobewise.filters.planes import (
     GuidePlanes,
@@ -231,8 +232,8 @@ def make_pass(
     exponent: hl.Expr = hl.f32(0.0)
     if key.taps is Taps.ATROUS:
         exponent = _tap_profile(u) + _tap_profile(v)
-    for feature, part, own in zip(features, side.slices, scalars, strict=True):
-        i, j = side.read(part, x, y), side.read(part, x + u * spread, y + v * spread)
+    for feature, layout, own in zip(features, side.layouts, scalars, strict=True):
+        i, j = side.read(layout, x, y), side.read(layout, x + u * spread, y + v * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
     if key.strict:
         exponent = exponent * inputs.strictness[clamp_likely(x, width), hl.clamp(y, 0, height - 1)]

@@ -21,7 +21,8 @@ from typing import Any
 import halide as hl
 
 from lobewise.backend import expressions
-from lobewise.features.base import LOG2_E, Feature
+from lobewise.backend.expressions import LOG2_E
+from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance, make_stage
 from lobewise.filters.planes import GuidePlanes, Rows, begin_at_zero, make_guide_planes, make_image
 
@@ -134,8 +135,8 @@ def make_dual_buffer_pass(
     logs: list[hl.Expr] = []
     for features, side, own in zip(groups, sides, scalars, strict=True):
         total: hl.Expr = hl.f32(0.0)
-        for feature, part, parameters in zip(features, side.slices, own, strict=True):
-            i, j = side.read(part, x, y), side.read(part, *there)
+        for feature, layout, parameters in zip(features, side.layouts, own, strict=True):
+            i, j = side.read(layout, x, y), side.read(layout, *there)
             total = total + feature.log2_similarity(i, j, parameters, (hl.f32(u * step), hl.f32(v * step)), stage)
         logs.append(total)
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import halide as hl
 
-from lobewise.features.base import Feature, Pixel
+from lobewise.features.base import Feature, Pixel, count_channels
+from lobewise.features.layout import Layout, flatten
 
 PIXEL = X, Y, C = hl.Var("x"), hl.Var("y"), hl.Var("c")
 """Column, row and channel of every function here."""
@@ -23,15 +24,11 @@ def begin_at_zero(image: hl.ImageParam) -> None:
         image.dim(axis).set_min(0)
 
 
-def _count_channels(feature: Feature) -> list[int]:
-    return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]
-
-
 def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> list[hl.ImageParam]:
     """Return the parameters that hold the arrays of every feature; ``flat`` ones have one axis for all pixels."""
     inputs = []
     for number, feature in enumerate(features):
-        for slot, (array, count) in enumerate(zip(feature.get_arrays(), _count_channels(feature), strict=True)):
+        for slot, (array, count) in enumerate(zip(feature.get_arrays(), count_channels(feature), strict=True)):
             param = hl.ImageParam(hl.Float(32), array.ndim - flat, f"{name}{number}_{slot}")
             if array.ndim == 3:
                 # A known stride between pixels lets vectors of one channel be shuffled out of whole loads.
@@ -43,7 +40,7 @@ def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> l
 
 def count_inputs(features: Sequence[Feature]) -> list[int]:
     """Return the channels of the arrays of every feature, one after the other."""
-    return [count for feature in features for count in _count_channels(feature)]
+    return [count for feature in features for count in count_channels(feature)]
 
 
 def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: hl.Expr) -> list[hl.Expr]:
@@ -54,18 +51,18 @@ def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: 
 
 def prepare_planes(
     features: Sequence[Feature], scalars: Sequence[Sequence[hl.Expr]], channels: Sequence[hl.Expr]
-) -> tuple[list[hl.Expr], list[slice]]:
-    """Return what taps read of a pixel, from its input channels, and which of it belongs to each feature."""
+) -> tuple[list[hl.Expr], list[Layout]]:
+    """Return what taps read of a pixel, from its input channels, and where in it each feature has its planes."""
     values: list[hl.Expr] = []
-    slices: list[slice] = []
+    layouts: list[Layout] = []
     given = 0
     for feature, own in zip(features, scalars, strict=True):
-        count = sum(_count_channels(feature))
+        count = sum(count_channels(feature))
         prepared = feature.prepare(channels[given : given + count], own) if count else []
         given += count
-        slices.append(slice(len(values), len(values) + len(prepared)))
-        values.extend(prepared)
-    return values, slices
+        layouts.append(Layout(prepared, len(values)))
+        values.extend(flatten(prepared))
+    return values, layouts
 
 
 def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
@@ -139,14 +136,15 @@ class GuidePlanes:
     guide_count: int
     planes: hl.Func | None
     plane_count: int
-    slices: list[slice]
+    layouts: list[Layout]
+    """Of every feature."""
     row_guides: list[hl.Func] = field(default_factory=list)
     """In place of guides, one for each part of `Rows.parts`."""
 
-    def read(self, part: slice, x: hl.Expr, y: hl.Expr) -> Pixel:
-        """Return the planes ``part`` of a pixel."""
-        assert self.planes is not None or part.start == part.stop
-        return [self.planes[x, k, y] for k in range(part.start, part.stop)] if self.planes is not None else []
+    def read(self, layout: Layout, x: hl.Expr, y: hl.Expr) -> Pixel:
+        """Return the planes of one feature at a pixel."""
+        planes = self.planes
+        return layout.read(lambda k: planes[x, k, y]) if planes is not None else []
 
 
 def make_guide_planes(
@@ -168,13 +166,13 @@ def make_guide_planes(
     if rows is None:
         at = (X, Y) if inside else (clamp_likely(X, mask.width()), hl.clamp(Y, 0, mask.height() - 1))
         guides = _make_guides(f"{name}_guides", mask, features, arrays, at)
-        values, slices = prepare_planes(features, scalars, read(guides, X))
-        return GuidePlanes(arrays, guides, count, _stack(f"{name}_planes", values), len(values), slices)
+        values, layouts = prepare_planes(features, scalars, read(guides, X))
+        return GuidePlanes(arrays, guides, count, _stack(f"{name}_planes", values), len(values), layouts)
 
     line = hl.clamp(Y, 0, mask.height() - 1)
-    outside, slices = prepare_planes(features, scalars, [hl.f32(v) for feature in features for v in feature.neutral])
+    outside, layouts = prepare_planes(features, scalars, [hl.f32(v) for feature in features for v in feature.neutral])
     if not outside:
-        return GuidePlanes(arrays, None, 0, None, 0, slices)
+        return GuidePlanes(arrays, None, 0, None, 0, layouts)
     parts = [
         _make_guides(f"{name}_guides{number}", mask, features, arrays, (X, line)) for number in range(len(rows.parts))
     ]
@@ -183,7 +181,7 @@ def make_guide_planes(
         _choose(outside),
         lambda number, column: _choose(prepare_planes(features, scalars, read(parts[number], column))[0]),
     )
-    return GuidePlanes(arrays, None, count, planes, len(outside), slices, [part for part in parts if part is not None])
+    return GuidePlanes(arrays, None, count, planes, len(outside), layouts, [part for part in parts if part is not None])
 
 
 def make_image(

@@ -159,7 +159,7 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None = No
     nearest[x, y, w, u, v] = hl.Tuple([hl.select(inside, hl.i32(1), hl.i32(0)), near_x + near_y * width])
     arrays = list_inputs("before", features, flat=True)
     counts = count_inputs(features)
-    here = [now.read(part, x, y) for part in now.slices]
+    here = [now.read(layout, x, y) for layout in now.layouts]
     nowhere = zero, zero
 
     def compare(part: slice, way: hl.Expr, keep: Callable[..., Any]) -> tuple[hl.Expr, hl.Expr]:
@@ -170,13 +170,13 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None = No
         inputs = slice(first, first + len(count_inputs(chosen)))
         pairs = zip(arrays[inputs], counts[inputs], strict=True)
         channels = [value for array, count in pairs for value in gather(array, count, way)]
-        values, slices = prepare_planes(chosen, own, neutralize(chosen, channels, known))
+        values, layouts = prepare_planes(chosen, own, neutralize(chosen, channels, known))
         if values:
             seen = keep(*values)
             values = [seen[k] for k in range(len(values))] if len(values) > 1 else [seen]
         exponent: hl.Expr = zero
-        for feature, i, each, parameters in zip(chosen, here[part], slices, own, strict=True):
-            exponent = exponent + feature.log2_similarity(i, values[each], parameters, nowhere, keep)
+        for feature, i, layout, parameters in zip(chosen, here[part], layouts, own, strict=True):
+            exponent = exponent + feature.log2_similarity(i, layout.read(values.__getitem__), parameters, nowhere, keep)
         return exponent, known
 
     exponent, known = compare(slice(virtual_from or 0, len(features)), w, stage)

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import halide as hl
 import numpy as np
 
+from lobewise.backend.expressions import dot
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
-from lobewise.features.base import dot
 from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
 from lobewise.lobes.brdf import MIN_WARP_COSINE

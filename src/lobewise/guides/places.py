@@ -11,9 +11,9 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.expressions import dot, subtract
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan
 from lobewise.camera import Camera
-from lobewise.features.base import dot, subtract
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
 

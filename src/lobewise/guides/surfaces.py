@@ -8,9 +8,9 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.expressions import dot
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
-from lobewise.features.base import dot
 from lobewise.frame import FloatArray, GBuffer
 
 SMALLEST_NORMAL = 0.01

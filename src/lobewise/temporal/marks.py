@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import can_use_hits
 from lobewise.denoising.layers import find_surface, make_specular_features
-from lobewise.features.base import Feature, NormalFeature, PlaneFeature
-from lobewise.features.lobe import DiffuseFeature, HitDistanceFeature
+from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.surfaces import (

@@ -18,7 +18,7 @@ from lobewise.denoising.noise import estimate_spp, expect_noise
 from lobewise.denoising.recipe import compose, keep_unfiltered
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.errors import require_choice
-from lobewise.features.base import Feature
+from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.runs import JoinedOutput, SampleGrid

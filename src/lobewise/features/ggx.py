@@ -1,0 +1,115 @@
+"""The feature that compares GGX lobes by their covariances, with the tail that GGX has."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import halide as hl
+
+from lobewise.backend.expressions import dot, log2
+from lobewise.features.base import Offset, Stage, Vector
+from lobewise.features.covariance import CovarianceFeature
+from lobewise.features.lobe import HitPlanes, find_step
+
+# (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
+# eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves
+# all. It is within 3.7e-3 of the exact autocorrelation (tests/kernels/test_lobe_features.py).
+GGX_UNIT = 0.3
+TAIL_SQUARINGS = 3
+
+
+class GgxPlanes(NamedTuple):
+    """What taps read of a GGX lobe."""
+
+    axis: Vector
+    large: hl.Expr
+    small: hl.Expr
+    """The eigenvalues a and b."""
+    t: Vector
+    """Along the long direction, ``|t|^2 = a - b``."""
+    root: hl.Expr
+    """Of the determinant: half of s."""
+    numerator: hl.Expr
+    """The logarithm of this pixel's part of the numerator."""
+    hit: HitPlanes | None
+
+
+class GgxFeature(CovarianceFeature):
+    """Overlap of two GGX lobes by their covariances across the lobe axis.
+
+    With the eigenvalues ``a >= b`` of S, R is ``a P - t t^T``: t along the long direction, ``|t|^2 = a - b``. In a
+    plane P is ``(a_i + b_j) (a_j + b_i) - (t_i . t_j)^2``, and so it is taken; R gets a along its axis as well, so that
+    lobes which face away from each other are unlike: ``Q = (a_i + a_j) |d|^2 - (t_i . d)^2 - (t_j . d)^2``. Which of
+    its two signs t has does not matter.
+
+    With ``s = 2 sqrt(det)`` and ``q = Q / P``
+    ``(s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4``, to the power beta; see
+    `lobewise.lobes.tangent.tangent_approx_similarity`.
+
+    Parameters
+    ----------
+    axis : array, shape (height, width, 3)
+        Unit lobe axes z.
+    covariance : array, shape (height, width, 6)
+        Symmetric 3x3 covariance S with S z = 0: xx, xy, xz, yy, yz, zz.
+    determinant : array, shape (height, width)
+        Determinant of S in the plane across z, > 0.
+    beta : float
+        Exponent, > 0.
+    hits : HitField, optional
+        Compare footprints on what the lobes hit instead of directions; see `lobewise.lobes.hits`.
+    """
+
+    name = "ggx"
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (GGX_UNIT * self.beta,)
+
+    def prepare(self, inputs: Vector, parameters: Vector) -> GgxPlanes:
+        axis, covariance, determinant, *hit = self.split(inputs)
+        large, t = _split_covariance(axis, covariance)
+        small = determinant / hl.max(large, hl.f32(1e-30))
+        root = hl.sqrt(determinant)
+        # s_i s_j is split into one logarithm per pixel.
+        numerator = parameters[0] * log2(root + root)
+        return GgxPlanes(axis, large, small, t, root, numerator, HitPlanes(*hit) if hit else None)
+
+    def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+        d, square, _ = find_step(i, j)
+        on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
+        quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
+        invariant = (i.large + j.small) * (j.large + i.small) - both * both
+        # sqrt(P) is at least the mean of both s (Minkowski's inequality); rounding may hide that.
+        mean = i.root + j.root
+        invariant = hl.max(invariant, mean * mean)
+        # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
+        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
+        for _ in range(TAIL_SQUARINGS):
+            tail = tail * tail
+        areas = invariant * hl.sqrt(invariant) / mean
+        return i.numerator + j.numerator - parameters[0] * log2(stage(tail * areas))
+
+
+def _split_covariance(axis: Vector, covariance: Vector) -> tuple[hl.Expr, list[hl.Expr]]:
+    """Return the larger eigenvalue a, and t along its direction with ``|t|^2`` what it exceeds the other by.
+
+    From the deviation of the covariance from its mean, whose length is their difference: free of cancellation.
+    """
+    x, y, z = axis
+    xx, xy, xz, yy, yz, zz = covariance
+    half = hl.f32(0.5)
+    trace = xx + yy + zz
+    mean = half * trace
+    xx, yy, zz = (value + mean * (p * p - hl.f32(1.0)) for value, p in ((xx, x), (yy, y), (zz, z)))
+    xy, xz, yz = xy + mean * x * y, xz + mean * x * z, yz + mean * y * z
+    beside = xy * xy + xz * xz + yz * yz
+    gap = hl.sqrt(hl.f32(2.0) * (xx * xx + yy * yy + zz * zz + beside + beside))
+    # t t^T is the deviation and half the gap across the axis; t is its longest column over the root of its diagonal.
+    spread = half * gap
+    xx, yy, zz = (value + spread * (hl.f32(1.0) - p * p) for value, p in ((xx, x), (yy, y), (zz, z)))
+    xy, xz, yz = xy - spread * x * y, xz - spread * x * z, yz - spread * y * z
+    first, second = (xx >= yy) & (xx >= zz), yy >= zz
+    column = [hl.select(first, a, second, b, c) for a, b, c in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
+    # The longest holds a third of the gap; where there is none, rounding must not be divided by less.
+    scale = hl.f32(1.0) / hl.sqrt(hl.max(xx, yy, zz, hl.f32(0.3) * gap, hl.f32(1e-30)))
+    return mean + spread, [component * scale for component in column]
