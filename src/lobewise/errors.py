@@ -10,7 +10,19 @@ ErrorT = TypeVar("ErrorT", bound="LobewiseError")
 
 
 class LobewiseError(Exception):
-    """Root of every error that a user can mend; the command line turns it into exit code 2."""
+    """Root of every error that a user can mend; the command line turns it into exit code 2.
+
+    Parameters
+    ----------
+    what : str
+        The argument, file or setting; or, without the others, the whole sentence.
+    expected, got, action : str
+        See `describe_problem`.
+    """
+
+    def __init__(self, what: str, *, expected: str = "", got: str = "", action: str = "") -> None:
+        told = describe_problem(what, expected=expected, got=got, action=action) if expected else what
+        super().__init__(told)
 
     @classmethod
     def about(cls: type[ErrorT], what: str, *, expected: str, got: str, action: str) -> ErrorT:
@@ -50,7 +62,7 @@ def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
     >>> describe_problem("radius", expected="an integer from 0 to 64", got="-3", action="pass radius=8")
     'radius: expected an integer from 0 to 64, got -3; pass radius=8.'
     """
-    return f"{what}: expected {expected}, got {got}; {action}."
+    return f"{what}: expected {expected}, got {got}; {action}{'' if action.endswith('?') else '.'}"
 
 
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
@@ -66,10 +78,8 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         return got
     near = difflib.get_close_matches(got, options, n=1, cutoff=0.0)
     raise InputError(
-        describe_problem(
-            what,
-            expected="one of " + ", ".join(options),
-            got=repr(got),
-            action=f"did you mean {near[0]!r}?" if near else "choose one of them",
-        ).replace("?.", "?")
+        what,
+        expected="one of " + ", ".join(options),
+        got=repr(got),
+        action=f"did you mean {near[0]!r}?" if near else "choose one of them",
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import MissingChannelError, MissingDependencyError, describe_problem, require_choice
+from lobewise.errors import MissingChannelError, MissingDependencyError, require_choice
 from lobewise.frame import FloatArray, Frame
 
 OIDN_QUALITIES = ("fast", "balanced", "high")
@@ -86,9 +86,7 @@ def _find_guides(frame: Frame, guides: str) -> tuple[FloatArray, FloatArray]:
 
     normal = find("normal")
     if normal is None:
-        raise MissingChannelError(
-            describe_problem("channel normal", expected="one", got="none", action="render it with the frame")
-        )
+        raise MissingChannelError("channel normal", expected="one", got="none", action="render it with the frame")
     albedo = np.ones((*frame.shape, 3), dtype=np.float32)
     parts = [part for part in (find("diffuse_albedo"), find("specular_albedo")) if part is not None]
     if parts:

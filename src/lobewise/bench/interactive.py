@@ -14,7 +14,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from lobewise.bench.machine import describe_machine
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from lobewise.interactive import InteractiveSettings
@@ -73,7 +73,7 @@ def measure_interactive(
     from lobewise.render import find_orbit_centre, load_mitsuba, make_orbit
 
     if frames < 1:
-        raise InputError(describe_problem("frames", expected="at least 1", got=str(frames), action="24 is usual"))
+        raise InputError("frames", expected="at least 1", got=str(frames), action="24 is usual")
     variant = load_mitsuba(device).variant()
     asked = settings or InteractiveSettings()
     names = list(methods or METHODS)

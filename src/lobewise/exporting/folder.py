@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 from lobewise.io.files import PathLike
 
 MARK = "lobewise-export.json"
@@ -44,9 +44,7 @@ def require_folder(path: PathLike, *, force: bool) -> Path:
         got = "one that holds other things than an export" if force else "one that is not empty"
         action = "choose another folder" if force else "choose another, or replace an earlier export with --force"
     if got:
-        raise FileError(
-            describe_problem(f"output {str(path)!r}", expected="a new or empty folder", got=got, action=action)
-        )
+        raise FileError(f"output {str(path)!r}", expected="a new or empty folder", got=got, action=action)
     return target
 
 
@@ -83,12 +81,10 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
             made.clear()
     except OSError as problem:
         raise FileError(
-            describe_problem(
-                f"output {str(path)!r}",
-                expected="a folder that can be written",
-                got=(problem.strerror or str(problem)).lower(),
-                action="choose another or make room",
-            )
+            f"output {str(path)!r}",
+            expected="a folder that can be written",
+            got=(problem.strerror or str(problem)).lower(),
+            action="choose another or make room",
         ) from problem
     finally:
         for folder in made:

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import lobewise
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.compiling import compile_filter, compile_lobes
 from lobewise.exporting.example import choose_bound, list_frame_images, make_example
@@ -52,9 +52,7 @@ def export_library(
         If the folder is not empty or cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
-        raise InputError(
-            describe_problem("--name", expected="an identifier of C", got=repr(name), action="such as my_filter")
-        )
+        raise InputError("--name", expected="an identifier of C", got=repr(name), action="such as my_filter")
     require_folder(output, force=force)
     chosen = parse_target(target).to_string()
     filter_arguments, lobe_arguments = plan.filter_arguments, plan.lobe_arguments

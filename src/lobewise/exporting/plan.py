@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.exporting.arguments import PLANAR, Argument, list_arguments
 from lobewise.features import (
     AsgFeature,
@@ -92,12 +92,10 @@ class FilterPlan:
         _require_integer("lobes", self.lobes, 2, MAX_LOBES, "3 stand for GGX within 1 %, and one is similarity 'sg'")
         if self.anisotropic and self.similarity not in ("asg", "ggx"):
             raise InputError(
-                describe_problem(
-                    "anisotropic lobes",
-                    expected="similarity 'asg' or 'ggx'",
-                    got=repr(self.similarity),
-                    action="choose one of them, or leave it out",
-                )
+                "anisotropic lobes",
+                expected="similarity 'asg' or 'ggx'",
+                got=repr(self.similarity),
+                action="choose one of them, or leave it out",
             )
 
     @property
@@ -145,6 +143,4 @@ class FilterPlan:
 
 def _require_integer(what: str, value: Any, least: int, most: int, action: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise InputError(
-            describe_problem(what, expected=f"an integer from {least} to {most}", got=repr(value), action=action)
-        )
+        raise InputError(what, expected=f"an integer from {least} to {most}", got=repr(value), action=action)

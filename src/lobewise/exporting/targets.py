@@ -6,7 +6,7 @@ from pathlib import Path
 
 import halide as hl
 
-from lobewise.errors import DeviceError, InputError, describe_problem
+from lobewise.errors import DeviceError, InputError
 
 PROCESSORS = ("x86-32", "x86-64", "arm-32", "arm-64", "wasm-32", "riscv-64")
 # What the kernels need of a Vulkan device: the mask is one byte per pixel.
@@ -38,12 +38,10 @@ def parse_target(text: str) -> hl.Target:
     words = text.split("-")
     if text != "host" and "-".join(words[:2]) not in PROCESSORS and words[0] != "host":
         raise InputError(
-            describe_problem(
-                "target",
-                expected=f"host, or processor-bits-system and features, with one of {', '.join(PROCESSORS)} first",
-                got=repr(text),
-                action="such as x86-64-linux-avx2-fma; see lobewise export --help",
-            )
+            "target",
+            expected=f"host, or processor-bits-system and features, with one of {', '.join(PROCESSORS)} first",
+            got=repr(text),
+            action="such as x86-64-linux-avx2-fma; see lobewise export --help",
         )
     if "vulkan" in words:
         text = "-".join([text, *(word for word in VULKAN_FEATURES if word not in words)])
@@ -51,12 +49,10 @@ def parse_target(text: str) -> hl.Target:
         target = hl.Target(text)
     except hl.HalideError:
         raise InputError(
-            describe_problem(
-                "target",
-                expected="names of processor, system and features that Halide knows",
-                got=repr(text),
-                action="such as x86-64-linux-avx2-fma; see lobewise export --help",
-            )
+            "target",
+            expected="names of processor, system and features that Halide knows",
+            got=repr(text),
+            action="such as x86-64-linux-avx2-fma; see lobewise export --help",
         ) from None
     apis = [word for word in words if word in GPU_APIS]
     if len(apis) > 1:
@@ -71,12 +67,10 @@ def parse_target(text: str) -> hl.Target:
 def refuse_target(text: str, reason: str) -> DeviceError:
     """Return the error for a target that the kernels cannot be compiled for."""
     return DeviceError(
-        describe_problem(
-            f"target {text!r}",
-            expected="one that this Halide compiles the kernels for",
-            got=reason,
-            action="choose one of those that lobewise export --help lists",
-        )
+        f"target {text!r}",
+        expected="one that this Halide compiles the kernels for",
+        got=reason,
+        action="choose one of those that lobewise export --help lists",
     )
 
 

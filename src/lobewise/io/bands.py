@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 from lobewise.frame import FloatArray, Frame
 from lobewise.io.container import Part, crop_part, read_container, show_name
 from lobewise.io.exr import (
@@ -164,12 +164,10 @@ class BandReader:
         for channel in part.channels:
             if (channel.x_sampling, channel.y_sampling) != (1, 1):
                 raise FileError(
-                    describe_problem(
-                        f"input {str(self.container.path)!r}",
-                        expected="channels that have every pixel, to be read in bands",
-                        got=f"the subsampled channel '{show_name(channel.name)}'",
-                        action="denoise it as a whole",
-                    )
+                    f"input {str(self.container.path)!r}",
+                    expected="channels that have every pixel, to be read in bands",
+                    got=f"the subsampled channel '{show_name(channel.name)}'",
+                    action="denoise it as a whole",
                 )
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 from lobewise.io.files import PathLike, require_readable
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -170,18 +170,14 @@ def read_container(path: PathLike) -> Container:
             return _parse(file, stream)
     except _Damaged as problem:
         raise FileError(
-            describe_problem(
-                f"input {str(path)!r}",
-                expected="a whole OpenEXR file",
-                got=str(problem),
-                action="render or copy it again",
-            )
+            f"input {str(path)!r}",
+            expected="a whole OpenEXR file",
+            got=str(problem),
+            action="render or copy it again",
         ) from None
     except OSError as problem:
         raise FileError(
-            describe_problem(
-                f"input {str(path)!r}", expected="a readable file", got=str(problem), action="check the disk"
-            )
+            f"input {str(path)!r}", expected="a readable file", got=str(problem), action="check the disk"
         ) from None
 
 
@@ -196,9 +192,7 @@ def parse_bytes(data: bytes) -> Container:
     try:
         return _parse(Path("memory"), io.BytesIO(data))
     except _Damaged as problem:
-        raise FileError(
-            describe_problem("image", expected="a whole OpenEXR file", got=str(problem), action="write it again")
-        ) from None
+        raise FileError("image", expected="a whole OpenEXR file", got=str(problem), action="write it again") from None
 
 
 def _pack_name(name: str) -> bytes:

@@ -72,12 +72,10 @@ def require_shaded(container: Container) -> None:
     """Raise InputError if a file holds a frame that was shaded sparsely, MissingChannelError if it holds none."""
     if require_beauty(container).get(SPARSE) is not None:
         raise InputError(
-            describe_problem(
-                f"input {str(container.path)!r}",
-                expected="radiance at every pixel",
-                got="a frame that was shaded sparsely",
-                action="upsample it (lobewise upsample)",
-            )
+            f"input {str(container.path)!r}",
+            expected="radiance at every pixel",
+            got="a frame that was shaded sparsely",
+            action="upsample it (lobewise upsample)",
         )
 
 
@@ -218,12 +216,10 @@ def write_result(path: PathLike, result: Result, *, source: PathLike) -> None:
         for field in (slot.field for slot in slots):
             if images[field].shape != (window.height, window.width, 3):
                 raise InputError(
-                    describe_problem(
-                        f"result.{'image' if field == 'color' else field}",
-                        expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
-                        got=f"an array of shape {images[field].shape}",
-                        action="denoise that file",
-                    )
+                    f"result.{'image' if field == 'color' else field}",
+                    expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
+                    got=f"an array of shape {images[field].shape}",
+                    action="denoise that file",
                 )
         chunks[part.index] = encode_part(container, part, put_images(slots, images, decode_part(container, part)))
     with container.path.open("rb") as stream, open_atomic(path) as out:
@@ -313,12 +309,10 @@ def read_camera(part: Part) -> Camera | None:
         numbers = _read_numbers(found.get(name), size)
         if numbers is None and not (name == "fov_x" and name not in found):
             raise InputError(
-                describe_problem(
-                    "camera in the header",
-                    expected=f"the attribute {CAMERA}{name} with {size} real number{'s' if size > 1 else ''}",
-                    got="another type" if name in found else "none",
-                    action="write position, forward, up and fov_y, or no camera at all",
-                )
+                "camera in the header",
+                expected=f"the attribute {CAMERA}{name} with {size} real number{'s' if size > 1 else ''}",
+                got="another type" if name in found else "none",
+                action="write position, forward, up and fov_y, or no camera at all",
             )
         if numbers is not None:
             values[name] = numbers if size > 1 else numbers[0]
@@ -346,12 +340,10 @@ def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
         item = part.get(name)
         if item is None:
             raise FileError(
-                describe_problem(
-                    "lobe tables in the header",
-                    expected=f"{len(found)}, numbered from 1",
-                    got="none with the number " + str(number),
-                    action="number them without gaps",
-                )
+                "lobe tables in the header",
+                expected=f"{len(found)}, numbered from 1",
+                got="none with the number " + str(number),
+                action="number them without gaps",
             )
         text = item.value.decode("utf-8", "replace") if item.type == "string" else ""
         tables.append(lobe_table_from_json(text, what=f"attribute {name}"))
@@ -386,12 +378,10 @@ def require_beauty(container: Container) -> Part:
     names = [channel.name for part in container.parts for channel in part.channels]
     shown = ", ".join(map(show_name, names[:8])) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
     raise MissingChannelError(
-        describe_problem(
-            f"input {str(container.path)!r}",
-            expected="channels R, G and B",
-            got=f"only {shown}",
-            action="rename the channels of the image to R, G and B",
-        )
+        f"input {str(container.path)!r}",
+        expected="channels R, G and B",
+        got=f"only {shown}",
+        action="rename the channels of the image to R, G and B",
     )
 
 

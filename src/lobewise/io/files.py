@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 
 PathLike = str | os.PathLike[str]
 
@@ -28,31 +28,23 @@ def require_readable(path: PathLike, *, what: str = "input") -> Path:
     try:
         mode = file.stat()
         if stat.S_ISDIR(mode.st_mode):
-            raise FileError(describe_problem(name, expected="a file", got="a directory", action="name a file in it"))
+            raise FileError(name, expected="a file", got="a directory", action="name a file in it")
         if not stat.S_ISREG(mode.st_mode):
-            raise FileError(
-                describe_problem(name, expected="a regular file", got="a device or pipe", action="copy it to a file")
-            )
+            raise FileError(name, expected="a regular file", got="a device or pipe", action="copy it to a file")
         if mode.st_size == 0:
-            raise FileError(
-                describe_problem(name, expected="an image", got="an empty file of 0 bytes", action="write it again")
-            )
+            raise FileError(name, expected="an image", got="an empty file of 0 bytes", action="write it again")
         with file.open("rb"):
             pass
     except FileNotFoundError:
         near = _find_sibling(file)
         raise FileError(
-            describe_problem(
-                name,
-                expected="an existing file",
-                got="no such file",
-                action=f"did you mean {near!r}?" if near else "check the path",
-            ).replace("?.", "?")
+            name,
+            expected="an existing file",
+            got="no such file",
+            action=f"did you mean {near!r}?" if near else "check the path",
         ) from None
     except (OSError, ValueError) as problem:
-        raise FileError(
-            describe_problem(name, expected="a readable file", got=_say_reason(problem), action="check the path")
-        ) from None
+        raise FileError(name, expected="a readable file", got=_say_reason(problem), action="check the path") from None
     return file
 
 
@@ -70,14 +62,10 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
     try:
         target = Path(os.path.realpath(path))
         if target.is_dir():
-            raise FileError(
-                describe_problem(name, expected="a file name", got="a directory", action="name a file in it")
-            )
+            raise FileError(name, expected="a file name", got="a directory", action="name a file in it")
         if target.exists() and not target.is_file():
             raise FileError(
-                describe_problem(
-                    name, expected="a regular file", got="a device or pipe", action="name a file that can be replaced"
-                )
+                name, expected="a regular file", got="a device or pipe", action="name a file that can be replaced"
             )
         folder = target.parent
         if not folder.exists():
@@ -90,7 +78,7 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
             return target
     except (OSError, ValueError) as problem:
         got, action = _say_reason(problem), "choose another path"
-    raise FileError(describe_problem(name, expected="a path that can be written", got=got, action=action))
+    raise FileError(name, expected="a path that can be written", got=got, action=action)
 
 
 def make_folder(path: PathLike, *, what: str = "output") -> Path:
@@ -106,12 +94,10 @@ def make_folder(path: PathLike, *, what: str = "output") -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as problem:
         raise FileError(
-            describe_problem(
-                f"{what} {str(path)!r}",
-                expected="a folder that can be made",
-                got=_say_reason(problem),
-                action="choose another folder",
-            )
+            f"{what} {str(path)!r}",
+            expected="a folder that can be made",
+            got=_say_reason(problem),
+            action="choose another folder",
         ) from None
     require_writable(folder / "file", what=what)
     return folder
@@ -168,12 +154,10 @@ def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 
 def _refuse(name: str, problem: OSError) -> FileError:
     return FileError(
-        describe_problem(
-            name,
-            expected="a path that can be written",
-            got=_say_reason(problem),
-            action="choose another path or make room",
-        )
+        name,
+        expected="a path that can be written",
+        got=_say_reason(problem),
+        action="choose another path or make room",
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.errors import FileError, InputError
 from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
 from lobewise.io.files import PathLike, open_atomic, require_readable, write_text
 from lobewise.lobe_table import LobeTable
@@ -109,28 +109,22 @@ def lobe_table_from_json(text: str, *, what: str = "lobe table") -> LobeTable:
         values = None
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise FileError(
-            describe_problem(
-                what,
-                expected=f"JSON with the format {FORMAT!r}",
-                got="something else",
-                action="pass a file that `lobewise fit` wrote",
-            )
+            what,
+            expected=f"JSON with the format {FORMAT!r}",
+            got="something else",
+            action="pass a file that `lobewise fit` wrote",
         )
     if values.get("version") != VERSION:
         raise FileError(
-            describe_problem(
-                what,
-                expected=f"version {VERSION}",
-                got=f"version {values.get('version')!r}",
-                action="update lobewise or fit the material again",
-            )
+            what,
+            expected=f"version {VERSION}",
+            got=f"version {values.get('version')!r}",
+            action="update lobewise or fit the material again",
         )
     lost = [name for name in _FIELDS if name not in values]
     if lost:
         raise FileError(
-            describe_problem(
-                what, expected=f"all of {', '.join(_FIELDS)}", got=f"no {lost[0]}", action="fit the material again"
-            )
+            what, expected=f"all of {', '.join(_FIELDS)}", got=f"no {lost[0]}", action="fit the material again"
         )
     try:
         return LobeTable(**{name: values[name] for name in _FIELDS})
@@ -150,9 +144,7 @@ def _read_bytes(path: PathLike, limit: int, *, expected: str) -> bytes:
     file = Path(path)
     if file.is_file() and file.stat().st_size == 0:
         raise FileError(
-            describe_problem(
-                f"input {str(file)!r}", expected=expected, got="an empty file of 0 bytes", action="write it again"
-            )
+            f"input {str(file)!r}", expected=expected, got="an empty file of 0 bytes", action="write it again"
         )
     file = require_readable(file)
     try:
@@ -160,10 +152,8 @@ def _read_bytes(path: PathLike, limit: int, *, expected: str) -> bytes:
             return stream.read(limit)
     except OSError as problem:
         raise FileError(
-            describe_problem(
-                f"input {str(file)!r}",
-                expected="a readable file",
-                got=(problem.strerror or str(problem)).lower(),
-                action="check the disk",
-            )
+            f"input {str(file)!r}",
+            expected="a readable file",
+            got=(problem.strerror or str(problem)).lower(),
+            action="check the disk",
         ) from problem

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 from lobewise.io.container import COMPRESSIONS, Container, Part, parse_bytes, show_name
 from lobewise.io.splice import pack_part
 
@@ -37,9 +37,7 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
     name = f"input {str(container.path)!r}"
     if part.deep:
         raise FileError(
-            describe_problem(
-                name, expected="an image with one value per pixel", got="deep samples", action="flatten it first"
-            )
+            name, expected="an image with one value per pixel", got="deep samples", action="flatten it first"
         )
     try:
         with container.path.open("rb") as stream:
@@ -50,12 +48,10 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
             pixels = {key: np.asarray(channel.pixels) for key, channel in channels.items()}
     except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
         raise FileError(
-            describe_problem(
-                name,
-                expected="pixels that can be decoded",
-                got="not enough memory" if isinstance(problem, MemoryError) else "damaged pixels",
-                action="render or copy it again",
-            )
+            name,
+            expected="pixels that can be decoded",
+            got="not enough memory" if isinstance(problem, MemoryError) else "damaged pixels",
+            action="render or copy it again",
         ) from problem
     for channel in part.channels:
         shape = (part.data_window.height // channel.y_sampling, part.data_window.width // channel.x_sampling)
@@ -63,12 +59,10 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
         plain = channel.x_sampling == channel.y_sampling == 1
         if found is None or found.dtype != _DTYPES[channel.pixel_type] or (plain and found.shape != shape):
             raise FileError(
-                describe_problem(
-                    name,
-                    expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",
-                    got="damaged pixels",
-                    action="render or copy it again",
-                )
+                name,
+                expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",
+                got="damaged pixels",
+                action="render or copy it again",
             )
     return pixels
 
@@ -95,12 +89,10 @@ def require_encodable(container: Container, part: Part) -> None:
     odd = [show_name(channel.name) for channel in part.channels if (channel.x_sampling, channel.y_sampling) != (1, 1)]
     if part.levels > 1 or odd:
         raise FileError(
-            describe_problem(
-                f"input {str(container.path)!r}",
-                expected="an image whose beauty can be written again",
-                got=f"a part with subsampled channels ({', '.join(odd)})" if odd else "a part with resolution levels",
-                action="convert it to a plain scanline file first",
-            )
+            f"input {str(container.path)!r}",
+            expected="an image whose beauty can be written again",
+            got=f"a part with subsampled channels ({', '.join(odd)})" if odd else "a part with resolution levels",
+            action="convert it to a plain scanline file first",
         )
 
 
@@ -138,7 +130,7 @@ def encode_file(
             OpenEXR.File(full, channels).write(out)
     except (RuntimeError, ValueError, TypeError, OSError, MemoryError) as problem:
         raise FileError(
-            describe_problem("output", expected="pixels that can be encoded", got=str(problem), action="report it")
+            "output", expected="pixels that can be encoded", got=str(problem), action="report it"
         ) from problem
     return out.getvalue()
 
@@ -162,9 +154,7 @@ def _pair(window: Any) -> tuple[Pixels, Pixels]:
 
 
 def _missing(name: str) -> Any:
-    raise FileError(
-        describe_problem("input", expected=f"the attribute {name!r}", got="none", action="render or copy it again")
-    )
+    raise FileError("input", expected=f"the attribute {name!r}", got="none", action="render or copy it again")
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 
 def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
@@ -31,12 +31,10 @@ def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = Non
     colored = palette is not None or image.shape[-1:] == (3,)
     if image.dtype != np.uint8 or image.ndim != expected or not colored or 0 in image.shape:
         raise InputError(
-            describe_problem(
-                "picture",
-                expected="uint8 of shape (height, width, 3), or (height, width) with a palette",
-                got=f"{image.dtype} of shape {image.shape}",
-                action="convert it",
-            )
+            "picture",
+            expected="uint8 of shape (height, width, 3), or (height, width) with a palette",
+            got=f"{image.dtype} of shape {image.shape}",
+            action="convert it",
         )
     picture = Image.fromarray(image)
     if palette is not None:

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.errors import FileError, InputError
 from lobewise.io.files import PathLike
 
 # The run of digits: signs as Blender writes them, or a number's format as C and ffmpeg write it.
@@ -51,12 +51,10 @@ class FramePattern:
         runs = list(_RUN.finditer(path.name))
         if len(runs) != 1:
             raise InputError(
-                describe_problem(
-                    f"sequence {str(path)!r}",
-                    expected="a name with one run of #, such as render.####.exr",
-                    got=f"{len(runs)} runs" if runs else "none",
-                    action="write # where the digits of the number stand",
-                )
+                f"sequence {str(path)!r}",
+                expected="a name with one run of #, such as render.####.exr",
+                got=f"{len(runs)} runs" if runs else "none",
+                action="write # where the digits of the number stand",
             )
         run = runs[0]
         width = len(run[0]) if run[0].startswith("#") else int(run[1] or 1)
@@ -84,12 +82,10 @@ class FramePattern:
             names = [entry.name for entry in self.folder.iterdir() if entry.is_file()]
         except (OSError, ValueError) as problem:
             raise FileError(
-                describe_problem(
-                    f"sequence {str(self)!r}",
-                    expected="a folder that can be read",
-                    got=getattr(problem, "strerror", None) or str(problem),
-                    action="check the path",
-                )
+                f"sequence {str(self)!r}",
+                expected="a folder that can be read",
+                got=getattr(problem, "strerror", None) or str(problem),
+                action="check the path",
             ) from None
         # More digits than the pattern has are a large number, unless they begin with a zero.
         digits = rf"[0-9]{{{self.width}}}|[1-9][0-9]{{{self.width},}}"
@@ -99,12 +95,10 @@ class FramePattern:
             return found
         near = self._find_near(names)
         raise FileError(
-            describe_problem(
-                f"sequence {str(self)!r}",
-                expected=f"files such as {self.name(1).name!r}",
-                got="none",
-                action=f"did you mean {near!r}?" if near else "check the path",
-            ).replace("?.", "?")
+            f"sequence {str(self)!r}",
+            expected=f"files such as {self.name(1).name!r}",
+            got="none",
+            action=f"did you mean {near!r}?" if near else "check the path",
         )
 
     def _find_near(self, names: list[str]) -> str | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.container import read_container
 from lobewise.io.exr import read_whole, require_beauty, write_frame
@@ -36,12 +36,10 @@ def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[
     words = [] if item is None or item.type != "string" else item.value.decode("ascii", "replace").split()
     if scale is None and not (len(words) == 3 and all(word.isdecimal() for word in words)):
         raise InputError(
-            describe_problem(
-                f"input {str(path)!r}",
-                expected=f"the attribute {SPARSE} with scale, row and column",
-                got="no such attribute" if item is None else repr(item.value[:40]),
-                action="say the scale, or render with lobewise render --scale",
-            )
+            f"input {str(path)!r}",
+            expected=f"the attribute {SPARSE} with scale, row and column",
+            got="no such attribute" if item is None else repr(item.value[:40]),
+            action="say the scale, or render with lobewise render --scale",
         )
     if scale is None:
         scale, place = int(words[0]), place or (int(words[1]), int(words[2]))

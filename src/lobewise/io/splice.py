@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
-from lobewise.errors import FileError, describe_problem
+from lobewise.errors import FileError
 from lobewise.io.container import LONG_NAMES, MAGIC, TILED, Attribute, Chunk, Container, Part
 
 
@@ -42,12 +42,10 @@ def read_chunk(stream: BinaryIO, chunk: Chunk) -> bytes:
     data = stream.read(chunk.size)
     if len(data) != chunk.size:
         raise FileError(
-            describe_problem(
-                "input",
-                expected="a file that stays as it is",
-                got="one that shrank while being read",
-                action="try again",
-            )
+            "input",
+            expected="a file that stays as it is",
+            got="one that shrank while being read",
+            action="try again",
         )
     return data
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, MissingChannelError, describe_problem
+from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.motion import compute_motion
 
@@ -74,12 +74,10 @@ def find_disoccluded(
     height, width = now.depth.shape
     if before.depth.shape != now.depth.shape:
         raise InputError(
-            describe_problem(
-                "previous_gbuffer",
-                expected=f"the size of the frame, {width}x{height} pixels",
-                got=f"{before.depth.shape[1]}x{before.depth.shape[0]}",
-                action="compare frames of one size",
-            )
+            "previous_gbuffer",
+            expected=f"the size of the frame, {width}x{height} pixels",
+            got=f"{before.depth.shape[1]}x{before.depth.shape[0]}",
+            action="compare frames of one size",
         )
     still = compute_motion(camera, previous_camera, now.position, now.depth)
     motion = still if gbuffer.motion is None else gbuffer.motion
@@ -112,9 +110,7 @@ def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
     """Return position and depth, whichever of the two the G-buffer has, and 0 for what is not there."""
     if gbuffer.position is None and gbuffer.depth is None:
         raise MissingChannelError(
-            describe_problem(
-                name, expected="position or depth", got="neither", action="render the guides with the frame"
-            )
+            name, expected="position or depth", got="neither", action="render the guides with the frame"
         )
     if gbuffer.depth is not None:
         depth = gbuffer.depth

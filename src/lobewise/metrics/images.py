@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, describe_problem, require_choice
+from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, require_choice
 from lobewise.frame import GBuffer, LobeKind
 
 EPSILON = 0.01
@@ -113,9 +113,7 @@ def psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, 
         If the sizes differ, a pixel is not finite, the mask chooses no pixel, or the peak is not above 0.
     """
     if not 0.0 < peak < np.inf:
-        raise InputError(
-            describe_problem("peak", expected="a finite number above 0", got=str(peak), action="pass peak=1.0")
-        )
+        raise InputError("peak", expected="a finite number above 0", got=str(peak), action="pass peak=1.0")
     error = mse(image, reference, mask)
     return float("inf") if error == 0.0 else float(10.0 * np.log10(peak**2 / error))
 
@@ -206,12 +204,10 @@ def find_specular_pixels(gbuffer: GBuffer) -> NDArray[np.bool_]:
     if gbuffer.specular_albedo is not None:
         return np.asarray((gbuffer.specular_albedo > 0.0).any(axis=-1), dtype=np.bool_)
     raise MissingChannelError(
-        describe_problem(
-            "specular pixels",
-            expected="lobe_kind or specular_albedo in the G-buffer",
-            got="neither",
-            action="render them with the frame",
-        )
+        "specular pixels",
+        expected="lobe_kind or specular_albedo in the G-buffer",
+        got="neither",
+        action="render them with the frame",
     )
 
 
@@ -244,18 +240,14 @@ def _flip_map(a: NDArray[np.float64], r: NDArray[np.float64], *, hdr: bool) -> N
         import flip_evaluator
     except ImportError:
         raise MissingDependencyError(
-            describe_problem(
-                "flip",
-                expected="the package flip-evaluator",
-                got="none installed",
-                action="pip install 'lobewise[compare]', or leave flip out",
-            )
+            "flip",
+            expected="the package flip-evaluator",
+            got="none installed",
+            action="pip install 'lobewise[compare]', or leave flip out",
         ) from None
     if not hdr and not ((a >= 0.0) & (a <= 1.0) & (r >= 0.0) & (r <= 1.0)).all():
         raise InputError(
-            describe_problem(
-                "flip", expected="values in [0, 1] with hdr=False", got="values outside", action="pass hdr=True"
-            )
+            "flip", expected="values in [0, 1] with hdr=False", got="values outside", action="pass hdr=True"
         )
     test, target = (np.ascontiguousarray(np.maximum(x, 0.0), dtype=np.float32) for x in (a, r))
     parameters: dict[str, Any] = {"ppd": FLIP_PIXELS_PER_DEGREE}
@@ -275,24 +267,20 @@ def check_pair(
     a, r = require_image("image", image), require_image("reference", reference)
     if a.shape != r.shape:
         raise InputError(
-            describe_problem(
-                "image",
-                expected=f"the size of the reference, {r.shape[1]}x{r.shape[0]} pixels",
-                got=f"{a.shape[1]}x{a.shape[0]}",
-                action="compare images of one size",
-            )
+            "image",
+            expected=f"the size of the reference, {r.shape[1]}x{r.shape[0]} pixels",
+            got=f"{a.shape[1]}x{a.shape[0]}",
+            action="compare images of one size",
         )
     if mask is None:
         return a, r, np.ones(a.shape[:2], dtype=np.bool_)
     chosen = np.asarray(mask)
     if chosen.dtype != np.bool_ or chosen.shape != a.shape[:2] or not chosen.any():
         raise InputError(
-            describe_problem(
-                "mask",
-                expected=f"booleans of shape {a.shape[:2]} with at least one True",
-                got=f"{chosen.dtype} of shape {chosen.shape} with {int(np.count_nonzero(chosen))} nonzero",
-                action="leave it out to take every pixel",
-            )
+            "mask",
+            expected=f"booleans of shape {a.shape[:2]} with at least one True",
+            got=f"{chosen.dtype} of shape {chosen.shape} with {int(np.count_nonzero(chosen))} nonzero",
+            action="leave it out to take every pixel",
         )
     return a, r, chosen
 
@@ -302,22 +290,18 @@ def require_image(name: str, value: ArrayLike) -> NDArray[np.float64]:
     array = np.asarray(value)
     if array.ndim != 3 or array.shape[-1] != 3 or 0 in array.shape or array.dtype.kind not in "fiu":
         raise InputError(
-            describe_problem(
-                name,
-                expected="real numbers of shape (height, width, 3) with at least one pixel",
-                got=f"{array.dtype} of shape {array.shape}",
-                action="reshape it",
-            )
+            name,
+            expected="real numbers of shape (height, width, 3) with at least one pixel",
+            got=f"{array.dtype} of shape {array.shape}",
+            action="reshape it",
         )
     bad = ~np.isfinite(array).all(axis=-1)
     if bad.any():
         y, x = np.argwhere(bad)[0]
         raise InputError(
-            describe_problem(
-                name,
-                expected="finite pixels",
-                got=f"{np.count_nonzero(bad)} of {bad.size} pixels that are NaN or infinite, the first at x={x}, y={y}",
-                action="denoise or repair it before comparing",
-            )
+            name,
+            expected="finite pixels",
+            got=f"{np.count_nonzero(bad)} of {bad.size} pixels that are NaN or infinite, the first at x={x}, y={y}",
+            action="denoise or repair it before comparing",
         )
     return array.astype(np.float64)

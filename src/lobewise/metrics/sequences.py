@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.metrics.images import EPSILON, check_pair, rel_mse
 
 
@@ -40,12 +40,10 @@ class Flicker:
             return None
         if before[0].shape != a.shape:
             raise InputError(
-                describe_problem(
-                    "image",
-                    expected=f"the size of the frame before, {before[0].shape[1]}x{before[0].shape[0]} pixels",
-                    got=f"{a.shape[1]}x{a.shape[0]}",
-                    action="compare frames of one size",
-                )
+                "image",
+                expected=f"the size of the frame before, {before[0].shape[1]}x{before[0].shape[0]} pixels",
+                got=f"{a.shape[1]}x{a.shape[0]}",
+                action="compare frames of one size",
             )
         change = (a - before[0]) - (r - before[1])
         step = float((change**2 / (0.5 * (r**2 + before[1] ** 2) + EPSILON)).mean())
@@ -63,9 +61,7 @@ class Flicker:
         """
         if self._steps == 0:
             raise InputError(
-                describe_problem(
-                    "flicker", expected="at least two frames in a row", got="fewer", action="add another frame"
-                )
+                "flicker", expected="at least two frames in a row", got="fewer", action="add another frame"
             )
         return self._total / self._steps
 
@@ -125,6 +121,4 @@ def ghosting(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
 
 
 def _refuse_counts(got: str) -> InputError:
-    return InputError(
-        describe_problem("references", expected="one for each image", got=got, action="pass the same frames of both")
-    )
+    return InputError("references", expected="one for each image", got=got, action="pass the same frames of both")

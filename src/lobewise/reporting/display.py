@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 SHOULDER = 0.8
 """Display value up to which `map_tones` is linear."""
@@ -32,9 +32,7 @@ def choose_exposure(reference: ArrayLike) -> float:
     luminance = image @ np.array([0.2126, 0.7152, 0.0722])
     finite = luminance[np.isfinite(luminance)]
     if finite.size == 0:
-        raise InputError(
-            describe_problem("reference", expected="finite pixels", got="none", action="pass another image")
-        )
+        raise InputError("reference", expected="finite pixels", got="none", action="pass another image")
     level = float(np.percentile(finite, WHITE_PERCENTILE))
     return SHOULDER / level if level > 0.0 else 1.0
 

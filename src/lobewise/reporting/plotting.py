@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
-from lobewise.errors import MissingDependencyError, describe_problem
+from lobewise.errors import MissingDependencyError
 
 DOTS = 110
 """Per inch."""
@@ -23,12 +23,10 @@ def require_matplotlib(what: str) -> None:
         import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is there
     except ImportError as problem:
         raise MissingDependencyError(
-            describe_problem(
-                what,
-                expected="the package matplotlib",
-                got=str(problem),
-                action="install it with `pip install 'lobewise[fit]'` or leave the plot out",
-            )
+            what,
+            expected="the package matplotlib",
+            got=str(problem),
+            action="install it with `pip install 'lobewise[fit]'` or leave the plot out",
         ) from problem
 
 

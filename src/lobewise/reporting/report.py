@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, MissingDependencyError, describe_problem
+from lobewise.errors import InputError, MissingDependencyError
 from lobewise.frame import FloatArray
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate, make_error_map
@@ -159,18 +159,14 @@ def _check(report: Report, everything: Sequence[Picture]) -> None:
     for key in keys:
         if not re.fullmatch(r"[a-z0-9-]+", key) or keys.count(key) > 1:
             raise InputError(
-                describe_problem(
-                    "picture key",
-                    expected="lower-case letters, digits and hyphens, each once",
-                    got=repr(key),
-                    action="rename it",
-                )
+                "picture key",
+                expected="lower-case letters, digits and hyphens, each once",
+                got=repr(key),
+                action="rename it",
             )
     for name in (report.baseline, report.left, report.right):
         if name not in keys:
-            raise InputError(
-                describe_problem("picture", expected="one of " + ", ".join(keys), got=repr(name), action="add it")
-            )
+            raise InputError("picture", expected="one of " + ", ".join(keys), got=repr(name), action="add it")
 
 
 def _fill(parts: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.interactive.methods import METHODS
@@ -109,9 +109,7 @@ class SceneTarget:
             If it has none yet.
         """
         if client not in self._last:
-            raise InputError(
-                describe_problem("save", expected="a picture", got="none yet", action="wait until there is one")
-            )
+            raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
         frame = self._last[client][0]
         noisy = frame.make_frame()
         whole = Frame(Radiance(frame.image), noisy.gbuffer, noisy.camera, lobe_tables=noisy.lobe_tables)

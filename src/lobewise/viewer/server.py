@@ -12,7 +12,7 @@ import warnings
 from dataclasses import replace
 from typing import Any
 
-from lobewise.errors import InputError, LobewiseError, MissingDependencyError, describe_problem
+from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
 from lobewise.viewer.guest import Guest, has_moved
 from lobewise.viewer.link import Link
@@ -427,12 +427,10 @@ def find_port(host: str, port: int) -> int:
         except OSError as problem:
             reason = problem.strerror or str(problem)
     raise InputError(
-        describe_problem(
-            "--host and --port",
-            expected="an address of this machine with a free port",
-            got=f"{host}:{port} ({reason[:1].lower()}{reason[1:]})",
-            action="pass another",
-        )
+        "--host and --port",
+        expected="an address of this machine with a free port",
+        got=f"{host}:{port} ({reason[:1].lower()}{reason[1:]})",
+        action="pass another",
     )
 
 

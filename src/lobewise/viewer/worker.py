@@ -14,7 +14,7 @@ from multiprocessing import connection, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 from lobewise.viewer.messages import (
     Forget,
     Opened,
@@ -156,9 +156,7 @@ class Worker:
 
     def _save(self, opened: OpenTarget, order: Save) -> SavedFile:
         if order.client not in self._shown:
-            raise InputError(
-                describe_problem("save", expected="a picture", got="none yet", action="wait until there is one")
-            )
+            raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
         if order.kind == "exr":
             return SavedFile(order.client, *opened.write(order.client))
         from lobewise.io.png import encode_png
