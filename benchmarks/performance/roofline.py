@@ -31,7 +31,7 @@ from lobewise.backend.devices import make_target
 from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
-from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
+from lobewise.filters.cross_pass import PassKey, Reads, Writes, describe_structure, make_pass
 from lobewise.filters.forms import Taps
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import count_lanes
@@ -108,13 +108,13 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     """Return what the loops over the taps of a row ask for, by tap and vector, from the kernel's machine code."""
     features = make_features(make_frame(64, 64), ("normal", name))[name]
     structure = tuple(describe_structure(feature) for feature in features)
-    key = PassKey(Taps.SQUARE, RADIUS, structure, first=True, last=True, demodulate=False)
+    key = PassKey(Taps.SQUARE, RADIUS, structure, Reads.RADIANCE, Writes.PIXELS)
     target = make_target("cpu").with_feature(hl.TargetFeature.NoRuntime)
     funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "kernel.s"
-        hl.Pipeline(funcs.out).compile_to_assembly(str(path), funcs.arguments, "kernel", target)
+        hl.Pipeline(funcs.out).compile_to_assembly(str(path), funcs.signature.arguments, "kernel", target)
         loops = find_tap_loops(path.read_text())
     counts = Counter(line.split()[0] for loop in loops for line in loop)
     lines = [line for loop in loops for line in loop if not TINY.search(line.split()[0])]

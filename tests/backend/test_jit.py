@@ -23,7 +23,7 @@ from lobewise.backend.signature import Parameter, Signature, check_call
 from lobewise.backend.sources import describe_modules, take_apart
 from lobewise.errors import DeviceError
 from lobewise.features import NormalFeature, ScreenFeature
-from lobewise.filters.cross_pass import PassKey
+from lobewise.filters.cross_pass import PassKey, Reads, Writes
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
 from lobewise.guides.lobe_fields import make_lobe_field
@@ -162,9 +162,9 @@ class TestKey:
             (NormalFeature, ()),
             (find_energy_lost, True),
             (find_energy_lost, False),
-            PassKey(Taps.SQUARE, 1, (), first=True, last=True, demodulate=False),
-            PassKey(Taps.SQUARE, 2, (), first=True, last=True, demodulate=False),
-            PassKey(Taps.ATROUS, 1, (), first=True, last=True, demodulate=False),
+            PassKey(Taps.SQUARE, 1, (), Reads.RADIANCE, Writes.PIXELS),
+            PassKey(Taps.SQUARE, 2, (), Reads.RADIANCE, Writes.PIXELS),
+            PassKey(Taps.ATROUS, 1, (), Reads.RADIANCE, Writes.PIXELS),
             ("1",),
             (1,),
             ((1,), ()),

@@ -80,6 +80,13 @@ class Kernel:
         """The images that it writes."""
         return [each for each in self.parameters if each.role == "output"]
 
+    def list_shapes(self, **sizes: int) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the images that it writes, by name; ``sizes`` are those of its axes."""
+        return {
+            each.name: tuple(sizes[axis] if isinstance(axis, str) else axis for axis in each.axes)
+            for each in self.outputs
+        }
+
     def __call__(self, *in_order: Any, **arguments: Any) -> None:
         """Run it with buffers (`lobewise.backend.buffers`) and numbers.
 

@@ -174,7 +174,8 @@ def _fits(parameter: Parameter, memory: Memory, sizes: dict[str, tuple[int, str]
         parameter.axes, array.shape, parameter.strides, first, array.strides, strict=True
     ):
         expected = axis if isinstance(axis, int) else sizes.setdefault(axis, (length, parameter.name))[0]
-        inside = parameter.role == "output" and len(memory.first) > 0 and 0 <= start <= start + length <= expected
+        window = parameter.role == "output" and len(memory.first) > 0 and isinstance(axis, str)
+        inside = window and 0 <= start <= start + length <= expected
         if length != expected and not inside:
             return False
         if stride is not None and length > 1 and step != stride * array.itemsize:

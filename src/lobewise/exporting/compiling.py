@@ -23,7 +23,7 @@ from lobewise.exporting.lobes import define_guides
 from lobewise.exporting.plan import FilterPlan, Term
 from lobewise.exporting.targets import parse_target, refuse_target
 from lobewise.features import Feature
-from lobewise.filters.cross_pass import PassInputs, PassKey, describe_structure, make_pass
+from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, describe_structure, make_pass
 from lobewise.filters.forms import can_mirror, list_passes
 from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.cross_pass import schedule_pass
@@ -156,26 +156,23 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
     structure = tuple(describe_structure(feature) for feature in features)
     scalars = [[_make_scalar(*each, params, target)] for each in zip(terms, features, strict=True)]
     source: Any = params["radiance"]
-    unused = hl.ImageParam(hl.Float(32), 3, "unused")
     passes = list_passes(plan.form, plan.radius)
     for number, (taps, reach, step) in enumerate(passes):
         first, last = number == 0, number == len(passes) - 1
         given = PassInputs(
             source=source,
-            albedo=params.get("albedo") or unused,
+            albedo=params.get("albedo"),
             mask=inputs.like,
             arrays=[params[name] for term in terms for name in term.arrays],
             step=hl.i32(step),
             scalars=scalars,
-            strictness=unused,
         )
         key = PassKey(
             taps,
             reach,
             structure,
-            first,
-            last,
-            demodulate=plan.albedo and first,
+            (Reads.DEMODULATED if plan.albedo else Reads.RADIANCE) if first else Reads.SUMS,
+            Writes.PIXELS if last else Writes.SUMS,
             modulate=plan.albedo and last,
             mirrored=not target.has_gpu_feature() and can_mirror(taps, reach),
         )

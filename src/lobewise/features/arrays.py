@@ -36,18 +36,18 @@ def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int
     return dict(zip(_name_arrays(prefix, features), arrays, strict=True))
 
 
-def declare_scalars(signature: Signature, features: Sequence[Feature]) -> list[list[hl.Param]]:
+def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: str = "") -> list[list[hl.Param]]:
     """Declare the scalars of every feature as numbers, and return their parameters, one list for each feature."""
     return [
-        [signature.number(_name_scalar(number, k)) for k in range(len(feature.get_parameters()))]
+        [signature.number(_name_scalar(prefix, number, k)) for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
     ]
 
 
-def give_scalars(features: Sequence[Feature]) -> dict[str, float]:
+def give_scalars(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
     """Return what `declare_scalars` declared, by name."""
     return {
-        _name_scalar(number, k): value
+        _name_scalar(prefix, number, k): value
         for number, feature in enumerate(features)
         for k, value in enumerate(feature.get_parameters())
     }
@@ -61,8 +61,8 @@ def _name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
     }
 
 
-def _name_scalar(number: int, k: int) -> str:
-    return f"feature{number}_scalar{k}"
+def _name_scalar(prefix: str, number: int, k: int) -> str:
+    return f"{prefix}_feature{number}_scalar{k}".removeprefix("_")
 
 
 def take_arrays(features: Sequence[Feature], size: tuple[int, int]) -> list[FloatArray]:

@@ -1,32 +1,30 @@
-"""The filter's kernels, called: which passes make up a form, and what goes into each."""
+"""The cross filter: which passes make up a form, and what goes into each."""
 
 from __future__ import annotations
 
 import math
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer, comes_down, lend, make_output, take_image, take_mask
-from lobewise.backend.jit import Kernel, get_kernel
+from lobewise.backend.buffers import Buffer, Image, comes_down, lend, make_output, take_image, take_mask
+from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.errors import require_choice
-from lobewise.features.arrays import take_arrays, take_parameters
+from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import PassKey, describe_structure, make_pass
+from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, describe_structure, make_pass
 from lobewise.filters.forms import can_mirror, list_passes
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
 from lobewise.settings import FORMS
 
-COLORS = 3
 LARGEST_SCRATCH = 1 << 29
 """Bytes of an image between two passes that are kept for the next call."""
 LEAST_STRIPS = 16
@@ -128,81 +126,75 @@ def run_filter(
     """
     require_choice("form", form, FORMS)
     passes = list_passes(form, radius)
+    reads = Reads.RADIANCE if albedo is None else Reads.DEMODULATED
+    # Several images from one kernel would be computed several times elsewhere.
+    writes = Writes.IMAGES if device == "cpu" else Writes.PIXELS
+    structure = tuple(describe_structure(feature) for feature in features)
     keys = [
         PassKey(
             taps,
             reach,
-            tuple(describe_structure(feature) for feature in features),
-            first=number == 0,
-            last=number == len(passes) - 1,
-            demodulate=albedo is not None and number == 0,
+            structure,
+            reads=reads if number == 0 else Reads.SUMS,
+            writes=writes if number == len(passes) - 1 else Writes.SUMS,
             modulate=albedo is not None and number == len(passes) - 1 and modulate,
             moment=moment,
             strict=strictness is not None,
-            # Several images from one kernel would be computed several times elsewhere.
-            apart=number == len(passes) - 1 and device == "cpu",
             mirrored=device == "cpu" and strictness is None and can_mirror(taps, reach),
         )
         for number, (taps, reach, _) in enumerate(passes)
     ]
-    height, width = mask.shape
+    size = mask.shape[0], mask.shape[1]
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
-    held: list[NDArray[Any]] = [take_mask(mask), *take_arrays(features, (height, width))]
-    parameters = take_parameters(features)
-    tint = take_image("albedo", albedo, (height, width, 3)) if albedo is not None else None
-    power = take_image("strictness", strictness, (height, width)) if strictness is not None else None
-    image = take_image("radiance", radiance, (height, width, 3))
-    shapes: list[tuple[int, ...]] = [(height, width, keys[-1].channels)]
-    if keys[-1].apart:
-        shapes = [(height, width, COLORS), *[(height, width)] * (keys[-1].channels - COLORS)]
-    results = [make_output(shape, device) for shape in shapes]
+    images: dict[str, Image] = {"mask": take_mask(mask), **give_features("tap", features, size)}
+    if albedo is not None:
+        images["albedo"] = take_image("albedo", albedo, (*size, COLORS))
+    if strictness is not None:
+        images["strictness"] = take_image("strictness", strictness, size)
+    given = _Given(images, give_scalars(features))
+    source = take_image("radiance", radiance, (*size, COLORS))
     kernels = [get_kernel(device, key, partial(_make_scheduled, key, features)) for key in keys]
-    given = _Given(held, parameters, tint, power)
+    shapes = kernels[-1].list_shapes(height=size[0], width=size[1])
+    outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
+    results = {name: image for name, (_, image) in outputs.items()}
     if form == "separable" and device == "cpu":
-        for rows, columns in _list_tiles(height, width):
-            _run_tile(kernels, keys, given, image, [whole for _, whole in results], rows, columns)
+        for rows, columns in _list_tiles(*size):
+            _run_tile(kernels, radius, given, source, results, rows, columns)
     else:
-        source = image
-        for number, (kernel, key, (_, _, step)) in enumerate(zip(kernels, keys, passes, strict=True)):
-            outputs = results
-            if not key.last:
-                shape = height, key.channels, width
-                memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
-                outputs = [make_output(shape, device, memory)]
-            given.call(kernel, key, step, lend(source, device), [buffer for buffer, _ in outputs], device)
-            source = outputs[0][1]
-    images = [each for _, each in results]
-    return FilterOutput(*images) if len(images) > 1 else _split_output(images[0])
+        for number, (kernel, (_, _, step)) in enumerate(zip(kernels[:-1], passes, strict=False)):
+            shape = kernel.list_shapes(height=size[0], width=size[1])["sums"]
+            memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
+            written, sums = make_output(shape, device, memory)
+            given.call(kernel, lend(source, device), {"sums": written}, step=step, device=device)
+            source = sums
+        buffers = {name: buffer for name, (buffer, _) in outputs.items()}
+        given.call(kernels[-1], lend(source, device), buffers, step=passes[-1][2], device=device)
+    return FilterOutput(**results) if writes is Writes.IMAGES else _split_output(results["pixels"])
 
 
 @dataclass(frozen=True)
 class _Given:
-    """What all passes of a run read beside the image."""
+    """What the passes of a run read beside the image; not every pass reads all."""
 
-    held: list[NDArray[Any]]
-    """Mask, and the arrays of every feature."""
-    parameters: list[float]
-    tint: FloatArray | None
-    power: FloatArray | None
+    images: Mapping[str, Image]
+    scalars: Mapping[str, float]
 
     def call(
         self,
         kernel: Kernel,
-        key: PassKey,
-        step: int,
         source: Buffer,
-        outputs: Sequence[Buffer],
-        device: str,
-        part: tuple[slice, slice] | None = None,
+        outputs: Mapping[str, Buffer],
+        *,
+        step: int = 1,
+        device: str = "cpu",
+        part: tuple[slice, ...] = (),
     ) -> None:
         """Run a pass over the pixels ``part``, which ``source`` has already; over all without it."""
-
-        def take(array: NDArray[Any]) -> Buffer:
-            return lend(array if part is None else array[part], device)
-
-        tints = [take(self.tint)] if self.tint is not None and (key.demodulate or key.modulate) else []
-        powers = [take(self.power)] if self.power is not None else []
-        kernel(source, *tints, *map(take, self.held), step, *self.parameters, *powers, *outputs)
+        read = {each.name for each in kernel.parameters}
+        lent = {
+            name: lend(image[part] if part else image, device) for name, image in self.images.items() if name in read
+        }
+        kernel(source=source, step=step, **lent, **self.scalars, **outputs)
 
 
 def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
@@ -223,37 +215,31 @@ def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
 
 def _run_tile(
     kernels: Sequence[Kernel],
-    keys: Sequence[PassKey],
+    radius: int,
     given: _Given,
     image: FloatArray,
-    results: Sequence[FloatArray],
+    results: Mapping[str, FloatArray],
     rows: slice,
     columns: slice,
 ) -> None:
     """Filter a tile: along its rows and those that columns reach above and below, and then along its columns."""
-    radius = keys[0].radius
     # Vectors begin and end where they do in the image, so that every pixel is computed as it is there.
     beside = -(-radius // WIDEST_VECTOR) * WIDEST_VECTOR
     tall = slice(max(rows.start - radius, 0), min(rows.stop + radius, image.shape[0]))
     wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
-    shape = tall.stop - tall.start, keys[0].channels, columns.stop - columns.start
+    shape = kernels[0].list_shapes(height=tall.stop - tall.start, width=columns.stop - columns.start)["sums"]
     between = _scratch.lend(0, shape)
     if between is None:
         between = np.empty(shape, np.float32)
-    written = [Buffer(between, (0, 0, columns.start - wide.start))]
-    given.call(kernels[0], keys[0], 1, Buffer(image[tall, wide]), written, "cpu", (tall, wide))
-    written = [Buffer(whole[rows, columns], (rows.start - tall.start, 0)) for whole in results]
-    given.call(kernels[1], keys[1], 1, Buffer(between), written, "cpu", (tall, columns))
+    sums = Buffer(between, (0, 0, columns.start - wide.start))
+    given.call(kernels[0], Buffer(image[tall, wide]), {"sums": sums}, part=(tall, wide))
+    window = rows.start - tall.start, 0
+    written = {name: Buffer(whole[rows, columns], window) for name, whole in results.items()}
+    given.call(kernels[1], Buffer(between), written, part=(tall, columns))
 
 
-@dataclass(frozen=True)
-class _Scheduled:
-    out: list[Any]
-    arguments: list[Any]
-
-
-def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> _Scheduled:
+def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:
     """Return a pass, ready to be compiled."""
     funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)
-    return _Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.arguments)
+    return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.signature)

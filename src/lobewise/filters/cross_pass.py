@@ -12,32 +12,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
 
 import halide as hl
 
 from lobewise.backend import expressions
 from lobewise.backend.expressions import dot
+from lobewise.backend.signature import Signature
+from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
-from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
-from lobewise.filters.planes import (
-    GuidePlanes,
-    Rows,
-    begin_at_zero,
-    clamp_likely,
-    list_inputs,
-    make_guide_planes,
-    make_image,
-)
+from lobewise.filters.forms import ATROUS_PROFILE, Taps, find_reach
+from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, clamp_likely, make_guide_planes, make_image
 from lobewise.lobes.vectors import LUMINANCE
 
+COLORS = 3
 SUM_CHANNELS = 5
 WEIGHT = 3
 SQUARED_WEIGHT = 4
 
 ALBEDO_FLOOR = 1e-3
 """Albedo below which a pixel says nothing about the light it receives; it gets weight 0."""
+
+U, V = hl.Var("u"), hl.Var("v")
+"""Tap, in steps to the right and down."""
+
+
+class Reads(Enum):
+    """What a pass takes from its taps."""
+
+    RADIANCE = "radiance"
+    DEMODULATED = "demodulated"
+    """Radiance over an albedo."""
+    SUMS = "sums"
+    """What a pass before wrote."""
+
+
+class Writes(Enum):
+    """What a pass gives."""
+
+    SUMS = "sums"
+    PIXELS = "pixels"
+    """One image: radiance, weight sum, effective samples, and the moment where there is one."""
+    IMAGES = "images"
+    """The same, each an image of its own."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +66,14 @@ class PassKey:
     taps: Taps
     radius: int
     features: tuple[Hashable, ...]
-    first: bool
-    """Reads radiance, albedo and mask; otherwise undivided sums."""
-    last: bool
-    """Writes radiance, weight sum and effective samples; otherwise undivided sums."""
-    demodulate: bool
-    """Divides by an albedo on the way in."""
+    reads: Reads
+    writes: Writes
     modulate: bool = False
-    """Multiplies by an albedo on the way out."""
+    """Multiplies by an albedo on the way out, where it does not write sums."""
     moment: bool = False
     """Sums squared luminance as well."""
     strict: bool = False
     """Raises the weights of every centre's taps to a power of its own."""
-    apart: bool = False
-    """Writes what supports the radiance of a last pass into images of their own."""
     mirrored: bool = False
     """Weighs two pixels of a row once, for both: only where `can_mirror` says so, not ``strict``."""
 
@@ -69,61 +82,68 @@ class PassKey:
         """How many channels the sums have."""
         return SUM_CHANNELS + self.moment
 
+    @property
+    def reads_albedo(self) -> bool:
+        """Whether there is an albedo."""
+        return self.modulate or self.reads is Reads.DEMODULATED
+
 
 @dataclass(frozen=True)
 class PassInputs:
     """What a pass reads; a caller may bring its own, to name the arguments or to chain passes in one kernel."""
 
     source: hl.ImageParam | hl.Func
-    albedo: hl.ImageParam
+    """Radiance (c, x, y), or sums (x, c, y)."""
+    albedo: hl.ImageParam | None
     mask: hl.ImageParam
+    """1 where a pixel may give and take."""
     arrays: list[hl.ImageParam]
     """Those of every feature."""
     step: hl.Expr
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
-    strictness: hl.ImageParam
+    strictness: hl.ImageParam | None = None
+
+
+class Sums(NamedTuple):
+    """The sums of a pixel over taps, undivided."""
+
+    radiance: list[hl.Expr]
+    weight: hl.Expr
+    squared_weight: hl.Expr
+    moment: list[hl.Expr]
+    """Of the squared luminance; nothing where it was not asked for."""
 
 
 @dataclass
 class PassFuncs:
     """The Halide functions of one pass, for the schedules."""
 
+    key: PassKey
+    signature: Signature
+    image: hl.Func
+    planes: GuidePlanes
+    """What taps read."""
+    rows: Rows | None
+    """What image and planes are made of, on processors."""
+    stages: list[hl.Func]
+    weights: hl.Func | None
+    """Of a pixel and those to its right, where pairs are weighed once."""
+    row: hl.Func
+    """Sums over one row of taps, or over the column of a vertical pass."""
+    inner: hl.RDom
+    sums: hl.Func
+    outer: hl.RDom
     out: hl.Func
     rest: hl.Func | None
     """What is written beside ``out``, planes of one image each."""
     finish: hl.Func | None
     """What both are read from."""
-    last: bool
-    sums: hl.Func
-    row: hl.Func
-    """Sums over one row of taps, or over the column of a vertical pass."""
-    weights: hl.Func | None
-    """Of a pixel and those to its right, where pairs are weighed once."""
-    vertical: bool
-    """Whether all taps are above each other."""
-    channels: int
-    image: hl.Func
-    rows: Rows | None
-    """What image and planes are made of, on processors."""
-    planes: GuidePlanes
-    """The planes that taps read."""
-    stages: list[hl.Func]
-    inner: hl.RDom
-    outer: hl.RDom
-    arguments: list[Any] = field(default_factory=list)
 
 
 def describe_structure(feature: Feature) -> Hashable:
     """Return what identifies the code of a feature."""
     return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())
-
-
-def _tap_profile(offset: hl.Expr) -> hl.Expr:
-    """Return log2 of the B-spline weight at -2..2."""
-    centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
-    distance = hl.abs(offset)
-    return hl.select(distance == 0, centre, distance == 1, near, far)
 
 
 def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
@@ -164,20 +184,28 @@ def demodulate(
     return radiance, good
 
 
-def make_pass_inputs(features: Sequence[Feature]) -> PassInputs:
-    """Return parameters for all that a pass may read."""
-    return PassInputs(
-        source=hl.ImageParam(hl.Float(32), 3, "source"),
-        albedo=hl.ImageParam(hl.Float(32), 3, "albedo"),
-        mask=hl.ImageParam(hl.UInt(8), 2, "mask"),
-        arrays=list_inputs("tap", features),
-        step=hl.Param(hl.Int(32), "step"),
-        scalars=[
-            [hl.Param(hl.Float(32), f"p{number}_{k}") for k in range(len(feature.get_parameters()))]
-            for number, feature in enumerate(features)
-        ],
-        strictness=hl.ImageParam(hl.Float(32), 2, "strictness"),
+def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]) -> PassInputs:
+    """Declare all that a pass reads and writes."""
+    size = "height", "width"
+    axes = ("height", key.channels, "width") if key.reads is Reads.SUMS else (*size, COLORS)
+    inputs = PassInputs(
+        source=signature.image("source", *axes),
+        albedo=signature.image("albedo", *size, COLORS) if key.reads_albedo else None,
+        mask=signature.image("mask", *size, type=hl.UInt(8)),
+        arrays=declare_features(signature, "tap", features, *size),
+        step=signature.number("step", hl.Int(32)),
+        scalars=declare_scalars(signature, features),
+        strictness=signature.image("strictness", *size) if key.strict else None,
     )
+    if key.writes is Writes.SUMS:
+        signature.output("sums", "height", key.channels, "width")
+    elif key.writes is Writes.PIXELS:
+        signature.output("pixels", *size, key.channels)
+    else:
+        signature.output("image", *size, COLORS)
+        for name in ("weight_sum", "effective_samples", "moment")[: key.channels - COLORS]:
+            signature.output(name, *size)
+    return inputs
 
 
 def make_pass(
@@ -185,143 +213,151 @@ def make_pass(
 ) -> PassFuncs:
     """Return the algorithm of one pass, for processors with vectors of ``lanes`` pixels, or 0 for others.
 
-    The arguments of the compiled pass, in order: image (radiance (c, x, y) on a first pass, else sums (x, c, y));
-    albedo (c, x, y) where demodulated; mask (x, y) uint8, 1 where a pixel may give and take; the arrays of every
-    feature; step (int32); the parameters of every feature; strictness (x, y) where that is asked for.
+    Its inputs are those that are given, or parameters of a signature of its own.
     """
-    x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
-    if inputs is None:
-        inputs = make_pass_inputs(features)
-        for image in (inputs.source, inputs.albedo, inputs.mask, inputs.strictness):
-            begin_at_zero(image)
-        # Known strides make dense loads, which are shuffled, instead of one load for every lane.
-        inputs.albedo.dim(1).set_stride(3)
-        if key.first:
-            inputs.source.dim(1).set_stride(3)
-    source, mask, albedo, step, scalars = inputs.source, inputs.mask, inputs.albedo, inputs.step, inputs.scalars
-    width, height = mask.width(), mask.height()
+    signature = Signature("cross pass")
+    inputs = inputs or declare_pass(signature, key, features)
+    across, down = find_reach(key.taps, key.radius)
+    spread: hl.Expr = inputs.step if key.taps is Taps.ATROUS else hl.i32(1)
+    rows = Rows(inputs.mask.width(), spread * across, lanes) if lanes else None
+    image = _read_image(key, inputs, rows)
+    planes = make_guide_planes("tap", inputs.mask, features, inputs.scalars, arrays=inputs.arrays, rows=rows)
+    stages = _compare(key, features, inputs, planes, spread)
+    weights = _weigh_pairs(stages[-1]) if key.mirrored else None
+    if weights is None:
+        row, inner = _sum_row(key, image, stages[-1], spread)
+    else:
+        row, inner = _sum_pairs(key, image, weights)
+    # A column of taps that was summed as a row is all there is.
+    outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
+    sums = hl.Func("sums")
+    sums[X, Y] = hl.Tuple([hl.f32(0.0)] * key.channels)
+    _add(sums, (X, Y), [row[X, Y, outer.x][k] for k in range(key.channels)])
+    out, rest, finish = _write(key, inputs, sums)
+    return PassFuncs(key, signature, image, planes, rows, stages, weights, row, inner, sums, outer, out, rest, finish)
 
-    def take_image(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
-        """Return radiance over albedo and a weight of 1, or nothing at all where a pixel is bad."""
-        if not key.first:
-            return hl.select(usable, source[at[0], c, at[1]], hl.f32(0.0))
-        radiance, good = demodulate(source, albedo if key.demodulate else None, at, hl.f32(ALBEDO_FLOOR))
+
+def _read_image(key: PassKey, inputs: PassInputs, rows: Rows | None) -> hl.Func:
+    """Return what taps sum up: radiance over albedo and a weight of 1, or nothing at all where a pixel is bad."""
+
+    def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
+        if key.reads is Reads.SUMS:
+            return hl.select(usable, inputs.source[at[0], C, at[1]], hl.f32(0.0))
+        albedo = inputs.albedo if key.reads is Reads.DEMODULATED else None
+        radiance, good = demodulate(inputs.source, albedo, at, hl.f32(ALBEDO_FLOOR))
         values = [*radiance, hl.f32(1.0), hl.f32(1.0)]
         if key.moment:
             luminance = find_luminance(radiance)
             values.append(luminance * luminance)
-        return hl.select(good & usable, hl.mux(c, values), hl.f32(0.0))
+        return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
 
-    # Taps.
-    r = key.radius
-    across, down = {
-        Taps.SQUARE: (r, r),
-        Taps.HORIZONTAL: (r, 0),
-        Taps.VERTICAL: (0, r),
-        Taps.ATROUS: (ATROUS_RADIUS, ATROUS_RADIUS),
-    }[key.taps]
-    u, v = hl.Var("u"), hl.Var("v")
-    spread: hl.Expr = step if key.taps is Taps.ATROUS else hl.i32(1)
-    offset = hl.f32(u * spread), hl.f32(v * spread)
-    rows = Rows(width, spread * across, lanes) if lanes else None
-    image = make_image("image", mask, rows, take_image)
-    side = make_guide_planes("tap", mask, features, scalars, arrays=inputs.arrays, rows=rows)
+    return make_image("image", inputs.mask, rows, take)
+
+
+def _tap_profile(offset: hl.Expr) -> hl.Expr:
+    """Return log2 of the B-spline weight at -2..2."""
+    centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
+    distance = hl.abs(offset)
+    return hl.select(distance == 0, centre, distance == 1, near, far)
+
+
+def _compare(
+    key: PassKey, features: Sequence[Feature], inputs: PassInputs, planes: GuidePlanes, spread: hl.Expr
+) -> list[hl.Func]:
+    """Return the stages of the logarithm of a tap's weight; the last one is that logarithm."""
     stages: list[hl.Func] = []
-    stage = make_stage(stages, (x, y, u, v))
-
+    stage = make_stage(stages, (X, Y, U, V))
+    offset = hl.f32(U * spread), hl.f32(V * spread)
     exponent: hl.Expr = hl.f32(0.0)
     if key.taps is Taps.ATROUS:
-        exponent = _tap_profile(u) + _tap_profile(v)
-    for feature, layout, own in zip(features, side.layouts, scalars, strict=True):
-        i, j = side.read(layout, x, y), side.read(layout, x + u * spread, y + v * spread)
+        exponent = _tap_profile(U) + _tap_profile(V)
+    for feature, layout, own in zip(features, planes.layouts, inputs.scalars, strict=True):
+        i, j = planes.read(layout, X, Y), planes.read(layout, X + U * spread, Y + V * spread)
         exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
-    if key.strict:
-        exponent = exponent * inputs.strictness[clamp_likely(x, width), hl.clamp(y, 0, height - 1)]
+    if inputs.strictness is not None:
+        exponent = (
+            exponent * inputs.strictness[clamp_likely(X, inputs.mask.width()), hl.clamp(Y, 0, inputs.mask.height() - 1)]
+        )
     log_weight = hl.Func("log_weight")
-    log_weight[x, y, u, v] = exponent
-    stages.append(log_weight)
+    log_weight[X, Y, U, V] = exponent
+    return [*stages, log_weight]
 
-    # A row of taps (or the column that a vertical pass has) is summed by itself, so that its sums stay in registers.
-    outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
+
+def _take(key: PassKey, image: hl.Func, weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
+    """Return what a tap adds to every sum."""
+    # Radiance counts once: its weight and squared weight are one plane.
+    single = key.reads is not Reads.SUMS
+    planes = [min(k, WEIGHT) if single and k < SUM_CHANNELS else k for k in range(key.channels)]
+    factors = [weight] * key.channels
+    factors[SQUARED_WEIGHT] = weight * weight
+    return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
+
+
+def _add(sums: hl.Func, at: tuple[hl.Expr, ...], values: Sequence[hl.Expr]) -> None:
+    sums[at] = hl.Tuple([sums[at][k] + value for k, value in enumerate(values)])
+
+
+def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr) -> tuple[hl.Func, hl.RDom]:
+    """Return the sums over a row of taps, or over the column that a vertical pass has, and these taps.
+
+    By itself, so that its sums stay in registers.
+    """
+    across, down = find_reach(key.taps, key.radius)
+    reach = across or down
+    inner = hl.RDom([(-reach, 2 * reach + 1)], "inner")
+    u, v = (inner.x, V) if across else (V, inner.x)
     row = hl.Func("row")
-    at = x, y, v
-    zeros = [hl.f32(0.0)] * key.channels
+    row[X, Y, V] = hl.Tuple([hl.f32(0.0)] * key.channels)
+    weight = expressions.exp2(log_weight[X, Y, u, v])
+    _add(row, (X, Y, V), _take(key, image, weight, X + u * spread, Y + v * spread))
+    return row, inner
 
-    def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
-        # Radiance counts once: its weight and squared weight are one plane.
-        planes = [min(k, WEIGHT) if key.first and k < SUM_CHANNELS else k for k in range(key.channels)]
-        factors = [weight] * key.channels
-        factors[SQUARED_WEIGHT] = weight * weight
-        return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
 
-    weights = None
-    if key.mirrored:
-        weights = hl.Func("weights")
-        weights[x, y, u] = expressions.exp2(log_weight[x, y, u, 0])
-        inner = hl.RDom([(1, across)], "inner")
-        row[at] = hl.Tuple(take(weights[x, y, 0], x, y))
-        after = take(weights[x, y, inner.x], x + inner.x, y)
-        before = take(weights[x - inner.x, y, inner.x], x - inner.x, y)
-        taken = [after[k] + before[k] for k in range(key.channels)]
-    else:
-        inner = hl.RDom([(-across, 2 * across + 1)] if across else [(-down, 2 * down + 1)], "inner")
-        u_tap, v_tap = (inner.x, v) if across else (v, inner.x)
-        row[at] = hl.Tuple(zeros)
-        weight = expressions.exp2(log_weight[x, y, u_tap, v_tap])
-        taken = take(weight, x + u_tap * spread, y + v_tap * spread)
-    row[at] = hl.Tuple([row[at][k] + taken[k] for k in range(key.channels)])
-    sums = hl.Func("sums")
-    sums[x, y] = hl.Tuple(zeros)
-    sums[x, y] = hl.Tuple([sums[x, y][k] + row[x, y, outer.x][k] for k in range(key.channels)])
+def _weigh_pairs(log_weight: hl.Func) -> hl.Func:
+    """Return the weights of a pixel and those to its right, which are those of these pixels and it."""
+    weights = hl.Func("weights")
+    weights[X, Y, U] = expressions.exp2(log_weight[X, Y, U, 0])
+    return weights
 
+
+def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func) -> tuple[hl.Func, hl.RDom]:
+    """Return the sums over a row of taps, two at a time, and how far these are from the pixel."""
+    inner = hl.RDom([(1, key.radius)], "inner")
+    row = hl.Func("row")
+    row[X, Y, V] = hl.Tuple(_take(key, image, weights[X, Y, 0], X, Y))
+    after = _take(key, image, weights[X, Y, inner.x], X + inner.x, Y)
+    before = _take(key, image, weights[X - inner.x, Y, inner.x], X - inner.x, Y)
+    _add(row, (X, Y, V), [p + q for p, q in zip(after, before, strict=True)])
+    return row, inner
+
+
+def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl.Func | None, hl.Func | None]:
+    """Return what a pass writes: an image, images of one channel beside it, and what both are read from."""
+    values = [sums[X, Y][k] for k in range(key.channels)]
     out = hl.Func("out")
-    finish = rest = None
-    if key.last:
-        total, squares = sums[x, y][WEIGHT], sums[x, y][SQUARED_WEIGHT]
-        moments: list[hl.Expr] = []
-        alive = (mask[x, y] != 0) & (total > hl.f32(0.0))
-        mean = [sums[x, y][k] / total for k in range(3)]
-        if key.modulate:
-            tints = [albedo[k, x, y] for k in range(3)]
-            mean = [mean[k] * hl.select(expressions.is_bad(tints[k]), hl.f32(0.0), tints[k]) for k in range(3)]
-        # The squares underflow before the sum does: then one far tap decides, which is one sample.
-        effective = hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
-        if key.moment:
-            moments = [sums[x, y][SUM_CHANNELS] / total]
-        results = [*mean, total, effective, *moments]
-        if key.apart:
-            finish, rest = hl.Func("finish"), hl.Func("rest")
-            finish[x, y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
-            out[c, x, y] = hl.mux(c, [finish[x, y][k] for k in range(len(mean))])
-            rest[x, y] = hl.Tuple([finish[x, y][k] for k in range(len(mean), len(results))])
-        else:
-            out[c, x, y] = hl.select(alive, hl.mux(c, results), hl.f32(0.0))
-    else:
-        out[x, c, y] = hl.mux(c, [sums[x, y][k] for k in range(key.channels)])
-    arguments = [
-        source,
-        *([albedo] if key.demodulate or key.modulate else []),
-        mask,
-        *side.arrays,
-        step,
-        *(p for own in scalars for p in own),
-    ]
-    arguments += [inputs.strictness] if key.strict else []
-    return PassFuncs(
-        out=out,
-        rest=rest,
-        finish=finish,
-        last=key.last,
-        sums=sums,
-        row=row,
-        weights=weights,
-        vertical=key.taps is Taps.VERTICAL,
-        channels=key.channels,
-        image=image,
-        rows=rows,
-        planes=side,
-        stages=stages,
-        inner=inner,
-        outer=outer,
-        arguments=arguments,
-    )
+    if key.writes is Writes.SUMS:
+        out[X, C, Y] = hl.mux(C, values)
+        return out, None, None
+    named = Sums(values[:COLORS], values[WEIGHT], values[SQUARED_WEIGHT], values[SUM_CHANNELS:])
+    alive = (inputs.mask[X, Y] != 0) & (named.weight > hl.f32(0.0))
+    results = _divide(key, inputs, named)
+    if key.writes is Writes.PIXELS:
+        out[C, X, Y] = hl.select(alive, hl.mux(C, results), hl.f32(0.0))
+        return out, None, None
+    finish, rest = hl.Func("finish"), hl.Func("rest")
+    finish[X, Y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
+    out[C, X, Y] = hl.mux(C, [finish[X, Y][k] for k in range(COLORS)])
+    rest[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, len(results))])
+    return out, rest, finish
+
+
+def _divide(key: PassKey, inputs: PassInputs, sums: Sums) -> list[hl.Expr]:
+    """Return a pixel's radiance, weight sum, effective samples and, where it was summed, moment."""
+    mean = [value / sums.weight for value in sums.radiance]
+    if key.modulate and inputs.albedo is not None:
+        tints = [inputs.albedo[k, X, Y] for k in range(COLORS)]
+        mean = [value * hl.select(expressions.is_bad(t), hl.f32(0.0), t) for value, t in zip(mean, tints, strict=True)]
+    # The squares underflow before the sum does: then one far tap decides, which is one sample.
+    squares = sums.squared_weight
+    effective = hl.select(squares > hl.f32(0.0), sums.weight * sums.weight / squares, hl.f32(1.0))
+    return [*mean, sums.weight, effective, *(value / sums.weight for value in sums.moment)]

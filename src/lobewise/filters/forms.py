@@ -25,6 +25,17 @@ class Taps(Enum):
     """5x5, ``step`` pixels apart, with B-spline weights."""
 
 
+def find_reach(taps: Taps, radius: int) -> tuple[int, int]:
+    """Return how many steps a pass goes to the right and down."""
+    across, down = {
+        Taps.SQUARE: (radius, radius),
+        Taps.HORIZONTAL: (radius, 0),
+        Taps.VERTICAL: (0, radius),
+        Taps.ATROUS: (ATROUS_RADIUS, ATROUS_RADIUS),
+    }[taps]
+    return across, down
+
+
 def can_mirror(taps: Taps, radius: int) -> bool:
     """Return whether a processor's pass weighs the two pixels of a pair once: only rows gain (docs/performance.md)."""
     return taps is Taps.HORIZONTAL and radius > 0

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import halide as hl
 
-from lobewise.filters.cross_pass import PassFuncs
+from lobewise.filters.cross_pass import COLORS, PassFuncs, Writes
+from lobewise.filters.forms import Taps
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
-
-COLORS = 3
 
 
 def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
@@ -37,7 +36,7 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
     out, row, tail = funcs.out, funcs.row, hl.TailStrategy.GuardWithIf
     xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
     rows, columns = 8, 8 * lanes
-    written = funcs.channels if funcs.rest is None else COLORS
+    written = funcs.key.channels if funcs.rest is None else COLORS
     out.bound(c, 0, written).reorder(c, x, y).unroll(c)
     for func in (out, funcs.rest):
         if func is not None:
@@ -45,7 +44,7 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
             func.split(xi, xv, xw, lanes, tail).reorder(xw, xv, yi, xo, yo, ys)
             func.vectorize(xw).parallel(ys).never_partition([xw, yi, xo, yo, ys])
     out.reorder(c, xw)
-    if funcs.last:
+    if funcs.key.writes is not Writes.SUMS:
         # A known stride makes whole stores of interleaved vectors.
         out.output_buffer().dim(1).set_stride(written)
     if funcs.rest is not None:
@@ -57,7 +56,7 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
         funcs.rest.compute_with(out, xv)
         funcs.finish.compute_at(out, xv).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
     sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
-    across, within = ([xw, y, xv], y) if funcs.vertical else ([xw, xv, y], xv)
+    across, within = ([xw, y, xv], y) if funcs.key.taps is Taps.VERTICAL else ([xw, xv, y], xv)
     sums.update().split(x, xv, xw, lanes).reorder(*across, funcs.outer.x).vectorize(xw)
     row.compute_at(sums, within).vectorize(x, lanes)
     row.update().reorder(x, funcs.inner.x).vectorize(x, lanes)
@@ -68,14 +67,14 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
         (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
 
     assert funcs.rows is not None
-    fill_rows(funcs.image.compute_at(out, ys), funcs.channels, funcs.rows)
+    fill_rows(funcs.image.compute_at(out, ys), funcs.key.channels, funcs.rows)
     fill_planes(funcs.planes, funcs.rows, (out, ys))
 
 
 def _schedule_blocks(funcs: PassFuncs) -> None:
     """One thread for one pixel of the sums; planes and image in memory."""
-    thread = spread_channels(funcs.out, funcs.channels, PIXEL)
+    thread = spread_channels(funcs.out, funcs.key.channels, PIXEL)
     funcs.sums.compute_at(funcs.out, thread)
     funcs.row.compute_at(funcs.sums, funcs.outer.x)
-    keep_planes(funcs.image, funcs.channels, PIXEL)
+    keep_planes(funcs.image, funcs.key.channels, PIXEL)
     keep_planes(funcs.planes.planes, funcs.planes.plane_count, PIXEL)
