@@ -55,6 +55,7 @@ INNER_ROOMS = {
         "coverage",
         "voxels",
         "virtual_lights",
+        "images",
         "renderer",
         "sequence",
         "stages",

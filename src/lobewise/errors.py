@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import TypeVar
+from numbers import Integral
+from typing import Any, TypeVar
 
 ErrorT = TypeVar("ErrorT", bound="LobewiseError")
 
@@ -83,3 +84,18 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         got=repr(got),
         action=f"did you mean {near[0]!r}?" if near else "choose one of them",
     )
+
+
+def require_integer(what: str, got: Any, lowest: int, highest: int) -> int:
+    """Return ``got`` if it is a whole number within bounds, both included; NumPy's integers will do, truth values not.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    whole = isinstance(got, Integral) and not isinstance(got, bool)
+    if not whole or not lowest <= got <= highest:
+        expected = f"an integer from {lowest} to {highest}"
+        raise InputError(describe_problem(what, expected=expected, got=repr(got), action="pass another"))
+    return int(got)

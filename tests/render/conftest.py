@@ -52,7 +52,8 @@ def furnace(make_furnace: Callable[..., Any]) -> Callable[..., Frame]:
 def guide(make_furnace: Callable[..., Any]) -> Callable[..., GBuffer]:
     """Return a function that finds the guides of such a scene that come from pixel centres, without tracing paths."""
     from lobewise.render import get_camera
-    from lobewise.render.gbuffer import to_image, trace_guides
+    from lobewise.render.gbuffer import trace_guides
+    from lobewise.render.images import to_image
     from lobewise.render.materials.bsdfs import read_scene_materials
 
     def find(bsdf: dict[str, Any], **view: Any) -> GBuffer:

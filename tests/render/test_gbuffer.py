@@ -145,16 +145,16 @@ def test_hit_of_the_sky_is_infinitely_far(mi: Any) -> None:
 
 
 def test_hit_distance_is_a_harmonic_mean_and_its_position_agrees(mi: Any) -> None:
-    from lobewise.render.gbuffer import finish_hits
-    from lobewise.render.tracing.paths import make_sums
+    from lobewise.render.images import finish_hits
+    from lobewise.render.tracing.samples import make_sums
 
-    sums = make_sums(4, True)
+    totals = make_sums(4, True).totals
     # Two samples at 2 and 6 along x; one at 2 and one miss; two misses; none.
-    sums.totals[4] = mi.Float([2, 2, 2, 0])
-    sums.totals[5] = mi.Float([1 / 2 + 1 / 6, 1 / 2, 0, 0])
-    sums.totals[6] = mi.Vector3f([2, 1, 0, 0], 0, 0)
+    totals.hit_count = mi.Float([2, 2, 2, 0])
+    totals.hit_inverse = mi.Float([1 / 2 + 1 / 6, 1 / 2, 0, 0])
+    totals.hit_position = mi.Vector3f([2, 1, 0, 0], 0, 0)
     nothing = {"mirror_count": mi.Float(0, 0, 0, 0), "mirror_inverse": mi.Float(0, 0, 0, 0)}
-    distance, position = finish_hits(sums, {**nothing, "mirror_position": mi.Vector3f([0, 0, 0, 0], 0, 0)})
+    distance, position = finish_hits(totals, {**nothing, "mirror_position": mi.Vector3f([0, 0, 0, 0], 0, 0)})
     assert np.allclose(distance, [3.0, 4.0, np.inf, 0.0])
     assert np.allclose(position[:, 0], [3.0, 2.0, 0.0, 0.0])
 

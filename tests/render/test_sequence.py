@@ -235,22 +235,26 @@ class TestMovingObjects:
 
     @pytest.mark.parametrize("name", ["showroom", "parlour"])
     def test_objects_move_slowly_and_touch_nothing(self, mi: Any, name: str) -> None:
-        from importlib import import_module
-
         from lobewise.render import MovingScene, get_camera
+        from lobewise.render.loading import build_scene
+        from lobewise.scenes import describe_movers
 
         moving = MovingScene(name, 512)
         scene = moving.load()
-        make_movers = import_module(f"lobewise.render.scenes.{name}").make_movers
         camera = get_camera(scene)
 
         def find_bounds(box: Any) -> np.ndarray:
             return np.array([np.array(box.min).ravel(), np.array(box.max).ravel()], dtype=np.float64)
 
-        still = {each.id(): find_bounds(each.bbox()) for each in scene.shapes() if each.id() not in make_movers(0.0)}
+        still = {
+            each.id(): find_bounds(each.bbox())
+            for each in scene.shapes()
+            if each.id() not in describe_movers(name, 0.0)
+        }
         for time in range(33):
             moves = moving.find_moves(time + 1, time)
-            bounds = {key: find_bounds(mi.load_dict(item).bbox()) for key, item in make_movers(time).items()}
+            movers = describe_movers(name, time)
+            bounds = {key: find_bounds(build_scene(item).bbox()) for key, item in movers.items()}
             for key, mine in bounds.items():
                 others = {**still, **{other: each for other, each in bounds.items() if other != key}}
                 for other, box in others.items():

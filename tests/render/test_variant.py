@@ -106,6 +106,7 @@ def test_unknown_device_is_an_error() -> None:
 
 def test_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
+    monkeypatch.delitem(sys.modules, "lobewise.render.bridge", raising=False)
     with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[mitsuba\]'"):
         variant.load_mitsuba()
 

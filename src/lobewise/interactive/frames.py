@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, describe_problem, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.methods import METHODS
 from lobewise.interactive.views import VIEWS, make_view
@@ -72,13 +72,7 @@ class InteractiveSettings:
         require_choice("method", self.method, METHODS)
         require_choice("similarity", self.similarity, ("auto", *SIMILARITIES, UNFILTERED))
         for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= highest:
-                raise InputError(
-                    describe_problem(
-                        name, expected=f"an integer from 1 to {highest}", got=repr(value), action="pass another"
-                    )
-                )
+            require_integer(name, getattr(self, name), 1, highest)
         if not 0.0 <= self.adaptive <= 1.0:
             raise InputError(
                 describe_problem(

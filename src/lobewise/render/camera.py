@@ -14,12 +14,6 @@ RAY_TOLERANCE = 1e-4
 """Largest difference, per component of a unit direction, between the sensor's rays and the pinhole's."""
 
 
-def get_image_size(scene: Any) -> tuple[int, int]:
-    """Return ``(width, height)`` of the film of the scene's first sensor."""
-    width, height = scene.sensors()[0].film().size()
-    return int(width), int(height)
-
-
 def _get_sensor(scene: Any) -> Any:
     if not scene.sensors():
         raise InputError(
@@ -27,7 +21,23 @@ def _get_sensor(scene: Any) -> Any:
                 "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
             )
         )
-    sensor = scene.sensors()[0]
+    return scene.sensors()[0]
+
+
+def get_image_size(scene: Any) -> tuple[int, int]:
+    """Return ``(width, height)`` of the film of the scene's first sensor.
+
+    Raises
+    ------
+    InputError
+        If the scene has no sensor.
+    """
+    width, height = _get_sensor(scene).film().size()
+    return int(width), int(height)
+
+
+def _get_perspective_sensor(scene: Any) -> Any:
+    sensor = _get_sensor(scene)
     if sensor.class_name() != "PerspectiveCamera":
         raise InputError(
             describe_problem(
@@ -49,7 +59,7 @@ def get_camera(scene: Any) -> Camera:
         If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
         of sensor, a mirrored ``to_world``, a crop window, a shifted principal point.
     """
-    sensor = _get_sensor(scene)
+    sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)
     parameters = mi.traverse(sensor)
     fov_x = float(np.deg2rad(np.array(parameters["x_fov"]).item()))
@@ -84,7 +94,7 @@ def set_camera(scene: Any, camera: Camera) -> None:
     InputError
         If the scene has no perspective sensor, or the camera's pixels are not square.
     """
-    sensor = _get_sensor(scene)
+    sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):

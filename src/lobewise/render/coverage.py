@@ -14,8 +14,8 @@ from typing import Any
 from lobewise.camera import Camera
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
+from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface, make_no_surface
-from lobewise.render.tracing.paths import dispatch_surface
 from lobewise.render.tracing.points import MOST_LAYERS, OPAQUE_FROM, find_points
 from lobewise.render.tracing.rays import make_ray
 

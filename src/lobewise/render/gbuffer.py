@@ -24,7 +24,8 @@ from lobewise.errors import InputError, describe_problem, require_choice
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.tracing.paths import Sums, dispatch_surface, find_seen_albedo, is_mirror
+from lobewise.render.materials.dispatch import dispatch_surface
+from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.points import OPAQUE_FROM, Points, find_points
 
 Moves = Mapping[str, ArrayLike]
@@ -101,36 +102,6 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
         "diffuse_albedo": dr.select(found, surface.diffuse_albedo, 0.0),
         "specular_albedo": dr.select(found, surface.specular_albedo, 0.0),
     }
-
-
-def to_image(value: Any) -> FloatArray:
-    """Return a Dr.Jit array as NumPy, pixels first: shape (pixels,) or (pixels, channels)."""
-    array = np.array(value, dtype=np.float32)
-    return np.ascontiguousarray(array.T) if array.ndim == 2 else array
-
-
-def finish_hits(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return hit distances (0 unknown, inf nothing seen) and hit positions of a run of pixels."""
-    count = to_image(sums.totals[4]) + to_image(guides["mirror_count"])
-    inverse = to_image(sums.totals[5]) + to_image(guides["mirror_inverse"])
-    position = to_image(sums.totals[6]) + to_image(guides["mirror_position"])
-    distance = np.where(count > 0, np.float32(np.inf), np.float32(0))
-    np.divide(count, inverse, out=distance, where=inverse > 0)
-    safe = np.where(inverse > 0, inverse, 1.0)[:, None]
-    return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
-
-
-def finish_seen(sums: Sums, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean normals and albedos of what the reflections of a run of pixels see; 0 for misses and unknown.
-
-    A mirror ray that paths would follow further counts only where no sample was reflected.
-    """
-    count = to_image(sums.totals[4])
-    weight = np.where(count > 0, to_image(guides["mirror_ends"]), to_image(guides["mirror_count"]))
-    total = np.maximum(count + weight, 1.0)[:, None]
-    normal = to_image(sums.totals[7]) + weight[:, None] * to_image(guides["mirror_normal"])
-    albedo = to_image(sums.totals[8]) + weight[:, None] * to_image(guides["mirror_albedo"])
-    return (normal / total).astype(np.float32), np.clip(albedo / total, 0.0, 1.0).astype(np.float32)
 
 
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import FileError, InputError, describe_problem, require_choice
+from lobewise.errors import FileError, InputError, describe_problem, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
 from lobewise.scenes import BUILT_IN, MOVING, describe_movers, describe_scene
 
@@ -60,12 +60,8 @@ def load_scene(
     lights its random numbers differ from load to load.
     """
     for name, value in (("width", width), ("height", height)):
-        if value is not None and not 1 <= value <= LARGEST_SIZE:
-            raise InputError(
-                describe_problem(
-                    name, expected=f"an integer from 1 to {LARGEST_SIZE}", got=repr(value), action="pass another"
-                )
-            )
+        if value is not None:
+            require_integer(name, value, 1, LARGEST_SIZE)
     text = os.fspath(name_or_path)
     if time != 0.0:
         _require_moving(text)

@@ -6,18 +6,20 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, describe_problem, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.coverage import trace_coverage
-from lobewise.render.gbuffer import Moves, finish_hits, finish_seen, move_back, to_image, trace_guides
-from lobewise.render.materials.bsdfs import Material, list_lobe_tables, read_scene_materials
-from lobewise.render.tracing.paths import PathSettings, Sums, add_samples, make_sums
+from lobewise.render.gbuffer import Moves, move_back, trace_guides
+from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
+from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
+from lobewise.render.tracing.paths import PathSettings, add_samples
+from lobewise.render.tracing.samples import Sums, make_sums
 from lobewise.render.variant import VARIANTS
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
 
@@ -31,28 +33,6 @@ CHUNK_SAMPLES = 1 << 22
 
 LIGHTS = {"all": 0, "indirect": 2}
 """What light can be asked for: how often it was scattered at least."""
-
-
-def _check_count(name: str, value: int, lowest: int, highest: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not lowest <= value <= highest:
-        raise InputError(
-            describe_problem(
-                name, expected=f"an integer from {lowest} to {highest}", got=repr(value), action="pass another"
-            )
-        )
-    return int(value)
-
-
-def _check_numbers(spp: int, seed: int, max_depth: int) -> tuple[int, int, int]:
-    return (
-        _check_count("spp", spp, 1, 1 << 24),
-        _check_count("seed", seed, 0, (1 << 32) - 1),
-        _check_count("max_depth", max_depth, 1, 1 << 16),
-    )
-
-
-def _find_fewest_bounces(light: str) -> int:
-    return LIGHTS[require_choice("light", light, LIGHTS)]
 
 
 def _check_scene(scene: Any) -> None:
@@ -80,27 +60,6 @@ def _plan_chunks(spp: int, pixels: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + step, spp)
 
 
-def _render_tile(
-    scene: Any,
-    materials: dict[int, Material],
-    pixels: tuple[int, int],
-    size: tuple[int, int],
-    spp: int,
-    seed: int,
-    settings: PathSettings,
-    advance: Callable[[int], None],
-    **sparse: Any,
-) -> Sums:
-    sums = make_sums(pixels[1], settings.guides)
-    for samples in _plan_chunks(spp, pixels[1]):
-        sums = add_samples(
-            scene, materials, sums, pixels=pixels, size=size, samples=samples, seed=seed, settings=settings, **sparse
-        )
-        dr.sync_thread()
-        advance(pixels[1] * (samples[1] - samples[0]))
-    return sums
-
-
 def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None]:
     done = 0
 
@@ -115,53 +74,68 @@ def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None
     return advance
 
 
-def _finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
-    """Return the guides of a tile by their path in `Frame`, pixels first."""
-    own = GBuffer.__dataclass_fields__
-    images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
-    images["shape"] = to_image(guides["shape"])
-    images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums, guides)
-    images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums, guides)
-    for i, name in enumerate(("diffuse_albedo", "specular_albedo")):
-        images[f"gbuffer.{name}"] = np.clip(to_image(sums.totals[2 + i]) / np.float32(spp), 0.0, 1.0)
-    return images
+class _Pass:
+    """One pass over the samples of a scene, tile by tile.
 
+    Parameters
+    ----------
+    scene, spp, seed, max_depth, light
+        See `render_frame`.
+    settings : dict
+        Of `PathSettings`, beside those.
+    """
 
-def _finish_radiance(sums: Sums, spp: int, settings: PathSettings) -> dict[str, FloatArray]:
-    """Return radiance, halves and variance of a tile by their path in `Frame`, pixels first."""
-    even = [to_image(value) for value in sums.halves[:3]]
-    odd = [to_image(value) for value in sums.halves[3:]]
-    images: dict[str, FloatArray] = {}
+    def __init__(self, scene: Any, *, spp: int, seed: int, max_depth: int, light: str, **settings: Any) -> None:
+        self._spp = require_integer("spp", spp, 1, 1 << 24)
+        self._seed = require_integer("seed", seed, 0, (1 << 32) - 1)
+        depth = require_integer("max_depth", max_depth, 1, 1 << 16)
+        fewest = LIGHTS[require_choice("light", light, LIGHTS)]
+        _check_scene(scene)
+        self._scene = scene
+        self._settings = PathSettings(max_depth=depth, fewest_bounces=fewest, **settings)
+        self.size = get_image_size(scene)
+        self.materials = read_scene_materials(scene) if self._settings.guides else {}
 
-    def add_parts(prefix: str, parts: list[FloatArray], count: int) -> None:
-        scale = np.float32(1.0 / count)
-        images[f"{prefix}.color"] = (parts[0] + parts[1] + parts[2]) * scale
-        images[f"{prefix}.diffuse"] = parts[1] * scale
-        images[f"{prefix}.specular"] = parts[2] * scale
+    def run(
+        self,
+        columns: int,
+        rows: int,
+        finish: Callable[[tuple[int, int], Sums], dict[str, FloatArray]],
+        progress: Progress | None = None,
+        **where: Any,
+    ) -> dict[str, FloatArray]:
+        """Return the images, (rows, columns, ...), that ``finish`` makes of the sums of each run of pixels.
 
-    add_parts("radiance", [a + b for a, b in zip(even, odd, strict=True)], spp)
-    for i, name in enumerate(("direct", "indirect")):
-        # A black image would say that nothing is lit directly.
-        if name == "indirect" or settings.fewest_bounces < 2:
-            images[f"radiance.{name}"] = to_image(sums.totals[i]) / np.float32(spp)
-    if spp > 1:
-        add_parts("half_a", even, (spp + 1) // 2)
-        add_parts("half_b", odd, spp // 2)
-        for i, name in enumerate(("color", "diffuse", "specular")):
-            images[f"variance.{name}"] = to_image(sums.squares[i]) / np.float32(spp * (spp - 1))
-    return images
+        ``where`` tells which pixels of the image are meant, as `add_samples` takes it.
+        """
+        advance = _make_advance(progress, columns * rows * self._spp)
+        tiles = []
+        with dr.suspend_grad():
+            for pixels in _plan_tiles(columns, rows):
+                tiles.append(finish(pixels, self._sum_tile(pixels, advance, where)))
+        return join(tiles, columns, rows)
 
+    def _sum_tile(self, pixels: tuple[int, int], advance: Callable[[int], None], where: dict[str, Any]) -> Sums:
+        sums = make_sums(pixels[1], self._settings.guides)
+        for samples in _plan_chunks(self._spp, pixels[1]):
+            sums = add_samples(
+                self._scene,
+                self.materials,
+                sums,
+                pixels=pixels,
+                size=self.size,
+                samples=samples,
+                seed=self._seed,
+                settings=self._settings,
+                **where,
+            )
+            dr.sync_thread()
+            advance(pixels[1] * (samples[1] - samples[0]))
+        return sums
 
-def _join(tiles: list[dict[str, FloatArray]], width: int, height: int) -> dict[str, FloatArray]:
-    def join(name: str) -> FloatArray:
-        whole = np.concatenate([tile[name] for tile in tiles])
-        return whole.reshape(height, width, *whole.shape[1:])
-
-    return {name: join(name) for name in tiles[0]}
-
-
-def _select(images: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    return {name.split(".", 1)[1]: value for name, value in images.items() if name.startswith(prefix + ".")}
+    def finish_radiance(self, _: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
+        """Return the radiance of a run of pixels."""
+        return finish_radiance(sums, self._spp, self._settings.fewest_bounces < 2)
 
 
 def render_frame(
@@ -221,38 +195,29 @@ def render_frame(
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
-    fewest = _find_fewest_bounces(light)
-    _check_scene(scene)
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light, radiance=not aov_only)
     camera = get_camera(scene)
-    materials = read_scene_materials(scene)
-    size = get_image_size(scene)
-    settings = PathSettings(max_depth=max_depth, light=not aov_only, fewest_bounces=fewest)
-    advance = _make_advance(progress, size[0] * size[1] * spp)
-    tiles = []
-    with dr.suspend_grad():
-        for pixels in _plan_tiles(*size):
-            guides = trace_guides(scene, materials, camera, pixels=pixels, size=size)
-            if coverage:
-                guides |= trace_coverage(scene, materials, camera, pixels=pixels, size=size)
-            sums = _render_tile(scene, materials, pixels, size, spp, seed, settings, advance)
-            tiles.append({**_finish_guides(sums, guides, spp), **_finish_radiance(sums, spp, settings)})
-    images = _join(tiles, *size)
+
+    def finish(pixels: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
+        guides = trace_guides(scene, run.materials, camera, pixels=pixels, size=run.size)
+        if coverage:
+            guides |= trace_coverage(scene, run.materials, camera, pixels=pixels, size=run.size)
+        return finish_guides(sums, guides, spp) | run.finish_radiance(pixels, sums)
+
+    images = run.run(*run.size, finish, progress)
     motion = {}
     if previous_camera is not None:
         before = move_back(scene, images["shape"], images["gbuffer.position"], moves or {})
         motion["motion"] = compute_motion(camera, previous_camera, before, images["gbuffer.depth"])
-    tables = list_lobe_tables(materials)
+    tables = list_lobe_tables(run.materials)
     if not tables:
         del images["gbuffer.material"]
-    has_halves = spp > 1 and not aov_only
+    parts = ("half_a", "half_b", "variance") if spp > 1 and not aov_only else ()
     return Frame(
-        radiance=Radiance(**_select(images, "radiance")),
-        gbuffer=GBuffer(**_select(images, "gbuffer"), **motion),
+        radiance=Radiance(**select(images, "radiance")),
+        gbuffer=GBuffer(**select(images, "gbuffer"), **motion),
         camera=camera,
-        half_a=Radiance(**_select(images, "half_a")) if has_halves else None,
-        half_b=Radiance(**_select(images, "half_b")) if has_halves else None,
-        variance=Radiance(**_select(images, "variance")) if has_halves else None,
+        **{name: Radiance(**select(images, name)) for name in parts},
         spp=spp,
         lobe_tables=tables,
     )
@@ -303,13 +268,11 @@ def render_sparse_frame(
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
-    scale = _check_count("scale", scale, 1, MOST_SCALE)
-    fewest = _find_fewest_bounces(light)
-    _check_scene(scene)
-    size = get_image_size(scene)
-    first = tuple(
-        _check_count(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((size[1], size[0]))
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light)
+    scale = require_integer("scale", scale, 1, MOST_SCALE)
+    width, height = run.size
+    row, column = (
+        require_integer(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((height, width))
     )
     guides = render_frame(
         scene,
@@ -320,25 +283,15 @@ def render_sparse_frame(
         previous_camera=previous_camera,
         moves=moves,
     )
-    materials = read_scene_materials(scene)
-    columns, rows = -(-(size[0] - first[1]) // scale), -(-(size[1] - first[0]) // scale)
-    settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest)
-    advance = _make_advance(progress, columns * rows * spp)
-    tiles = []
-    with dr.suspend_grad():
-        for pixels in _plan_tiles(columns, rows):
-            sums = _render_tile(
-                scene, materials, pixels, size, spp, seed, settings, advance, scale=scale, place=(first[0], first[1])
-            )
-            tiles.append(_finish_radiance(sums, spp, settings))
-    images = _join(tiles, columns, rows)
+    columns, rows = -(-(width - column) // scale), -(-(height - row) // scale)
+    images = run.run(columns, rows, run.finish_radiance, progress, scale=scale, place=(row, column))
     return SparseFrame(
-        radiance=Radiance(**_select(images, "radiance")),
+        radiance=Radiance(**select(images, "radiance")),
         gbuffer=guides.gbuffer,
         scale=scale,
-        place=(first[0], first[1]),
+        place=(row, column),
         camera=guides.camera,
-        variance=Radiance(**_select(images, "variance")) if spp > 1 else None,
+        variance=Radiance(**select(images, "variance")) if spp > 1 else None,
         spp=spp,
         lobe_tables=guides.lobe_tables,
     )
@@ -375,36 +328,31 @@ def render_pixels(
     InputError
         If a number is out of range, the light unknown, or a pixel lies outside the image.
     """
-    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
-    fewest = _find_fewest_bounces(light)
-    _check_scene(scene)
-    width, height = get_image_size(scene)
-    where = np.asarray(rows), np.asarray(columns)
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light)
+    listed = _number_pixels(np.asarray(rows), np.asarray(columns), run.size)
+    images = run.run(1, len(listed), run.finish_radiance, listed=mi.UInt32(listed))
+    return Radiance(**select(images, "radiance"))
+
+
+def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint32]:
+    """Return the numbers of pixels, row-major."""
+    where, (width, height) = (rows, columns), size
     whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
-    if not whole or where[0].size != where[1].size:
-        shapes = f"{where[0].dtype} of shape {where[0].shape} and {where[1].dtype} of shape {where[1].shape}"
+    if not whole or rows.size != columns.size:
+        shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
         raise InputError(
             describe_problem("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
         )
-    if not ((where[0] >= 0) & (where[0] < height) & (where[1] >= 0) & (where[1] < width)).all():
+    if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
         raise InputError(
             describe_problem(
                 "rows and columns",
                 expected=f"pixels of an image of {width}x{height}",
-                got=f"rows {where[0].min()} to {where[0].max()}, columns {where[1].min()} to {where[1].max()}",
+                got=f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}",
                 action="count both from 0",
             )
         )
-    materials = read_scene_materials(scene)
-    listed = mi.UInt32((where[0] * width + where[1]).astype(np.uint32))
-    settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest)
-    advance = _make_advance(None, 0)
-    tiles = []
-    with dr.suspend_grad():
-        for pixels in _plan_tiles(where[0].size, 1):
-            sums = _render_tile(scene, materials, pixels, (width, height), spp, seed, settings, advance, listed=listed)
-            tiles.append(_finish_radiance(sums, spp, settings))
-    return Radiance(**_select(_join(tiles, 1, where[0].size), "radiance"))
+    return np.asarray(rows * width + columns, dtype=np.uint32)
 
 
 def render_reference(
@@ -420,16 +368,9 @@ def render_reference(
 
     Parameters and errors are those of `render_frame`; any BSDF of Mitsuba will do.
     """
-    spp, seed, max_depth = _check_numbers(spp, seed, max_depth)
-    fewest = _find_fewest_bounces(light)
-    _check_scene(scene)
-    camera = get_camera(scene)
-    size = get_image_size(scene)
-    settings = PathSettings(max_depth=max_depth, guides=False, fewest_bounces=fewest)
-    advance = _make_advance(progress, size[0] * size[1] * spp)
-    tiles = []
-    with dr.suspend_grad():
-        for pixels in _plan_tiles(*size):
-            sums = _render_tile(scene, {}, pixels, size, spp, seed, settings, advance)
-            tiles.append({"color": to_image(sums.halves[0]) / np.float32(spp)})
-    return Frame(radiance=Radiance(**_join(tiles, *size)), camera=camera, spp=spp)
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light, guides=False)
+
+    def finish(_: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
+        return {"color": to_image(sums.even.emitted) / np.float32(spp)}
+
+    return Frame(radiance=Radiance(**run.run(*run.size, finish, progress)), camera=get_camera(scene), spp=spp)

@@ -161,21 +161,21 @@ def test_what_stands_behind_a_pane(mi: Any, pane: dict[str, Any]) -> None:
 
 
 def test_mirror_ray_that_would_go_on_counts_only_alone(mi: Any) -> None:
-    from lobewise.render.gbuffer import finish_seen
-    from lobewise.render.tracing.paths import make_sums
+    from lobewise.render.images import finish_seen
+    from lobewise.render.tracing.samples import make_sums
 
-    sums = make_sums(4, True)
+    totals = make_sums(4, True).totals
     # Three samples and a mirror ray that ends; that goes on; no samples and one that goes on; nothing at all.
-    sums.totals[4] = mi.Float([3, 3, 0, 0])
-    sums.totals[7] = mi.Vector3f([3, 3, 0, 0], 0, 0)
-    sums.totals[8] = mi.Color3f([0.6, 0.6, 0, 0], 0, 0)
+    totals.hit_count = mi.Float([3, 3, 0, 0])
+    totals.hit_normal = mi.Vector3f([3, 3, 0, 0], 0, 0)
+    totals.hit_albedo = mi.Color3f([0.6, 0.6, 0, 0], 0, 0)
     guides = {
         "mirror_count": mi.Float(1, 1, 1, 0),
         "mirror_ends": mi.Float(1, 0, 0, 0),
         "mirror_normal": mi.Vector3f(0, [1, 1, 1, 0], 0),
         "mirror_albedo": mi.Color3f([1, 1, 1, 0], 0, 0),
     }
-    normal, albedo = finish_seen(sums, guides)
+    normal, albedo = finish_seen(totals, guides)
     assert np.allclose(normal, [(0.75, 0.25, 0), (1, 0, 0), (0, 1, 0), (0, 0, 0)])
     assert np.allclose(albedo[:, 0], [0.4, 0.2, 1.0, 0.0])
 

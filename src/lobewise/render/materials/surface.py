@@ -368,3 +368,17 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
     surface.lobe_kind = dr.select(dark, float(LobeKind.NONE), surface.lobe_kind)
     surface.material = dr.select(dark, 0.0, surface.material)
     return surface
+
+
+def is_mirror(surface: Surface) -> Any:
+    """Return whether surfaces show nothing of their own: perfect mirrors and smooth glass."""
+    return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
+
+
+def find_seen_albedo(surface: Surface, si: Any) -> Any:
+    """Return the albedo that a reflection sees, in [0, 1]: of both lobes together, and 1 where the side shines.
+
+    Light sources of any strength are white, so that what is dark beside them differs most.
+    """
+    shines = si.shape.is_emitter() & (si.wi.z > 0)
+    return dr.select(shines, 1.0, dr.clip(surface.diffuse_albedo + surface.specular_albedo, 0.0, 1.0))

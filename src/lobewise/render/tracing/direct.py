@@ -9,7 +9,8 @@ from typing import Any
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.tracing.paths import dispatch_share, weigh
+from lobewise.render.materials.dispatch import dispatch_share
+from lobewise.render.tracing.light_sampling import meet_emitter, scatter
 from lobewise.render.tracing.points import Points
 from lobewise.sparse_frame import list_places
 
@@ -59,36 +60,36 @@ def shade_direct(
         From `find_shifts`.
     """
     si, bsdf = points.si, points.bsdf
-    context = mi.BSDFContext()
     light_point = _draw(points.pixel, width, shifts[0], shifts[1])
     bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
 
     lit = points.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)
-    lit &= light.pdf != 0
-    local = si.to_local(light.d)
     # A sky is too large for samples of the lights alone.
     has_lobe = points.surface.lobe_kind != float(LobeKind.NONE)
     narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < NARROW)
     shiny = points.active & (narrow | (scene.environment() is not None))
     choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
-    value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, bsdf_point, points.active)
     # What has no narrow lobe sends no ray of its own, so the light sample is all there is.
-    alone = light.delta | ~shiny
-    seen = dr.select(lit, value * radiance * dr.select(alone, 1.0, weigh(light.pdf, pdf)), 0.0)
-    share = dispatch_share(materials, bsdf, si, local, lit)
+    found = scatter(
+        scene,
+        si,
+        bsdf,
+        points.active,
+        lit=lit,
+        light_point=light_point,
+        choice=choice,
+        point=bsdf_point,
+        alone=~shiny,
+    )
+    seen = dr.select(found.lit, found.value * found.radiance * found.weight, 0.0)
+    share = dispatch_share(materials, bsdf, si, found.to_light, found.lit)
     diffuse, specular = seen * share, seen * (1.0 - share)
 
-    following = shiny & (dr.max(weight) > 0)
-    ray = si.spawn_ray(si.to_world(chosen.wo))
-    hit = scene.ray_intersect(ray, following)
-    found = mi.DirectionSample3f(scene, hit, mi.Interaction3f(si))
-    is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
-    light_pdf = scene.pdf_emitter_direction(mi.Interaction3f(si), found, following & ~is_delta)
-    emission = found.emitter.eval(hit, following)
-    hit_share = dispatch_share(materials, bsdf, si, chosen.wo, following & ~is_delta)
-    hit_share = dr.select(is_delta, 0.0, hit_share)
-    found_light = dr.select(following, weight * emission * dr.select(is_delta, 1.0, weigh(chosen.pdf, light_pdf)), 0.0)
+    following = shiny & (dr.max(found.factor) > 0)
+    emission, weight = meet_emitter(scene, scene.ray_intersect(found.ray, following), found.vertex, following)
+    hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, following & ~found.is_delta)
+    hit_share = dr.select(found.is_delta, 0.0, hit_share)
+    found_light = dr.select(following, found.factor * emission * weight, 0.0)
 
     own = si.emitter(scene)
     return Direct(

@@ -6,8 +6,8 @@ from typing import Any
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.tracing.paths import PathSettings, make_sample, trace_path
-from lobewise.render.tracing.points import Indirect, Points
+from lobewise.render.tracing.paths import PathSettings, trace_path
+from lobewise.render.tracing.points import Indirect, Points, average_samples
 from lobewise.render.tracing.rays import make_opaque, make_rng
 
 
@@ -43,25 +43,10 @@ class PathLight:
         settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, surfaces=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)
         seed_value = make_opaque(seed)
-        end = make_opaque(samples)
 
-        def go_on(index: Any, total: Any) -> Any:
-            return index < end
-
-        def take(index: Any, total: Any) -> tuple[Any, Any]:
+        def take(index: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
-            sample = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
-            total.diffuse += sample.diffuse
-            total.specular += sample.specular
-            total.hit_count += sample.hit_count
-            total.hit_inverse += sample.hit_inverse
-            return index + 1, total
+            found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
+            return found.lobes.diffuse, found.lobes.specular, found.totals.hit_count, found.totals.hit_inverse
 
-        _, total = dr.while_loop((mi.UInt32(0), make_sample()), go_on, take, label="samples")
-        share = dr.rcp(mi.Float(end))
-        distance = dr.select(total.hit_inverse > 0, total.hit_count / total.hit_inverse, dr.inf)
-        return Indirect(
-            diffuse=total.diffuse * share,
-            specular=total.specular * share,
-            hit_distance=dr.select(total.hit_count > 0, distance, 0.0),
-        )
+        return average_samples(take, make_opaque(samples))

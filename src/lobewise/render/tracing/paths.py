@@ -10,12 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.materials.split import find_diffuse_share
-from lobewise.render.materials.surface import Surface, describe_material, make_no_surface
-from lobewise.render.tracing.rays import make_rng
+from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
+from lobewise.render.materials.surface import find_seen_albedo, is_mirror
+from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.rays import draw_point, make_rng
+from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
 ROULETTE_DEPTH = 5
 """Paths of at least this length end at random, with the probability that Mitsuba's own path tracer uses."""
@@ -29,7 +30,7 @@ class PathSettings:
     ----------
     max_depth : int
         Longest path, in vertices after the camera; 1 is light sources alone, 2 direct light.
-    light : bool
+    radiance : bool
         Whether to compute radiance; without it paths end when the first bounce has told what it sees.
     guides : bool
         Whether to split radiance by lobe and to sum surfaces, hits and squares.
@@ -41,77 +42,10 @@ class PathSettings:
     """
 
     max_depth: int
-    light: bool = True
+    radiance: bool = True
     guides: bool = True
     surfaces: bool = True
     fewest_bounces: int = 0
-
-
-@dataclass
-class Sample:
-    """What one path brings (Dr.Jit arrays; a PyTree). Emission seen directly is in ``emitted`` alone.
-
-    ``hit_normal`` and ``hit_albedo`` are those of the surface that a specular reflection sees, 0 where it sees none.
-    """
-
-    emitted: Any
-    diffuse: Any
-    specular: Any
-    direct: Any
-    indirect: Any
-    diffuse_albedo: Any
-    specular_albedo: Any
-    hit_count: Any
-    hit_inverse: Any
-    hit_position: Any
-    hit_normal: Any
-    hit_albedo: Any
-
-
-def make_sample() -> Sample:
-    """Return what no path brings."""
-    colors = [mi.Color3f(0) for _ in range(8)]  # separate objects: sums are updated in place
-    return Sample(
-        emitted=colors[0],
-        diffuse=colors[1],
-        specular=colors[2],
-        direct=colors[3],
-        indirect=colors[4],
-        diffuse_albedo=colors[5],
-        specular_albedo=colors[6],
-        hit_count=mi.Float(0),
-        hit_inverse=mi.Float(0),
-        hit_position=mi.Vector3f(0),
-        hit_normal=mi.Vector3f(0),
-        hit_albedo=colors[7],
-    )
-
-
-@dataclass
-class Sums:
-    """Running sums over the samples of a pixel.
-
-    ``halves`` are those over even and odd sample indices of (emitted, diffuse, specular); ``squares`` the sums of
-    squared deviations from the mean of (color, diffuse, specular).
-    """
-
-    halves: list[Any]
-    squares: list[Any]
-    totals: list[Any]
-    """Direct, indirect, diffuse albedo, specular albedo, hit count, sums of 1/t and of position/t, the normal and the
-    albedo of what reflections see."""
-
-
-def make_sums(width: int, guides: bool) -> Sums:
-    """Return the sums of no samples for ``width`` pixels."""
-
-    def zeros(kind: Any, count: int) -> list[Any]:
-        return [dr.zeros(kind, width) for _ in range(count)]
-
-    if not guides:
-        return Sums(zeros(mi.Color3f, 1), [], [])
-    totals = [*zeros(mi.Color3f, 4), *zeros(mi.Float, 2), *zeros(mi.Vector3f, 2), *zeros(mi.Color3f, 1)]
-    return Sums(zeros(mi.Color3f, 6), zeros(mi.Color3f, 3), totals)
 
 
 @dataclass
@@ -126,66 +60,10 @@ class _Path:
     eta: Any
     depth: Any
     bounces: Any
-    last: Any
-    last_pdf: Any
-    last_delta: Any
+    last: Vertex
     looks_specular: Any
     seeks: Any
     sample: Sample
-
-
-def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Surface:
-    """Return the guides at hits on any of the materials; lanes that are not active get zeros."""
-
-    def describe(self: Any, si: Any, active: Any) -> Surface:
-        material = materials.get(self.ptr)
-        # Dr.Jit visits every BSDF that lives, nested ones and those of other scenes included.
-        return make_no_surface() if material is None else describe_material(material, si, active)
-
-    return dr.dispatch(bsdf, describe, si, active)  # type: ignore[no-any-return]
-
-
-def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
-    def share(self: Any, si: Any, wo: Any, active: Any) -> Any:
-        material = materials.get(self.ptr)
-        return mi.Color3f(0) if material is None else find_diffuse_share(material, si, wo, active)
-
-    return dr.dispatch(bsdf, share, si, wo, active)
-
-
-def is_mirror(surface: Surface) -> Any:
-    """Return whether surfaces show nothing of their own: perfect mirrors and smooth glass."""
-    return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
-
-
-def find_seen_albedo(surface: Surface, si: Any) -> Any:
-    """Return the albedo that a reflection sees, in [0, 1]: of both lobes together, and 1 where the side shines.
-
-    Light sources of any strength are white, so that what is dark beside them differs most.
-    """
-    shines = si.shape.is_emitter() & (si.wi.z > 0)
-    return dr.select(shines, 1.0, dr.clip(surface.diffuse_albedo + surface.specular_albedo, 0.0, 1.0))
-
-
-def weigh(pdf: Any, other: Any) -> Any:
-    """Return the power heuristic's weight (Veach 1997, section 9.2.4)."""
-    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other))
-    return dr.select(dr.isfinite(weight), weight, 0.0)
-
-
-def _add(sample: Sample, bounces: Any, share: Any, value: Any, settings: PathSettings) -> None:
-    """Add a contribution that the camera sees after ``bounces`` scatterings, ``share`` of it by the diffuse lobe."""
-    if settings.fewest_bounces:
-        value = dr.select(bounces >= settings.fewest_bounces, value, 0.0)
-    if not settings.guides:
-        sample.emitted += value
-        return
-    sample.emitted += dr.select(bounces == 0, value, 0.0)
-    scattered = dr.select(bounces == 0, 0.0, value)
-    sample.diffuse += scattered * share
-    sample.specular += scattered * (1.0 - share)
-    sample.direct += dr.select(bounces == 1, value, 0.0)
-    sample.indirect += dr.select(bounces > 1, value, 0.0)
 
 
 def trace_path(
@@ -198,101 +76,7 @@ def trace_path(
     one: with several lobes the sample's weight is ``f / p`` of all of them, so each contribution is split by the shares
     that the lobes have of ``f``.
     """
-    context = mi.BSDFContext()
-    split = settings.guides
-
-    def go_on(path: _Path) -> Any:
-        return path.active
-
-    def bounce(path: _Path) -> tuple[_Path]:
-        sample = path.sample
-        si = scene.ray_intersect(path.ray)
-        found = si.is_valid()
-
-        if split:
-            # What the first bounce's specular lobe sees; 1/t and position/t, so that a miss counts as infinity.
-            inverse = dr.select(found, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
-            sample.hit_count += dr.select(path.looks_specular, 1.0, 0.0)
-            sample.hit_inverse += dr.select(path.looks_specular, inverse, 0.0)
-            sample.hit_position += dr.select(path.looks_specular, mi.Vector3f(si.p) * inverse, 0.0)
-
-        if settings.light:
-            light = mi.DirectionSample3f(scene, si, path.last)
-            light_pdf = scene.pdf_emitter_direction(path.last, light, ~path.last_delta)
-            emitted = light.emitter.eval(si, path.last_pdf > 0)
-            weight = weigh(path.last_pdf, light_pdf)
-            _add(sample, path.bounces, path.share, path.throughput * emitted * weight, settings)
-
-        going = found & (path.depth + 1 < max_depth)
-        bsdf = si.bsdf(path.ray)
-        first = going & (path.bounces == 0)
-
-        local = mi.Vector3f(0, 0, 1)
-        if settings.light:
-            lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            if settings.fewest_bounces:
-                lit &= path.bounces + 1 >= settings.fewest_bounces
-            point = mi.Point2f(path.rng.next_float32(), path.rng.next_float32())
-            light, radiance = scene.sample_emitter_direction(si, point, True, lit)
-            lit &= light.pdf != 0
-            local = si.to_local(light.d)
-        choice = path.rng.next_float32()
-        point = mi.Point2f(path.rng.next_float32(), path.rng.next_float32())
-        value, pdf, chosen, weight = bsdf.eval_pdf_sample(context, si, local, choice, point, going)
-
-        if settings.light:
-            seen = path.throughput * value * radiance * dr.select(light.delta, 1.0, weigh(light.pdf, pdf))
-            share = path.share
-            if split:
-                share = dr.select(first, dispatch_share(materials, bsdf, si, local, first & lit), share)
-            _add(sample, path.bounces + 1, share, dr.select(lit, seen, 0.0), settings)
-
-        is_null = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
-        is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
-        if split:
-            scatters = first & ~is_null
-            share = dispatch_share(materials, bsdf, si, chosen.wo, scatters & ~is_delta)
-            path.share = dr.select(scatters, dr.select(is_delta, 0.0, share), path.share)
-            further = mi.Bool(False)
-            if settings.surfaces:
-                seeks = path.seeks & found
-                surface = dispatch_surface(materials, bsdf, si, scatters | seeks)
-                sample.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
-                sample.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
-                further = seeks & (is_null | (is_mirror(surface) & (dr.max(weight) > 0)))
-            mirrors = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.GlossyReflection) | mi.has_flag(
-                chosen.sampled_type, mi.BSDFFlags.DeltaReflection
-            )
-            path.looks_specular = scatters & mirrors & (dr.max(weight) > 0)
-
-        path.ray = si.spawn_ray(si.to_world(chosen.wo))
-        path.throughput *= weight
-        path.eta *= chosen.eta
-        path.last = mi.Interaction3f(si)
-        path.last_pdf = chosen.pdf
-        path.last_delta = is_delta
-        path.depth += dr.select(found, mi.UInt32(1), 0)
-        if not settings.light:
-            path.active = going & (((path.bounces == 0) & (is_null | path.looks_specular)) | further)
-        path.bounces += dr.select(is_null, mi.UInt32(0), 1)
-
-        if settings.light:
-            strongest = dr.max(path.throughput)
-            keep = dr.minimum(strongest * dr.square(path.eta), 0.95)
-            gamble = path.depth >= ROULETTE_DEPTH
-            survives = path.rng.next_float32() < keep
-            path.throughput = dr.select(gamble, path.throughput * dr.rcp(keep), path.throughput)
-            path.active = going & (~gamble | survives) & (strongest != 0)
-
-        if split and settings.surfaces:
-            # A path that ends within a chain of mirrors sees the last of them.
-            further &= path.active
-            seen = seeks & ~further
-            sample.hit_normal += dr.select(seen, surface.normal, 0.0)
-            sample.hit_albedo += dr.select(seen, find_seen_albedo(surface, si), 0.0)
-            path.seeks = path.looks_specular | further
-        return (path,)
-
+    bounces = _Bounces(scene, materials, settings, max_depth)
     start = _Path(
         active=mi.Bool(True),
         ray=ray,
@@ -302,47 +86,144 @@ def trace_path(
         eta=mi.Float(1),
         depth=mi.UInt32(0),
         bounces=mi.UInt32(0),
-        last=dr.zeros(mi.Interaction3f),
-        last_pdf=mi.Float(1),
-        last_delta=mi.Bool(True),
+        last=make_eye(),
         looks_specular=mi.Bool(False),
         seeks=mi.Bool(False),
         sample=make_sample(),
     )
-    return dr.while_loop((start,), go_on, bounce, label="bounces")[0].sample  # type: ignore[no-any-return]
+    end = dr.while_loop((start,), lambda path: path.active, bounces.take, label="bounces")[0]
+    sample: Sample = end.sample
+    return sample
 
 
-def _accumulate(sums: Sums, sample: Sample, index: Any, guides: bool) -> None:
-    if not guides:
-        sums.halves[0] += sample.emitted
-        return
-    parts = [sample.emitted, sample.diffuse, sample.specular]
-    even = (index & 1) == 0
-    color = parts[0] + parts[1] + parts[2]
-    before = [sums.halves[i] + sums.halves[i + 3] for i in range(3)]
-    means = [before[0] + before[1] + before[2], before[1], before[2]]
-    # Welford 1962: the squared deviation grows by (x - mean)^2 n / (n + 1), which never cancels.
-    count = mi.Float(index)
-    rate = dr.select(index > 0, dr.rcp(count), 0.0)
-    growth = count / (count + 1.0)
-    for i, value in enumerate((color, parts[1], parts[2])):
-        sums.squares[i] += dr.square(value - means[i] * rate) * growth
-    for i, value in enumerate(parts):
-        sums.halves[i] += dr.select(even, value, 0.0)
-        sums.halves[i + 3] += dr.select(even, 0.0, value)
-    more = (
-        sample.direct,
-        sample.indirect,
-        sample.diffuse_albedo,
-        sample.specular_albedo,
-        sample.hit_count,
-        sample.hit_inverse,
-        sample.hit_position,
-        sample.hit_normal,
-        sample.hit_albedo,
-    )
-    for i, value in enumerate(more):
-        sums.totals[i] += value
+class _Bounces:
+    """The loop's body, stage by stage."""
+
+    def __init__(self, scene: Any, materials: dict[int, Material], settings: PathSettings, max_depth: Any) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._settings = settings
+        self._max_depth = max_depth
+
+    def take(self, path: _Path) -> tuple[_Path]:
+        """Go to the next hit, gather light there, and choose where to go on."""
+        settings = self._settings
+        si = self._scene.ray_intersect(path.ray)
+        if settings.guides:
+            self._count_hit(path, si)
+        if settings.radiance:
+            emitted, weight = meet_emitter(self._scene, si, path.last, path.last.pdf > 0)
+            self._add_light(path, path.bounces, path.share, path.throughput * emitted * weight)
+        going = si.is_valid() & (path.depth + 1 < self._max_depth)
+        bsdf = si.bsdf(path.ray)
+        found = self._scatter(path, si, bsdf, going)
+        if settings.radiance:
+            self._add_sampled_light(path, bsdf, found, going & (path.bounces == 0))
+        seen: _Seen | None = None
+        if settings.guides:
+            seen = self._describe(path, bsdf, found, going & (path.bounces == 0))
+        self._go_on(path, found, going, seen)
+        if seen is not None and settings.surfaces:
+            self._add_seen(path, si, seen)
+        return (path,)
+
+    def _count_hit(self, path: _Path, si: Any) -> None:
+        """Add what the first bounce's specular lobe sees: 1/t and position/t, so that a miss counts as infinity."""
+        totals = path.sample.totals
+        inverse = dr.select(si.is_valid(), dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
+        totals.hit_count += dr.select(path.looks_specular, 1.0, 0.0)
+        totals.hit_inverse += dr.select(path.looks_specular, inverse, 0.0)
+        totals.hit_position += dr.select(path.looks_specular, mi.Vector3f(si.p) * inverse, 0.0)
+
+    def _add_light(self, path: _Path, bounces: Any, share: Any, value: Any) -> None:
+        """Add what the camera sees after ``bounces`` scatterings, ``share`` of it by the diffuse lobe."""
+        lobes, totals = path.sample.lobes, path.sample.totals
+        if self._settings.fewest_bounces:
+            value = dr.select(bounces >= self._settings.fewest_bounces, value, 0.0)
+        if not self._settings.guides:
+            lobes.emitted += value
+            return
+        lobes.emitted += dr.select(bounces == 0, value, 0.0)
+        scattered = dr.select(bounces == 0, 0.0, value)
+        lobes.diffuse += scattered * share
+        lobes.specular += scattered * (1.0 - share)
+        totals.direct += dr.select(bounces == 1, value, 0.0)
+        totals.indirect += dr.select(bounces > 1, value, 0.0)
+
+    def _scatter(self, path: _Path, si: Any, bsdf: Any, going: Any) -> Scattering:
+        """Sample a light, if light is asked for, and the BSDF."""
+        settings = self._settings
+        lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        if settings.fewest_bounces:
+            lit &= path.bounces + 1 >= settings.fewest_bounces
+        light_point = draw_point(path.rng) if settings.radiance else None
+        choice, point = path.rng.next_float32(), draw_point(path.rng)
+        return scatter(
+            self._scene, si, bsdf, going, lit=lit, light_point=light_point, choice=choice, point=point, alone=False
+        )
+
+    def _add_sampled_light(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> None:
+        arriving = path.throughput * found.value * found.radiance * found.weight
+        share = path.share
+        if self._settings.guides:
+            own = dispatch_share(self._materials, bsdf, found.si, found.to_light, first & found.lit)
+            share = dr.select(first, own, share)
+        self._add_light(path, path.bounces + 1, share, dr.select(found.lit, arriving, 0.0))
+
+    def _describe(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> _Seen:
+        """Find the diffuse share of the first scattering and albedos, and whether a look into a mirror goes further."""
+        scatters = first & ~found.is_null
+        share = dispatch_share(self._materials, bsdf, found.si, found.chosen.wo, scatters & ~found.is_delta)
+        path.share = dr.select(scatters, dr.select(found.is_delta, 0.0, share), path.share)
+        seen = _Seen(path.seeks, None, mi.Bool(False))
+        reflects = dr.max(found.factor) > 0
+        if self._settings.surfaces:
+            seen.seeks = path.seeks & found.si.is_valid()
+            seen.surface = dispatch_surface(self._materials, bsdf, found.si, scatters | seen.seeks)
+            totals = path.sample.totals
+            totals.diffuse_albedo += dr.select(scatters, seen.surface.diffuse_albedo, 0.0)
+            totals.specular_albedo += dr.select(scatters, seen.surface.specular_albedo, 0.0)
+            seen.further = seen.seeks & (found.is_null | (is_mirror(seen.surface) & reflects))
+        kind, flags = found.chosen.sampled_type, mi.BSDFFlags
+        mirrors = mi.has_flag(kind, flags.GlossyReflection) | mi.has_flag(kind, flags.DeltaReflection)
+        path.looks_specular = scatters & mirrors & reflects
+        return seen
+
+    def _go_on(self, path: _Path, found: Scattering, going: Any, seen: _Seen | None) -> None:
+        """Turn to the sampled direction, where a path of light may end at random."""
+        path.ray = found.ray
+        path.throughput *= found.factor
+        path.eta *= found.chosen.eta
+        path.last = found.vertex
+        path.depth += dr.select(found.si.is_valid(), mi.UInt32(1), 0)
+        if not self._settings.radiance:
+            further = mi.Bool(False) if seen is None else seen.further
+            path.active = going & (((path.bounces == 0) & (found.is_null | path.looks_specular)) | further)
+        path.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
+        if self._settings.radiance:
+            strongest = dr.max(path.throughput)
+            keep = dr.minimum(strongest * dr.square(path.eta), 0.95)
+            gamble = path.depth >= ROULETTE_DEPTH
+            survives = path.rng.next_float32() < keep
+            path.throughput = dr.select(gamble, path.throughput * dr.rcp(keep), path.throughput)
+            path.active = going & (~gamble | survives) & (strongest != 0)
+
+    def _add_seen(self, path: _Path, si: Any, seen: _Seen) -> None:
+        """Add the surface that a reflection sees; a path that ends within a chain of mirrors sees the last of them."""
+        seen.further &= path.active
+        last = seen.seeks & ~seen.further
+        path.sample.totals.hit_normal += dr.select(last, seen.surface.normal, 0.0)
+        path.sample.totals.hit_albedo += dr.select(last, find_seen_albedo(seen.surface, si), 0.0)
+        path.seeks = path.looks_specular | seen.further
+
+
+@dataclass
+class _Seen:
+    """What a path in search of what its first reflection sees finds at a hit."""
+
+    seeks: Any
+    surface: Any
+    further: Any
 
 
 def add_samples(
@@ -413,7 +294,7 @@ def _add_samples(
         y = (mi.Float(row) + rng.next_float32()) / mi.Float(height)
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
         sample = trace_path(scene, materials, ray, rng, settings, max_depth)
-        _accumulate(sums, sample, index, settings.guides)
+        add_sample(sums, sample, index)
         return index + 1, sums
 
     index = dr.opaque(mi.UInt32, samples[0])

@@ -6,13 +6,14 @@ that filters and shows it knows no more of it than that.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
+from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface, make_no_surface
-from lobewise.render.tracing.paths import dispatch_surface
 from lobewise.render.tracing.rays import make_centre_ray
 
 MOST_LAYERS = 32
@@ -49,6 +50,28 @@ class Indirect:
     diffuse: Any
     specular: Any
     hit_distance: Any
+
+
+def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], samples: Any) -> Indirect:
+    """Return the mean over samples, not evaluated yet.
+
+    Parameters
+    ----------
+    take_sample : callable
+        Returns, for the number of a sample, its diffuse and specular radiance, whether it was reflected to see
+        anything (Float, 0 or 1) and the inverse of the distance of what it saw.
+    samples : mitsuba.UInt32
+        How many.
+    """
+
+    def take(index: Any, *sums: Any) -> tuple[Any, ...]:
+        return index + 1, *(total + value for total, value in zip(sums, take_sample(index), strict=True))
+
+    start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0))
+    _, diffuse, specular, hits, inverse = dr.while_loop(start, lambda index, *_: index < samples, take, label="samples")
+    share = dr.rcp(mi.Float(samples))
+    distance = dr.select(inverse > 0, hits / inverse, dr.inf)
+    return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0))
 
 
 class IndirectMethod(Protocol):

@@ -30,6 +30,11 @@ def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
     return rng
 
 
+def draw_point(rng: Any) -> Any:
+    """Return a random point of the unit square."""
+    return mi.Point2f(rng.next_float32(), rng.next_float32())
+
+
 def make_opaque(number: Any) -> Any:
     """Return a whole number as a value that is no part of the compiled code; Dr.Jit's are returned as they are."""
     return number if isinstance(number, mi.UInt32) else dr.opaque(mi.UInt32, int(number) & 0xFFFFFFFF)

@@ -13,15 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, describe_problem, require_integer
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_image_size
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.tracing.paths import weigh
-from lobewise.render.tracing.points import Indirect, Points
-from lobewise.render.tracing.rays import make_opaque, make_rng
+from lobewise.render.materials.dispatch import split_scattering
+from lobewise.render.tracing.light_sampling import Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.points import Indirect, Points, average_samples
+from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 from lobewise.render.virtual_lights.light_paths import LightPaths, LightSet, find_sphere
-from lobewise.render.virtual_lights.shading import Lighting, split_scattering
+from lobewise.render.virtual_lights.shading import Lighting
 
 LIGHTS_PER_SAMPLE = 32
 """Lights that one sample of a pixel sums up."""
@@ -46,9 +47,7 @@ class _Walk:
     share: Any
     depth: Any
     bounces: Any
-    last: Any
-    last_pdf: Any
-    last_delta: Any
+    last: Vertex
     last_cosine: Any
     diffuse: Any
     specular: Any
@@ -114,9 +113,9 @@ class VirtualLights:
         radius: float = 0.0,
         seed: int = 0,
     ) -> None:
-        _require_whole("count", count, 1, MOST_PATHS)
-        _require_whole("max_depth", max_depth, 3, MOST_DEPTH)
-        _require_whole("seed", seed, 0, (1 << 32) - 1)
+        require_integer("count", count, 1, MOST_PATHS)
+        require_integer("max_depth", max_depth, 3, MOST_DEPTH)
+        require_integer("seed", seed, 0, (1 << 32) - 1)
         _require_part("clamp", clamp)
         _require_part("radius", radius)
         self._scene = scene
@@ -179,27 +178,12 @@ class VirtualLights:
         stride = dr.maximum(runs // end, 1)
         first_run = self._choose_run(points.pixel, runs, seed_value)
 
-        def go_on(index: Any, *sums: Any) -> Any:
-            return index < end
-
-        def take(index: Any, diffuse: Any, specular: Any, hits: Any, inverse: Any) -> tuple[Any, ...]:
+        def take(index: Any) -> tuple[Any, Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             walk = self._walk(points, rng, (first_run + index * stride) % runs, runs)
-            return (
-                index + 1,
-                diffuse + walk.diffuse,
-                specular + walk.specular,
-                hits + walk.hit_count,
-                inverse + walk.hit_inverse,
-            )
+            return walk.diffuse, walk.specular, walk.hit_count, walk.hit_inverse
 
-        start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0))
-        _, diffuse, specular, hits, inverse = dr.while_loop(start, go_on, take, label="samples")
-        share = dr.rcp(mi.Float(end))
-        distance = dr.select(inverse > 0, hits / inverse, dr.inf)
-        return Indirect(
-            diffuse=diffuse * share, specular=specular * share, hit_distance=dr.select(hits > 0, distance, 0.0)
-        )
+        return average_samples(take, end)
 
     def find_band_limit(self, points: Points, samples: int) -> float:
         """Return `find_sharpness_limit` of the lights that points see, radians."""
@@ -246,9 +230,7 @@ class VirtualLights:
             share=mi.Color3f(0),
             depth=mi.UInt32(0),
             bounces=mi.UInt32(0),
-            last=dr.zeros(mi.Interaction3f),
-            last_pdf=mi.Float(1),
-            last_delta=mi.Bool(True),
+            last=make_eye(),
             last_cosine=mi.Float(1),
             diffuse=mi.Color3f(0),
             specular=mi.Color3f(0),
@@ -274,28 +256,25 @@ class VirtualLights:
 
     def _visit(self, walk: _Walk, points: Points, run: Any, runs: Any, max_depth: Any) -> None:
         """Add what reaches the next surface of a walk, and choose where to go on."""
-        scene, context = self._scene, mi.BSDFContext()
+        scene = self._scene
         si = dr.select(walk.start, points.si, scene.ray_intersect(walk.ray, ~walk.start))
         later = ~walk.start
-        found = si.is_valid()
+        met = si.is_valid()
 
         # What the first mirror sees.
         walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
-        walk.hit_inverse += dr.select(walk.looks & found, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
+        walk.hit_inverse += dr.select(walk.looks & met, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
 
         # Emitters that are met, if they are not direct light.
-        light = mi.DirectionSample3f(scene, si, walk.last)
-        light_pdf = scene.pdf_emitter_direction(walk.last, light, later & ~walk.last_delta)
-        weight = dr.select(walk.last_delta, 1.0, weigh(walk.last_pdf, light_pdf))
-        emitted = light.emitter.eval(si, later & (walk.bounces >= 2))
+        emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
         self._add(walk, walk.bounces >= 2, emitted * weight, mi.Color3f(0))
 
         # Only the part of the surface's own light that its virtual lights do not bring goes on.
         geometry = walk.last_cosine * dr.abs(dr.dot(si.n, walk.ray.d)) / dr.square(si.t)
         beyond = 1.0 - dr.minimum(self._lighting.bound / geometry, 1.0)
-        kept = dr.select(walk.last_delta, 1.0, beyond if self._compensates else 0.0)
+        kept = dr.select(walk.last.is_delta, 1.0, beyond if self._compensates else 0.0)
         walk.throughput *= dr.select(later, kept, 1.0)
-        walk.active = found & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
+        walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
 
         # Virtual lights.
@@ -308,34 +287,35 @@ class VirtualLights:
         self._add(walk, lit, diffuse + specular, dr.select(walk.bounces == 0, diffuse, 0.0))
 
         # Direct light, which is indirect after the first scattering; and the way on.
-        point = mi.Point2f(walk.rng.next_float32(), walk.rng.next_float32())
-        near = lit & (walk.bounces >= 1)
-        sample, radiance = scene.sample_emitter_direction(si, point, True, near)
-        near &= sample.pdf != 0
-        local = si.to_local(sample.d)
-        choice = walk.rng.next_float32()
-        point = mi.Point2f(walk.rng.next_float32(), walk.rng.next_float32())
-        value, pdf, chosen, factor = bsdf.eval_pdf_sample(context, si, local, choice, point, walk.active)
-        weight = dr.select(sample.delta, 1.0, weigh(sample.pdf, pdf))
-        self._add(walk, near, value * radiance * weight, mi.Color3f(0))
+        light_point, choice, point = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
+        found = scatter(
+            scene,
+            si,
+            bsdf,
+            walk.active,
+            lit=lit & (walk.bounces >= 1),
+            light_point=light_point,
+            choice=choice,
+            point=point,
+            alone=False,
+        )
+        self._add(walk, found.lit, found.value * found.radiance * found.weight, mi.Color3f(0))
 
-        is_delta = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
-        is_null = mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Null)
-        first = (walk.bounces == 0) & ~is_null
+        is_delta = found.is_delta
+        first = (walk.bounces == 0) & ~found.is_null
         if self._compensates:
-            _, share = split_scattering(self._materials, bsdf, si, chosen.wo, walk.active & first & ~is_delta)
+            going = walk.active & first & ~is_delta
+            _, share = split_scattering(self._materials, bsdf, si, found.chosen.wo, going)
             walk.share = dr.select(first, dr.select(is_delta, 0.0, share), walk.share)
         # A ray of a wide lobe goes on for what is compensated, and after the first scattering for emitters.
-        walk.active &= (dr.max(factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
+        walk.active &= (dr.max(found.factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
         walk.looks = walk.active & first & is_delta
-        walk.ray = si.spawn_ray(si.to_world(chosen.wo))
-        walk.throughput *= factor
+        walk.ray = found.ray
+        walk.throughput *= found.factor
         walk.depth += 1
-        walk.bounces += dr.select(is_null, mi.UInt32(0), 1)
-        walk.last = mi.Interaction3f(si)
-        walk.last_pdf = chosen.pdf
-        walk.last_delta = is_delta
-        walk.last_cosine = dr.abs(chosen.wo.z)
+        walk.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
+        walk.last = found.vertex
+        walk.last_cosine = dr.abs(found.chosen.wo.z)
         walk.start = mi.Bool(False)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:
@@ -371,15 +351,6 @@ def find_sharpness_limit(lights: float) -> float:
             describe_problem("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
         )
     return min(1.0 / math.sqrt(2.0 * lights), 1.0)
-
-
-def _require_whole(name: str, value: Any, lowest: int, highest: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-        raise InputError(
-            describe_problem(
-                name, expected=f"an integer from {lowest} to {highest}", got=repr(value), action="pass another"
-            )
-        )
 
 
 def _require_part(name: str, value: Any) -> None:

@@ -6,25 +6,13 @@ from typing import Any
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.materials.split import find_diffuse_share
+from lobewise.render.materials.dispatch import split_scattering
 from lobewise.render.tracing.points import MOST_LAYERS, Points
+from lobewise.render.tracing.rays import draw_point
 from lobewise.render.virtual_lights.light_paths import LightSet, evaluate_towards
 
 _NEAREST = 1e-6
 """Shortest distance, as a part of the largest coordinate; a light within it lies on the point itself."""
-
-
-def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-    """Return ``f cos`` of the smooth lobes and which share of it is diffuse; one visit of each BSDF for both."""
-
-    def scatter(self: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-        material = materials.get(self.ptr)
-        if material is None:
-            return mi.Color3f(0), mi.Color3f(0)
-        value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)
-        return mi.Color3f(value), find_diffuse_share(material, si, wo, active)
-
-    return dr.dispatch(bsdf, scatter, si, wo, active)  # type: ignore[no-any-return]
 
 
 class Lighting:
@@ -182,7 +170,7 @@ class Lighting:
         out = dr.safe_sqrt(down * (2.0 - down))
         sine, cosine = dr.sincos(dr.two_pi * rng.next_float32())
         drawn = mi.Frame3f(towards).to_world(mi.Vector3f(out * cosine, out * sine, 1.0 - down))
-        choice, point = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
+        choice, point = rng.next_float32(), draw_point(rng)
         wo = si.to_local(drawn)
         _, pdf, chosen, _ = bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, choice, point, near)
         is_smooth = ~mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)

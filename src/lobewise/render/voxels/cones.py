@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError, describe_problem, require_integer
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.tracing.points import Indirect, Points
-from lobewise.render.tracing.rays import make_opaque, make_rng
+from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 from lobewise.render.voxels.grid import (
     Faces,
     Floats,
@@ -98,8 +98,8 @@ class VoxelCones:
                     action="pass resolution=128",
                 )
             )
-        _check_range("bounces", bounces, 0, 16)
-        _check_range("light_samples", light_samples, 1, 1024)
+        require_integer("bounces", bounces, 0, 16)
+        require_integer("light_samples", light_samples, 1, 1024)
         self._scene = scene
         self._materials = materials
         self._resolution = resolution
@@ -199,12 +199,6 @@ class VoxelCones:
         return points.surface.specular_albedo - crossing.first, dr.select(crossing.active, through, 0.0)
 
 
-def _check_range(name: str, value: Any, least: int, most: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not least <= value <= most:
-        expected = f"an integer from {least} to {most}"
-        raise InputError(describe_problem(name, expected=expected, got=repr(value), action="pass another"))
-
-
 def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
     """Return the radiance that each side of the hits reflects of the direct light, as if diffuse (Color3f)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(hits))
@@ -217,7 +211,7 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
 
     def take(index: Any, first: Any, second: Any) -> tuple[Any, Any, Any]:
         rng = make_rng(lane, index, mi.UInt32(0))
-        point = mi.Point2f(rng.next_float32(), rng.next_float32())
+        point = draw_point(rng)
         light, radiance = scene.sample_emitter_direction(si, point, True, mi.Bool(True))
         # A place inside a light source gets no number from it.
         arriving = mi.Color3f(radiance) * dr.dot(light.d, hits.normal)

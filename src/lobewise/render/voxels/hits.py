@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError, describe_problem
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.tracing.paths import dispatch_surface
+from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.tracing.rays import make_rng
 from lobewise.render.voxels.refraction import can_refract, refract
 

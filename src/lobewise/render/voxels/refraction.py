@@ -7,6 +7,7 @@ from typing import Any
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.probe import make_context
+from lobewise.render.tracing.rays import draw_point
 
 MOST_BOUNDARIES = 4
 """How many clear surfaces a ray crosses, one after the other."""
@@ -55,7 +56,7 @@ def refract(bsdf: Any, si: Any, rng: Any, active: Any) -> tuple[Any, Any]:
 
     What passes straight, as through a mask, is left to the surface's opacity.
     """
-    point = mi.Point2f(rng.next_float32(), rng.next_float32())
+    point = draw_point(rng)
     chosen, weight = bsdf.sample(make_context(mi.BSDFFlags.Transmission), si, rng.next_float32(), point, active)
     return chosen, dr.select(_bends(chosen.sampled_type), weight, 0.0)
 

@@ -1,0 +1,93 @@
+"""Images from what was summed over the samples of pixels."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from lobewise.frame import FloatArray, GBuffer
+from lobewise.render.tracing.samples import Lobes, Squares, Sums, Totals
+
+
+def to_image(value: Any) -> FloatArray:
+    """Return a Dr.Jit array as NumPy, pixels first: shape (pixels,) or (pixels, channels)."""
+    array = np.array(value, dtype=np.float32)
+    return np.ascontiguousarray(array.T) if array.ndim == 2 else array
+
+
+def finish_hits(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return hit distances (0 unknown, inf nothing seen) and hit positions of a run of pixels."""
+    count = to_image(totals.hit_count) + to_image(guides["mirror_count"])
+    inverse = to_image(totals.hit_inverse) + to_image(guides["mirror_inverse"])
+    position = to_image(totals.hit_position) + to_image(guides["mirror_position"])
+    distance = np.where(count > 0, np.float32(np.inf), np.float32(0))
+    np.divide(count, inverse, out=distance, where=inverse > 0)
+    safe = np.where(inverse > 0, inverse, 1.0)[:, None]
+    return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
+
+
+def finish_seen(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean normals and albedos of what the reflections of a run of pixels see; 0 for misses and unknown.
+
+    A mirror ray that paths would follow further counts only where no sample was reflected.
+    """
+    count = to_image(totals.hit_count)
+    weight = np.where(count > 0, to_image(guides["mirror_ends"]), to_image(guides["mirror_count"]))
+    total = np.maximum(count + weight, 1.0)[:, None]
+    normal = to_image(totals.hit_normal) + weight[:, None] * to_image(guides["mirror_normal"])
+    albedo = to_image(totals.hit_albedo) + weight[:, None] * to_image(guides["mirror_albedo"])
+    return (normal / total).astype(np.float32), np.clip(albedo / total, 0.0, 1.0).astype(np.float32)
+
+
+def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
+    """Return the guides of a run of pixels by their path in `Frame`, pixels first, and ``shape``."""
+    assert sums.totals is not None
+    own = GBuffer.__dataclass_fields__
+    images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
+    images["shape"] = to_image(guides["shape"])
+    images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums.totals, guides)
+    images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums.totals, guides)
+    for name in ("diffuse_albedo", "specular_albedo"):
+        images[f"gbuffer.{name}"] = np.clip(to_image(getattr(sums.totals, name)) / np.float32(spp), 0.0, 1.0)
+    return images
+
+
+def finish_radiance(sums: Sums, spp: int, has_direct: bool) -> dict[str, FloatArray]:
+    """Return radiance, halves and variance of a run of pixels by their path in `Frame`, pixels first.
+
+    A black image of direct light would say that nothing is lit directly, so there is none where it was not asked for.
+    """
+    assert sums.odd is not None and sums.squares is not None and sums.totals is not None
+    even, odd = _to_images(sums.even), _to_images(sums.odd)
+    images = _scale("radiance", Lobes(*(getattr(even, f.name) + getattr(odd, f.name) for f in fields(Lobes))), spp)
+    for name in ("direct", "indirect") if has_direct else ("indirect",):
+        images[f"radiance.{name}"] = to_image(getattr(sums.totals, name)) / np.float32(spp)
+    if spp > 1:
+        images |= _scale("half_a", even, (spp + 1) // 2) | _scale("half_b", odd, spp // 2)
+        for field in fields(Squares):
+            squares = to_image(getattr(sums.squares, field.name))
+            images[f"variance.{field.name}"] = squares / np.float32(spp * (spp - 1))
+    return images
+
+
+def _to_images(lobes: Lobes) -> Lobes:
+    return Lobes(*(to_image(getattr(lobes, field.name)) for field in fields(Lobes)))
+
+
+def _scale(prefix: str, sums: Lobes, count: int) -> dict[str, FloatArray]:
+    """Return the means of sums over a number of samples."""
+    scale = np.float32(1.0 / count)
+    return {f"{prefix}.{name}": getattr(sums, name) * scale for name in ("color", "diffuse", "specular")}
+
+
+def join(tiles: list[dict[str, FloatArray]], width: int, height: int) -> dict[str, FloatArray]:
+    """Return images, (height, width, ...) each, of runs of their pixels one after the other."""
+    whole = {name: np.concatenate([tile[name] for tile in tiles]) for name in tiles[0]}
+    return {name: image.reshape(height, width, *image.shape[1:]) for name, image in whole.items()}
+
+
+def select(images: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    """Return the images whose path begins with a prefix, by the rest of it."""
+    return {name.split(".", 1)[1]: value for name, value in images.items() if name.startswith(prefix + ".")}
