@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 from benchmarks.common import RESULTS, describe_machine, fetch_frame, write_json
 
-from lobewise.io.container import Chunk, Container, Part, Window, read_container
-from lobewise.io.pixels import Pixels, decode_part, encode_part
-from lobewise.io.splice import write_container
+from lobewise.io.exr.container import Chunk, Container, Part, Window
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import Pixels, decode_part, encode_part
+from lobewise.io.exr.splice import write_container
 
 RESULT = RESULTS / "streaming.json"
 SIZE, COPIES = (1920, 1080), 4

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image
-from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
+from lobewise.io.exr.sparse import read_sparse_frame, write_sparse_frame
 from lobewise.metrics import rel_mse
 from lobewise.render import (
     MovingScene,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lobewise.features.base import Feature
     from lobewise.frame import Frame, GBuffer, LobeKind, Radiance, Result
     from lobewise.io.exr import read_frame, write_frame, write_result
-    from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
+    from lobewise.io.exr.sparse import read_sparse_frame, write_sparse_frame
     from lobewise.lobe_table import LobeTable
     from lobewise.settings import DenoiseSettings, TemporalSettings
     from lobewise.sparse_frame import SparseFrame, make_sparse
@@ -72,12 +72,12 @@ _LAZY = {
     "find_unsupported": "lobewise.adaptive",
     "make_sparse": "lobewise.sparse_frame",
     "read_frame": "lobewise.io.exr",
-    "read_sparse_frame": "lobewise.io.sparse",
+    "read_sparse_frame": "lobewise.io.exr.sparse",
     "recompute": "lobewise.adaptive",
     "upsample": "lobewise.upsampling",
     "write_frame": "lobewise.io.exr",
     "write_result": "lobewise.io.exr",
-    "write_sparse_frame": "lobewise.io.sparse",
+    "write_sparse_frame": "lobewise.io.exr.sparse",
 }
 
 

@@ -338,8 +338,8 @@ class TestResult:
         assert json.loads(after[-1][2]) == {"similarity": "sg", "beta": 8.0}
 
         # The latin-1 attribute keeps OpenEXR's own reader from opening the file; ours reads both.
-        from lobewise.io.container import read_container
-        from lobewise.io.pixels import decode_part
+        from lobewise.io.exr.parsing import read_container
+        from lobewise.io.exr.pixels import decode_part
 
         opened = read_container(out)
         pixels = decode_part(opened, opened.parts[0])

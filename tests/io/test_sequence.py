@@ -81,5 +81,5 @@ def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
 
 
 def test_a_folder_that_is_not_there(tmp_path):
-    with pytest.raises(FileError, match="expected a folder that can be read, got No such file"):
+    with pytest.raises(FileError, match="expected a folder that can be read, got no such file"):
         FramePattern.parse(tmp_path / "no" / "a.#.exr").find()

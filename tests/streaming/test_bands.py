@@ -15,7 +15,7 @@ import pytest
 from lobewise.errors import FileError, InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, Result
 from lobewise.io import read_frame, write_frame, write_result
-from lobewise.io.bands import BandReader, BandWriter
+from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
 from lobewise.streaming.plan import cut_bands, widen
 
@@ -192,7 +192,7 @@ def test_bytes_of_a_pixel_are_those_of_its_channels(tmp_path: Path) -> None:
 def test_rows_are_kept_until_they_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_file(tmp_path / "in.exr")
     decoded: list[tuple[int, int]] = []
-    from lobewise.io import bands
+    from lobewise.io.exr import bands
 
     def decode(container: Any, part: Any) -> Any:
         decoded.append((part.data_window.y_min - 5, part.data_window.height))

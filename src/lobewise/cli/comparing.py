@@ -253,8 +253,8 @@ def _find_lacking(path: Path) -> str | None:
 
 def _read_guides(path: Path) -> Guides:
     """Return G-buffer and camera of a file, whether it was shaded sparsely or not."""
-    from lobewise.io.container import read_container
     from lobewise.io.exr import read_whole
+    from lobewise.io.exr.parsing import read_container
 
     lacking = _find_lacking(path)
     if lacking is not None:

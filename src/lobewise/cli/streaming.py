@@ -62,7 +62,7 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
 
 def _is_large(source: Path, settings: dict[str, Any]) -> bool:
     from lobewise.denoising.automatic import ask
-    from lobewise.io.bands import BandReader
+    from lobewise.io.exr.bands import BandReader
     from lobewise.streaming import list_images, needs_bands
 
     asked = ask(None, settings)

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lobewise.errors import FileError
-from lobewise.io.files import PathLike
+from lobewise.io.files import PathLike, read_mask, say_reason
 
 MARK = "lobewise-export.json"
 """The file by which a folder is known to be an earlier export."""
@@ -64,9 +64,7 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
         made.append(temporary)
         yield lambda name: temporary / name
         # A temporary folder is its owner's alone.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
+        temporary.chmod(0o777 & ~read_mask())
         if target.is_dir() and any(target.iterdir()):
             aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
             os.replace(target, aside)
@@ -83,7 +81,7 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
         raise FileError(
             f"output {str(path)!r}",
             expected="a folder that can be written",
-            got=(problem.strerror or str(problem)).lower(),
+            got=say_reason(problem),
             action="choose another or make room",
         ) from problem
     finally:

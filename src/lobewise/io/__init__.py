@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from lobewise.io.describe import FileDescription, describe_file
 from lobewise.io.exr import read_frame, read_image, write_frame, write_image, write_result
-from lobewise.io.sparse import read_sparse_frame, write_sparse_frame
+from lobewise.io.exr.describe import FileDescription, describe_file
+from lobewise.io.exr.sparse import read_sparse_frame, write_sparse_frame
 
 __all__ = [
     "FileDescription",

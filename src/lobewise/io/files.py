@@ -15,8 +15,8 @@ from lobewise.errors import FileError
 PathLike = str | os.PathLike[str]
 
 
-def require_readable(path: PathLike, *, what: str = "input") -> Path:
-    """Return ``path`` if it names a regular file that is not empty and can be opened.
+def require_readable(path: PathLike, *, what: str = "input", holds: str = "an image") -> Path:
+    """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
 
     Raises
     ------
@@ -24,28 +24,42 @@ def require_readable(path: PathLike, *, what: str = "input") -> Path:
         If it does not exist, is a directory or a device, is empty, or may not be read.
     """
     file = Path(path)
-    name = f"{what} {str(file)!r}"
     try:
         mode = file.stat()
         if stat.S_ISDIR(mode.st_mode):
-            raise FileError(name, expected="a file", got="a directory", action="name a file in it")
-        if not stat.S_ISREG(mode.st_mode):
-            raise FileError(name, expected="a regular file", got="a device or pipe", action="copy it to a file")
-        if mode.st_size == 0:
-            raise FileError(name, expected="an image", got="an empty file of 0 bytes", action="write it again")
-        with file.open("rb"):
-            pass
+            expected, got, action = "a file", "a directory", "name a file in it"
+        elif not stat.S_ISREG(mode.st_mode):
+            expected, got, action = "a regular file", "a device or pipe", "copy it to a file"
+        elif mode.st_size == 0:
+            expected, got, action = holds, "an empty file of 0 bytes", "write it again"
+        else:
+            with file.open("rb"):
+                return file
     except FileNotFoundError:
         near = _find_sibling(file)
-        raise FileError(
-            name,
-            expected="an existing file",
-            got="no such file",
-            action=f"did you mean {near!r}?" if near else "check the path",
-        ) from None
+        expected, got = "an existing file", "no such file"
+        action = f"did you mean {near!r}?" if near else "check the path"
     except (OSError, ValueError) as problem:
-        raise FileError(name, expected="a readable file", got=_say_reason(problem), action="check the path") from None
-    return file
+        expected, got, action = "a readable file", say_reason(problem), "check the path"
+    raise FileError(f"{what} {str(file)!r}", expected=expected, got=got, action=action)
+
+
+def read_bytes(path: PathLike, limit: int, *, holds: str) -> bytes:
+    """Return at most ``limit`` bytes of a file that should hold ``holds``.
+
+    Raises
+    ------
+    FileError
+        As `require_readable`, or if the disk refuses.
+    """
+    file = require_readable(path, holds=holds)
+    try:
+        with file.open("rb") as stream:
+            return stream.read(limit)
+    except OSError as problem:
+        raise FileError(
+            f"input {str(file)!r}", expected="a readable file", got=say_reason(problem), action="check the disk"
+        ) from problem
 
 
 def require_writable(path: PathLike, *, what: str = "output") -> Path:
@@ -58,17 +72,15 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
     FileError
         If it is a directory or a device, its folder does not exist, or may not be written to.
     """
-    name = f"{what} {str(path)!r}"
     try:
         target = Path(os.path.realpath(path))
-        if target.is_dir():
-            raise FileError(name, expected="a file name", got="a directory", action="name a file in it")
-        if target.exists() and not target.is_file():
-            raise FileError(
-                name, expected="a regular file", got="a device or pipe", action="name a file that can be replaced"
-            )
         folder = target.parent
-        if not folder.exists():
+        expected = "a path that can be written"
+        if target.is_dir():
+            expected, got, action = "a file name", "a directory", "name a file in it"
+        elif target.exists() and not target.is_file():
+            expected, got, action = "a regular file", "a device or pipe", "name a file that can be replaced"
+        elif not folder.exists():
             got, action = f"no folder {str(folder)!r}", "create it first"
         elif not folder.is_dir():
             got, action = f"{str(folder)!r}, which is not a folder", "choose another folder"
@@ -77,8 +89,8 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
         else:
             return target
     except (OSError, ValueError) as problem:
-        got, action = _say_reason(problem), "choose another path"
-    raise FileError(name, expected="a path that can be written", got=got, action=action)
+        expected, got, action = "a path that can be written", say_reason(problem), "choose another path"
+    raise FileError(f"{what} {str(path)!r}", expected=expected, got=got, action=action)
 
 
 def make_folder(path: PathLike, *, what: str = "output") -> Path:
@@ -96,7 +108,7 @@ def make_folder(path: PathLike, *, what: str = "output") -> Path:
         raise FileError(
             f"{what} {str(path)!r}",
             expected="a folder that can be made",
-            got=_say_reason(problem),
+            got=say_reason(problem),
             action="choose another folder",
         ) from None
     require_writable(folder / "file", what=what)
@@ -156,7 +168,7 @@ def _refuse(name: str, problem: OSError) -> FileError:
     return FileError(
         name,
         expected="a path that can be written",
-        got=_say_reason(problem),
+        got=say_reason(problem),
         action="choose another path or make room",
     )
 
@@ -185,7 +197,8 @@ def _find_sibling(file: Path) -> str | None:
     return str(file.parent / near[0]) if near else None
 
 
-def _say_reason(problem: OSError | ValueError) -> str:
+def say_reason(problem: OSError | ValueError) -> str:
+    """Return what the system has to say, without its capital letter."""
     reason = getattr(problem, "strerror", None) or str(problem)
     return reason[:1].lower() + reason[1:]
 
@@ -195,10 +208,14 @@ def _choose_mode(target: Path) -> int:
     try:
         return stat.S_IMODE(target.stat().st_mode)
     except OSError:
-        # The mask can only be read by setting it.
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask
+        return 0o666 & ~read_mask()
+
+
+def read_mask() -> int:
+    """Return the permissions that new files and folders do not get; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def _sync_folder(folder: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from lobewise.errors import FileError, InputError
 from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
-from lobewise.io.files import PathLike, open_atomic, require_readable, write_text
+from lobewise.io.files import PathLike, open_atomic, read_bytes, write_text
 from lobewise.lobe_table import LobeTable
 
 FORMAT = "lobewise lobes"
@@ -32,7 +32,7 @@ def read_merl(path: PathLike) -> MerlBrdf:
         If it cannot be read, or is not a whole MERL file with measurements; see `parse_merl`.
     """
     # One byte more than there should be is enough to see that something follows.
-    data = _read_bytes(path, FILE_BYTES + 1, expected="a MERL table")
+    data = read_bytes(path, FILE_BYTES + 1, holds="a MERL table")
     try:
         return parse_merl(data, Path(path).stem)
     except FileError as problem:
@@ -59,7 +59,7 @@ def read_lobe_table(path: PathLike) -> LobeTable:
     FileError
         If it cannot be read, is no lobe file, is of another version, or holds values that no table can have.
     """
-    data = _read_bytes(path, _MAX_BYTES, expected="a lobe table")
+    data = read_bytes(path, _MAX_BYTES, holds="a lobe table")
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError:
@@ -137,23 +137,3 @@ def _to_lists(array: Any) -> Any:
     if array.ndim == 0:
         return float(str(array))
     return [_to_lists(part) for part in array]
-
-
-def _read_bytes(path: PathLike, limit: int, *, expected: str) -> bytes:
-    """Return at most ``limit`` bytes of a file that exists and is not empty."""
-    file = Path(path)
-    if file.is_file() and file.stat().st_size == 0:
-        raise FileError(
-            f"input {str(file)!r}", expected=expected, got="an empty file of 0 bytes", action="write it again"
-        )
-    file = require_readable(file)
-    try:
-        with file.open("rb") as stream:
-            return stream.read(limit)
-    except OSError as problem:
-        raise FileError(
-            f"input {str(file)!r}",
-            expected="a readable file",
-            got=(problem.strerror or str(problem)).lower(),
-            action="check the disk",
-        ) from problem

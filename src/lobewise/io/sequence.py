@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lobewise.errors import FileError, InputError
-from lobewise.io.files import PathLike
+from lobewise.io.files import PathLike, say_reason
 
 # The run of digits: signs as Blender writes them, or a number's format as C and ffmpeg write it.
 _RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
@@ -84,7 +84,7 @@ class FramePattern:
             raise FileError(
                 f"sequence {str(self)!r}",
                 expected="a folder that can be read",
-                got=getattr(problem, "strerror", None) or str(problem),
+                got=say_reason(problem),
                 action="check the path",
             ) from None
         # More digits than the pattern has are a large number, unless they begin with a zero.

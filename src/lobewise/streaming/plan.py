@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from lobewise.denoising.recipe import find_reach
-from lobewise.io.bands import BandReader
+from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 
 GIB = float(2**30)

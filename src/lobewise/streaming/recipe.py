@@ -22,7 +22,7 @@ from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
-from lobewise.io.bands import BandReader, BandWriter
+from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings

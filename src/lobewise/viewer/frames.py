@@ -16,10 +16,11 @@ from lobewise.denoising.bad_pixels import find_good
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.views import SHARPEST
-from lobewise.io.container import read_container
-from lobewise.io.exr import read_frame, require_beauty, write_frame, write_result
-from lobewise.io.schema import SPARSE
-from lobewise.io.sparse import read_sparse_frame
+from lobewise.io.exr import read_frame, write_frame, write_result
+from lobewise.io.exr.layout import require_beauty
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.schema import SPARSE
+from lobewise.io.exr.sparse import read_sparse_frame
 from lobewise.lobes.field import build_lobe_field, default_tau
 from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame

@@ -12,23 +12,28 @@ from __future__ import annotations
 import io
 import os
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 from lobewise.errors import FileError
+from lobewise.io.exr.container import (
+    COMPRESSIONS,
+    DEEP,
+    LONG_NAMES,
+    MAGIC,
+    MULTIPART,
+    PIXEL_TYPES,
+    TILED,
+    Attribute,
+    Channel,
+    Chunk,
+    Container,
+    Part,
+    Window,
+    show_name,
+)
 from lobewise.io.files import PathLike, require_readable
-
-MAGIC = b"\x76\x2f\x31\x01"
-TILED, LONG_NAMES, DEEP, MULTIPART = 0x200, 0x400, 0x800, 0x1000
-
-# Rows in one chunk, by the value of the attribute `compression`.
-COMPRESSIONS = {
-    0: ("none", 1), 1: ("rle", 1), 2: ("zips", 1), 3: ("zip", 16), 4: ("piz", 32), 5: ("pxr24", 16), 6: ("b44", 32),
-    7: ("b44a", 32), 8: ("dwaa", 32), 9: ("dwab", 256), 10: ("htj2k256", 256), 11: ("htj2k32", 32),
-    12: ("lj2k", 256), 13: ("zstd", 1),
-}  # fmt: skip
-PIXEL_TYPES = ("uint", "half", "float")
 
 # A window beyond this is taken for damage: 2^28 pixels are 16384 x 16384.
 MAX_PIXELS = 2**28
@@ -37,119 +42,6 @@ MAX_TILE = 2**22
 # No renderer comes near; a damaged length must not make the reader walk through gigabytes.
 MAX_ATTRIBUTES = 65536
 MAX_NAME = 255
-
-
-@dataclass(frozen=True)
-class Attribute:
-    """One header attribute as its bytes; names keep undecodable bytes as surrogates."""
-
-    name: str
-    type: str
-    value: bytes
-
-    def pack(self) -> bytes:
-        """Return the attribute as it stands in a file."""
-        return _pack_name(self.name) + _pack_name(self.type) + struct.pack("<i", len(self.value)) + self.value
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One channel of a part: ``pixel_type`` is ``uint``, ``half`` or ``float``."""
-
-    name: str
-    pixel_type: str
-    linear: bool
-    x_sampling: int
-    y_sampling: int
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Where one chunk lies in the file: ``offset`` and ``size`` without the part number that multi-part files add."""
-
-    index: int
-    offset: int
-    size: int
-
-
-@dataclass(frozen=True)
-class Window:
-    """Inclusive pixel bounds."""
-
-    x_min: int
-    y_min: int
-    x_max: int
-    y_max: int
-
-    @property
-    def width(self) -> int:
-        """Columns."""
-        return self.x_max - self.x_min + 1
-
-    @property
-    def height(self) -> int:
-        """Rows."""
-        return self.y_max - self.y_min + 1
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of a file."""
-
-    index: int
-    attributes: tuple[Attribute, ...]
-    tiled: bool
-    deep: bool
-    channels: tuple[Channel, ...]
-    compression: str
-    data_window: Window
-    display_window: Window
-    levels: int
-    chunks: tuple[Chunk, ...]
-    tiles_above: int = 0
-    """Rows of tiles that lie above, where this is cut from a taller part."""
-
-    @property
-    def rows_per_chunk(self) -> int:
-        """Rows that a chunk has, the last ones perhaps less."""
-        if not self.tiled:
-            return next(rows for name, rows in COMPRESSIONS.values() if name == self.compression)
-        tiles = self.get("tiles")
-        assert tiles is not None  # checked when the header was read
-        return int.from_bytes(tiles.value[4:8], "little")
-
-    @property
-    def name(self) -> str:
-        """The part's name, empty where it has none."""
-        return self.get_text("name")
-
-    @property
-    def view(self) -> str:
-        """The part's view, for example ``left``; empty where it has none."""
-        return self.get_text("view")
-
-    def get(self, name: str) -> Attribute | None:
-        """Return the attribute ``name``, or None."""
-        return next((item for item in self.attributes if item.name == name), None)
-
-    def get_text(self, name: str) -> str:
-        """Return the text of a string attribute, empty where it is missing."""
-        attribute = self.get(name)
-        return attribute.value.decode("utf-8", "replace") if attribute and attribute.type == "string" else ""
-
-
-@dataclass(frozen=True)
-class Container:
-    """The structure of a file."""
-
-    path: Path
-    version: int
-    parts: tuple[Part, ...]
-
-    @property
-    def multipart(self) -> bool:
-        """Whether the file is written in the multi-part form, even with one part."""
-        return bool(self.version & MULTIPART)
 
 
 class _Damaged(Exception):
@@ -193,10 +85,6 @@ def parse_bytes(data: bytes) -> Container:
         return _parse(Path("memory"), io.BytesIO(data))
     except _Damaged as problem:
         raise FileError("image", expected="a whole OpenEXR file", got=str(problem), action="write it again") from None
-
-
-def _pack_name(name: str) -> bytes:
-    return name.encode("utf-8", "surrogateescape") + b"\0"
 
 
 class _Reader:
@@ -247,7 +135,7 @@ def _parse(path: Path, stream: BinaryIO) -> Container:
     for _, count in parts:
         tables.append(struct.unpack(f"<{count}Q", reader.take(8 * count, "the table of chunks")))
     done = tuple(
-        _with_chunks(part, _locate_chunks(reader, part, table, multipart=bool(version & MULTIPART)))
+        replace(part, chunks=_locate_chunks(reader, part, table, multipart=bool(version & MULTIPART)))
         for (part, _), table in zip(parts, tables, strict=True)
     )
     return Container(path=path, version=version, parts=done)
@@ -390,42 +278,6 @@ def _locate_chunks(reader: _Reader, part: Part, table: tuple[int, ...], *, multi
             raise _Damaged(f"a truncated file of {reader.size} bytes: chunk {index + 1} of {len(table)} is cut off")
         chunks.append(Chunk(index, start, leader + size))
     return tuple(chunks)
-
-
-def _with_chunks(part: Part, chunks: tuple[Chunk, ...]) -> Part:
-    return replace(part, chunks=chunks)
-
-
-def crop_part(part: Part, first: int, stop: int) -> Part:
-    """Return the rows from ``first`` to before ``stop`` as a part of its own, of one resolution.
-
-    ``first`` counts from the top of the data window and is a multiple of `Part.rows_per_chunk`; so is ``stop``, or it
-    is the height.
-    """
-    window, rows, tiles = part.data_window, part.rows_per_chunk, part.get("tiles")
-    above, below, across = first // rows, -(-stop // rows), 1
-    cut = replace(window, y_min=window.y_min + first, y_max=window.y_min + stop - 1)
-    changed = {"dataWindow": struct.pack("<4i", cut.x_min, cut.y_min, cut.x_max, cut.y_max)}
-    if part.tiled and tiles is not None:
-        across = -(-window.width // int.from_bytes(tiles.value[:4], "little"))
-        # The mode in the last byte: one level. That of the whole image comes first in the table.
-        changed["tiles"] = tiles.value[:8] + b"\0"
-    return replace(
-        part,
-        attributes=tuple(replace(item, value=changed.get(item.name, item.value)) for item in part.attributes),
-        data_window=cut,
-        levels=1,
-        chunks=tuple(
-            replace(chunk, index=chunk.index - above * across) for chunk in part.chunks[above * across : below * across]
-        ),
-        tiles_above=above if part.tiled else 0,
-    )
-
-
-def show_name(name: str) -> str:
-    """Return a name from a file so that any terminal can show it, and none obeys it."""
-    shown = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in name)
-    return shown if len(shown) <= 80 else shown[:77] + "..."
 
 
 def _say(name: str) -> str:

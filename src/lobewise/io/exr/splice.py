@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
 from lobewise.errors import FileError
-from lobewise.io.container import LONG_NAMES, MAGIC, TILED, Attribute, Chunk, Container, Part
+from lobewise.io.exr.container import LONG_NAMES, MAGIC, TILED, Attribute, Chunk, Container, Part
 
 
 def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:

@@ -15,24 +15,23 @@ import numpy as np
 
 from lobewise.errors import FileError
 from lobewise.frame import FloatArray, Frame
-from lobewise.io.container import Part, crop_part, read_container, show_name
-from lobewise.io.exr import (
-    make_headers,
+from lobewise.io.exr.container import Part, crop_part, show_name
+from lobewise.io.exr.header import make_headers, read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.layout import (
+    build_frame,
     make_images,
     name_file,
     plan_reading,
     plan_writing,
     put_images,
-    read_camera,
-    read_lobe_tables,
-    read_spp,
     require_beauty,
     require_shaded,
 )
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import Pixels, decode_part, encode_part, require_encodable
+from lobewise.io.exr.schema import Slot
+from lobewise.io.exr.splice import shift_tiles, write_container
 from lobewise.io.files import PathLike, open_atomic
-from lobewise.io.pixels import Pixels, decode_part, encode_part, require_encodable
-from lobewise.io.schema import Slot, build_frame
-from lobewise.io.splice import shift_tiles, write_container
 from lobewise.lobe_table import LobeTable
 
 SLAB_ROWS = 64
@@ -136,7 +135,7 @@ class BandReader:
                 images |= make_images([slot], self._read(part, slot.channels, first, stop))
         camera = None if self.camera is None else self.camera.crop_rows(first, self.shape[0])
         with name_file(self.container.path):
-            return build_frame(dict(images), camera, self.spp, self.lobe_tables)
+            return build_frame(images, camera, self.spp, self.lobe_tables)
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
         """Return rows of every channel of a part that is kept, in the types that they were stored in."""
@@ -263,8 +262,7 @@ class BandWriter:
         each.row = stop
 
     def _list_chunks(self, each: _Written) -> Iterator[tuple[int, bytes]]:
-        order = each.part.get("lineOrder")
-        falling = order is not None and order.value[0] == DECREASING
+        falling = each.part.line_order == DECREASING
         for batch in reversed(each.batches) if falling else each.batches:
             for index, place, size in batch:
                 self._spool.seek(place)

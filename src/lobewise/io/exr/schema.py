@@ -5,11 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.io.container import Part
-from lobewise.lobe_table import LobeTable
-
 SCHEMA_VERSION = 1
 SCHEMA = "lobewise/schema"
 SPP = "lobewise/spp"
@@ -19,17 +14,6 @@ CAMERA = "lobewise/camera/"
 DENOISED = "lobewise/denoised"
 LOBES = "lobewise/lobes/"
 """Followed by the number of the material, from 1."""
-
-# Attributes that tell a file of another renderer, whose channels of the same name may mean another thing:
-# `diffuse` is lit radiance in one and albedo in the next, `normal` is in world space here and camera space there.
-FOREIGN = {
-    "vrayInfo/": "V-Ray",
-    "arnold/": "Arnold",
-    "cycles.": "Blender Cycles",
-    "unreal/": "Unreal Engine",
-    "rman_": "RenderMan",
-    "PixarRenderMan": "RenderMan",
-}
 
 
 @dataclass(frozen=True)
@@ -126,47 +110,3 @@ def _make_slots() -> Iterable[Slot]:
 
 SLOTS: tuple[Slot, ...] = tuple(_make_slots())
 BEAUTY = SLOTS[0]
-
-
-def find_foreign(parts: Iterable[Part]) -> str | None:
-    """Return the name of the other renderer that wrote a file, if an attribute tells and the file is not ours."""
-    names = [item.name for part in parts for item in part.attributes]
-    if SCHEMA in names:
-        return None
-    for mark, renderer in FOREIGN.items():
-        if any(name.startswith(mark) for name in names):
-            return renderer
-    return None
-
-
-def find_beauty(parts: Iterable[Part]) -> Part | None:
-    """Return the part that holds the image: the first with channels R, G and B and one value per pixel."""
-    for part in parts:
-        names = {channel.name for channel in part.channels if channel.x_sampling == channel.y_sampling == 1}
-        if not part.deep and names.issuperset(BEAUTY.channels):
-            return part
-    return None
-
-
-def build_frame(
-    images: dict[tuple[str, str], object],
-    camera: Camera | None,
-    spp: int | None,
-    lobe_tables: tuple[LobeTable, ...] = (),
-) -> Frame:
-    """Return the frame of images that are keyed by (owner, field)."""
-
-    def collect(owner: str) -> dict[str, object]:
-        return {field: image for (who, field), image in images.items() if who == owner}
-
-    copies = {owner: collect(owner) for owner in _COPIES}
-    return Frame(
-        radiance=Radiance(**copies["radiance"]),  # type: ignore[arg-type]  # checked by the class itself
-        gbuffer=GBuffer(**collect("gbuffer")),  # type: ignore[arg-type]  # checked by the class itself
-        camera=camera,
-        half_a=Radiance(**copies["half_a"]) if copies["half_a"] else None,  # type: ignore[arg-type]  # the same
-        half_b=Radiance(**copies["half_b"]) if copies["half_b"] else None,  # type: ignore[arg-type]  # the same
-        variance=Radiance(**copies["variance"]) if copies["variance"] else None,  # type: ignore[arg-type]  # the same
-        spp=spp,
-        lobe_tables=lobe_tables,
-    )

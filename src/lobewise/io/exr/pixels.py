@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import FileError
-from lobewise.io.container import COMPRESSIONS, Container, Part, parse_bytes, show_name
-from lobewise.io.splice import pack_part
+from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, show_name
+from lobewise.io.exr.parsing import parse_bytes
+from lobewise.io.exr.splice import pack_part
 
 Pixels = NDArray[Any]
 
@@ -77,7 +78,7 @@ def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) 
     """
     require_encodable(container, part)
     header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
-    header["lineOrder"] = (part.get("lineOrder") or _missing("lineOrder")).value[0]
+    header["lineOrder"] = part.line_order
     data = encode_file(header, pixels, part=part)
     made = parse_bytes(data).parts[0]
     ordered = sorted(made.chunks, key=lambda chunk: chunk.offset)
@@ -114,10 +115,8 @@ def encode_file(
     if "lineOrder" in full:
         full["lineOrder"] = OpenEXR.LineOrder(full["lineOrder"])
     if part and part.tiled:
-        tiles = (part.get("tiles") or _missing("tiles")).value
         full["tiles"] = OpenEXR.TileDescription()
-        full["tiles"].xSize = int.from_bytes(tiles[:4], "little")
-        full["tiles"].ySize = int.from_bytes(tiles[4:8], "little")
+        full["tiles"].xSize, full["tiles"].ySize = part.tile_size
     linear = {channel.name: channel.linear for channel in part.channels} if part else {}
     channels = {
         # The library reads past strides: an array that is not contiguous would be written scrambled.
@@ -146,15 +145,8 @@ def _load_library() -> Any:
     return OpenEXR
 
 
-def _pair(window: Any) -> tuple[Pixels, Pixels]:
-    return (
-        np.array([window.x_min, window.y_min], dtype=np.int32),
-        np.array([window.x_max, window.y_max], dtype=np.int32),
-    )
-
-
-def _missing(name: str) -> Any:
-    raise FileError("input", expected=f"the attribute {name!r}", got="none", action="render or copy it again")
+def _pair(window: Window) -> tuple[Pixels, Pixels]:
+    return np.array([window.x_min, window.y_min], np.int32), np.array([window.x_max, window.y_max], np.int32)
 
 
 @contextmanager

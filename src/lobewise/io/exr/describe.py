@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
-from lobewise.io.container import Attribute, Container, Part, Window, read_container, show_name
-from lobewise.io.exr import plan_reading, read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.container import Attribute, Container, Part, Window, show_name
+from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.layout import find_beauty, find_foreign, plan_reading
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
 from lobewise.io.files import PathLike
-from lobewise.io.schema import CAMERA, SLOTS, SPP, find_beauty, find_foreign
 from lobewise.lobe_table import LobeTable
 
 _LAYOUTS = {

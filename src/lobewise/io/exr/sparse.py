@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.io.container import read_container
-from lobewise.io.exr import read_whole, require_beauty, write_frame
+from lobewise.io.exr.frames import read_whole, write_frame
+from lobewise.io.exr.layout import name_file, require_beauty
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.schema import SPARSE
 from lobewise.io.files import PathLike
-from lobewise.io.schema import SPARSE
 from lobewise.sparse_frame import SparseFrame, make_sparse
 
 
@@ -44,10 +45,8 @@ def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[
     if scale is None:
         scale, place = int(words[0]), place or (int(words[1]), int(words[2]))
     frame = read_whole(path, container)
-    try:
+    with name_file(path):
         return make_sparse(frame, scale, place or (0, 0))
-    except LobewiseError as problem:
-        raise type(problem)(f"input {str(path)!r}: {problem}") from None
 
 
 def write_sparse_frame(path: PathLike, frame: SparseFrame, *, half: bool = True, compression: str = "zip") -> None:

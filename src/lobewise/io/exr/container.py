@@ -1,0 +1,180 @@
+"""The structure of an OpenEXR file: parts, headers, attributes and where the chunks lie."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+MAGIC = b"\x76\x2f\x31\x01"
+TILED, LONG_NAMES, DEEP, MULTIPART = 0x200, 0x400, 0x800, 0x1000
+
+# Rows in one chunk, by the value of the attribute `compression`.
+COMPRESSIONS = {
+    0: ("none", 1), 1: ("rle", 1), 2: ("zips", 1), 3: ("zip", 16), 4: ("piz", 32), 5: ("pxr24", 16), 6: ("b44", 32),
+    7: ("b44a", 32), 8: ("dwaa", 32), 9: ("dwab", 256), 10: ("htj2k256", 256), 11: ("htj2k32", 32),
+    12: ("lj2k", 256), 13: ("zstd", 1),
+}  # fmt: skip
+PIXEL_TYPES = ("uint", "half", "float")
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """One header attribute as its bytes; names keep undecodable bytes as surrogates."""
+
+    name: str
+    type: str
+    value: bytes
+
+    def pack(self) -> bytes:
+        """Return the attribute as it stands in a file."""
+        return _pack_name(self.name) + _pack_name(self.type) + struct.pack("<i", len(self.value)) + self.value
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a part: ``pixel_type`` is ``uint``, ``half`` or ``float``."""
+
+    name: str
+    pixel_type: str
+    linear: bool
+    x_sampling: int
+    y_sampling: int
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Where one chunk lies in the file: ``offset`` and ``size`` without the part number that multi-part files add."""
+
+    index: int
+    offset: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Window:
+    """Inclusive pixel bounds."""
+
+    x_min: int
+    y_min: int
+    x_max: int
+    y_max: int
+
+    @property
+    def width(self) -> int:
+        """Columns."""
+        return self.x_max - self.x_min + 1
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.y_max - self.y_min + 1
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a file."""
+
+    index: int
+    attributes: tuple[Attribute, ...]
+    tiled: bool
+    deep: bool
+    channels: tuple[Channel, ...]
+    compression: str
+    data_window: Window
+    display_window: Window
+    levels: int
+    chunks: tuple[Chunk, ...]
+    tiles_above: int = 0
+    """Rows of tiles that lie above, where this is cut from a taller part."""
+
+    @property
+    def rows_per_chunk(self) -> int:
+        """Rows that a chunk has, the last ones perhaps less."""
+        if self.tiled:
+            return self.tile_size[1]
+        return next(rows for name, rows in COMPRESSIONS.values() if name == self.compression)
+
+    @property
+    def tile_size(self) -> tuple[int, int]:
+        """Columns and rows of a tile; of a part with tiles alone."""
+        columns, rows = struct.unpack_from("<II", self._require("tiles"))
+        return columns, rows
+
+    @property
+    def line_order(self) -> int:
+        """Whether chunks lie from top to bottom (0), from bottom to top (1) or anyhow (2)."""
+        return self._require("lineOrder")[0]
+
+    @property
+    def name(self) -> str:
+        """The part's name, empty where it has none."""
+        return self.get_text("name")
+
+    @property
+    def view(self) -> str:
+        """The part's view, for example ``left``; empty where it has none."""
+        return self.get_text("view")
+
+    def get(self, name: str) -> Attribute | None:
+        """Return the attribute ``name``, or None."""
+        return next((item for item in self.attributes if item.name == name), None)
+
+    def _require(self, name: str) -> bytes:
+        """Return an attribute whose presence and size were checked when the header was read."""
+        return next(item.value for item in self.attributes if item.name == name)
+
+    def get_text(self, name: str) -> str:
+        """Return the text of a string attribute, empty where it is missing."""
+        attribute = self.get(name)
+        return attribute.value.decode("utf-8", "replace") if attribute and attribute.type == "string" else ""
+
+
+@dataclass(frozen=True)
+class Container:
+    """The structure of a file."""
+
+    path: Path
+    version: int
+    parts: tuple[Part, ...]
+
+    @property
+    def multipart(self) -> bool:
+        """Whether the file is written in the multi-part form, even with one part."""
+        return bool(self.version & MULTIPART)
+
+
+def _pack_name(name: str) -> bytes:
+    return name.encode("utf-8", "surrogateescape") + b"\0"
+
+
+def crop_part(part: Part, first: int, stop: int) -> Part:
+    """Return the rows from ``first`` to before ``stop`` as a part of its own, of one resolution.
+
+    ``first`` counts from the top of the data window and is a multiple of `Part.rows_per_chunk`; so is ``stop``, or it
+    is the height.
+    """
+    window, rows = part.data_window, part.rows_per_chunk
+    above, below, across = first // rows, -(-stop // rows), 1
+    cut = replace(window, y_min=window.y_min + first, y_max=window.y_min + stop - 1)
+    changed = {"dataWindow": struct.pack("<4i", cut.x_min, cut.y_min, cut.x_max, cut.y_max)}
+    if part.tiled:
+        across = -(-window.width // part.tile_size[0])
+        # The mode in the last byte: one level. That of the whole image comes first in the table.
+        changed["tiles"] = struct.pack("<IIB", *part.tile_size, 0)
+    return replace(
+        part,
+        attributes=tuple(replace(item, value=changed.get(item.name, item.value)) for item in part.attributes),
+        data_window=cut,
+        levels=1,
+        chunks=tuple(
+            replace(chunk, index=chunk.index - above * across) for chunk in part.chunks[above * across : below * across]
+        ),
+        tiles_above=above if part.tiled else 0,
+    )
+
+
+def show_name(name: str) -> str:
+    """Return a name from a file so that any terminal can show it, and none obeys it."""
+    shown = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in name)
+    return shown if len(shown) <= 80 else shown[:77] + "..."

@@ -1,0 +1,203 @@
+"""Frames as OpenEXR files: read, write, and write back into a copy of the input; every write is all or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lobewise.errors import InputError, require_choice
+from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.io.exr.container import Container
+from lobewise.io.exr.header import describe_camera, make_headers, read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.layout import (
+    MAX_HALF,
+    build_frame,
+    join_planes,
+    make_images,
+    name_file,
+    plan_reading,
+    plan_writing,
+    put_images,
+    require_beauty,
+    require_shaded,
+)
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import Pixels, decode_part, encode_file, encode_part
+from lobewise.io.exr.schema import BEAUTY, LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
+from lobewise.io.exr.splice import write_container
+from lobewise.io.files import PathLike, open_atomic, require_writable
+from lobewise.io.materials import lobe_table_to_json
+from lobewise.lobe_table import LobeTable
+
+# Below this a half loses relative precision.
+MIN_NORMAL_HALF = 2.0**-14
+
+
+def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
+    """Return the frame of an EXR file in lobewise's own channel names (``docs/conventions.md``).
+
+    Pixels that are NaN, infinite or negative come through as they are. Of a multi-part file the first part with
+    channels R, G and B is the image; further channels may stand in it or in other parts with the same data window.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    lobe_tables : sequence of LobeTable, optional
+        What the channel ``material.I`` counts, in place of the tables in the file's header.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is none.
+    MissingChannelError
+        If there is no R, G and B, or an image has only some of its channels.
+    InputError
+        If the camera in the header makes no sense, or a pixel names a lobe table that is not there.
+    """
+    container = read_container(path)
+    require_shaded(container)
+    return read_whole(path, container, lobe_tables)
+
+
+def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
+    """Return every pixel of a file, shaded or not; see `read_frame`."""
+    beauty = require_beauty(container)
+    images: dict[tuple[str, str], FloatArray] = {}
+    for part, slots in plan_reading(container, beauty):
+        images |= make_images(slots, decode_part(container, part))
+    with name_file(path):
+        tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
+        return build_frame(images, read_camera(beauty), read_spp(beauty), tables)
+
+
+def read_image(path: PathLike) -> FloatArray:
+    """Return only the image of any EXR file with channels R, G and B: float32, shape (height, width, 3).
+
+    Raises
+    ------
+    FileError
+        If the file is missing, unreadable, damaged, truncated or of zero size.
+    MissingChannelError
+        If there is no R, G and B.
+    """
+    container = read_container(path)
+    pixels = decode_part(container, require_beauty(container))
+    return join_planes([pixels[name] for name in BEAUTY.channels])
+
+
+def write_frame(
+    path: PathLike,
+    frame: Frame,
+    *,
+    half: bool = True,
+    compression: str = "zip",
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write a frame in lobewise's own channel names, with its camera, sample count and lobe tables in the header.
+
+    Parameters
+    ----------
+    path : path-like
+        The output; replaced in one step, or left as it was on failure.
+    frame : Frame
+        What to write.
+    half : bool
+        Whether radiance, variance and albedo may be stored as 16-bit floats where their range permits: no finite
+        value beyond 65504, and for variance none between 0 and 6.1e-5. Geometry is always stored as 32-bit floats. With
+        False the file holds the frame exactly.
+    compression : str
+        One of ``none, rle, zips, zip, piz, zstd``: those that lose nothing.
+    attributes : mapping of str to str, optional
+        Further header attributes.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written.
+    InputError
+        If the compression is unknown.
+    """
+    require_choice("compression", compression, ("none", "rle", "zips", "zip", "piz", "zstd"))
+    require_writable(path)
+    pixels: dict[str, Pixels] = {}
+    for slot in SLOTS:
+        owner = getattr(frame, slot.owner)
+        image = None if owner is None else getattr(owner, slot.field)
+        if image is None:
+            continue
+        narrow = half and _fits_half(image, slot.kind)
+        planes = image.reshape(*image.shape[:2], -1).astype(np.float16 if narrow else np.float32)
+        pixels.update({name: planes[..., index] for index, name in enumerate(slot.channels)})
+    header: dict[str, Any] = {SCHEMA: SCHEMA_VERSION, **(attributes or {})}
+    if frame.spp is not None:
+        header[SPP] = frame.spp
+    if frame.camera is not None:
+        header.update(describe_camera(frame.camera))
+    header.update({f"{LOBES}{k}": lobe_table_to_json(table) for k, table in enumerate(frame.lobe_tables, start=1)})
+    with open_atomic(path) as out:
+        out.write(encode_file(header, pixels, compression=compression))
+
+
+def write_image(path: PathLike, image: ArrayLike, *, half: bool = False, compression: str = "zip") -> None:
+    """Write one image of shape (height, width, 3) as channels R, G and B.
+
+    Raises
+    ------
+    FileError
+        If the path cannot be written.
+    InputError
+        If the array is not such an image.
+    """
+    write_frame(path, Frame(Radiance(np.asarray(image))), half=half, compression=compression)
+
+
+def write_result(path: PathLike, result: Result, *, source: PathLike) -> None:
+    """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
+
+    Replaced are R, G and B, and where both the file and the result have them ``diffuse`` and ``specular``. Everything
+    else stays: the other parts byte for byte, the other channels in their pixel types, every attribute, the windows
+    and the compression. A channel stored as 16-bit float stays one, and values beyond its range become 65504. One
+    attribute is added, ``lobewise/denoised``, with the settings as JSON.
+
+    Raises
+    ------
+    FileError
+        If ``source`` cannot be read or ``path`` cannot be written; an existing file is then as it was.
+    MissingChannelError
+        If ``source`` has no R, G and B.
+    InputError
+        If the result does not have the size of the image in ``source``.
+    """
+    require_writable(path)
+    container = read_container(source)
+    beauty = require_beauty(container)
+    window = beauty.data_window
+    given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
+    images = {field: image for field, image in given.items() if image is not None}
+    chunks = {}
+    for part, slots in plan_writing(container, beauty, images):
+        for field in (slot.field for slot in slots):
+            if images[field].shape != (window.height, window.width, 3):
+                raise InputError(
+                    f"result.{'image' if field == 'color' else field}",
+                    expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
+                    got=f"an array of shape {images[field].shape}",
+                    action="denoise that file",
+                )
+        chunks[part.index] = encode_part(container, part, put_images(slots, images, decode_part(container, part)))
+    with container.path.open("rb") as stream, open_atomic(path) as out:
+        write_container(out, container, stream, make_headers(container, beauty, result.settings), chunks)
+
+
+def _fits_half(image: NDArray[Any], kind: str) -> bool:
+    if kind == "geometry":
+        return False
+    finite = np.abs(image[np.isfinite(image)])
+    if finite.size and finite.max() > MAX_HALF:
+        return False
+    # A variance is used as a ratio: its small values need their relative precision.
+    return kind != "variance" or not np.any((finite > 0.0) & (finite < MIN_NORMAL_HALF))

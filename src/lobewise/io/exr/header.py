@@ -1,0 +1,103 @@
+"""What lobewise keeps in the header of a file: camera, sample count, lobe tables, settings."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lobewise.camera import Camera
+from lobewise.errors import FileError, InputError
+from lobewise.io.exr.container import Attribute, Container, Part
+from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SPP
+from lobewise.io.materials import lobe_table_from_json
+from lobewise.lobe_table import LobeTable
+
+
+def make_headers(container: Container, beauty: Part, settings: Mapping[str, Any]) -> list[list[Attribute]]:
+    """Return the attributes of every part of a denoised copy: as they were, and the settings."""
+    headers = [list(part.attributes) for part in container.parts]
+    note = json.dumps(settings, sort_keys=True, default=str).encode("utf-8")
+    headers[beauty.index] = [item for item in headers[beauty.index] if item.name != DENOISED]
+    headers[beauty.index].append(Attribute(DENOISED, "string", note))
+    return headers
+
+
+def read_camera(part: Part) -> Camera | None:
+    """Return the camera of a part's header, or None.
+
+    Raises
+    ------
+    InputError
+        If some of its attributes are missing, or make no sense.
+    """
+    found = {item.name[len(CAMERA) :]: item for item in part.attributes if item.name.startswith(CAMERA)}
+    if not found:
+        return None
+    values: dict[str, Any] = {}
+    for name, size in (("position", 3), ("forward", 3), ("up", 3), ("fov_y", 1), ("fov_x", 1)):
+        numbers = _read_numbers(found.get(name), size)
+        if numbers is None and not (name == "fov_x" and name not in found):
+            raise InputError(
+                "camera in the header",
+                expected=f"the attribute {CAMERA}{name} with {size} real number{'s' if size > 1 else ''}",
+                got="another type" if name in found else "none",
+                action="write position, forward, up and fov_y, or no camera at all",
+            )
+        if numbers is not None:
+            values[name] = numbers if size > 1 else numbers[0]
+    return Camera(**values)
+
+
+def read_spp(part: Part) -> int | None:
+    """Return the sample count of a part's header, or None."""
+    item = part.get(SPP)
+    return int(struct.unpack("<i", item.value)[0]) if item and item.type == "int" and len(item.value) == 4 else None
+
+
+def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
+    """Return the lobe tables of a part's header, in the order of their numbers.
+
+    Raises
+    ------
+    FileError
+        If one is missing before the last, or is no lobe table.
+    """
+    found = [item for item in part.attributes if item.name.startswith(LOBES)]
+    tables = []
+    for number in range(1, len(found) + 1):
+        name = f"{LOBES}{number}"
+        item = part.get(name)
+        if item is None:
+            raise FileError(
+                "lobe tables in the header",
+                expected=f"{len(found)}, numbered from 1",
+                got="none with the number " + str(number),
+                action="number them without gaps",
+            )
+        text = item.value.decode("utf-8", "replace") if item.type == "string" else ""
+        tables.append(lobe_table_from_json(text, what=f"attribute {name}"))
+    return tuple(tables)
+
+
+def _read_numbers(item: Attribute | None, size: int) -> tuple[float, ...] | None:
+    if item is None:
+        return None
+    code = {(3, "v3d"): "<3d", (3, "v3f"): "<3f", (1, "double"): "<d", (1, "float"): "<f"}.get((size, item.type))
+    if code is None or struct.calcsize(code) != len(item.value):
+        return None
+    return struct.unpack(code, item.value)
+
+
+def describe_camera(camera: Camera) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        CAMERA + name: np.array(getattr(camera, name), dtype=np.float64) for name in ("position", "forward", "up")
+    }
+    # The library writes an array of one element as the attribute type `double`.
+    out[CAMERA + "fov_y"] = np.array([camera.fov_y], dtype=np.float64)
+    if camera.fov_x is not None:
+        out[CAMERA + "fov_x"] = np.array([camera.fov_x], dtype=np.float64)
+    return out

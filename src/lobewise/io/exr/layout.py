@@ -1,0 +1,204 @@
+"""Which part of a file holds which image of a frame, and what becomes of the channels on their way."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.errors import InputError, LobewiseError, MissingChannelError, describe_problem
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.io.exr.container import Container, Part, show_name
+from lobewise.io.exr.pixels import Pixels
+from lobewise.io.exr.schema import BEAUTY, SCHEMA, SLOTS, SPARSE, Slot
+from lobewise.io.files import PathLike
+from lobewise.lobe_table import LobeTable
+
+# Attributes that tell a file of another renderer, whose channels of the same name may mean another thing:
+# `diffuse` is lit radiance in one and albedo in the next, `normal` is in world space here and camera space there.
+FOREIGN = {
+    "vrayInfo/": "V-Ray",
+    "arnold/": "Arnold",
+    "cycles.": "Blender Cycles",
+    "unreal/": "Unreal Engine",
+    "rman_": "RenderMan",
+    "PixarRenderMan": "RenderMan",
+}
+
+
+def find_foreign(parts: Iterable[Part]) -> str | None:
+    """Return the name of the other renderer that wrote a file, if an attribute tells and the file is not ours."""
+    names = [item.name for part in parts for item in part.attributes]
+    if SCHEMA in names:
+        return None
+    for mark, renderer in FOREIGN.items():
+        if any(name.startswith(mark) for name in names):
+            return renderer
+    return None
+
+
+def find_beauty(parts: Iterable[Part]) -> Part | None:
+    """Return the part that holds the image: the first with channels R, G and B and one value per pixel."""
+    for part in parts:
+        names = {channel.name for channel in part.channels if channel.x_sampling == channel.y_sampling == 1}
+        if not part.deep and names.issuperset(BEAUTY.channels):
+            return part
+    return None
+
+
+def build_frame(
+    images: Mapping[tuple[str, str], FloatArray],
+    camera: Camera | None,
+    spp: int | None,
+    lobe_tables: tuple[LobeTable, ...] = (),
+) -> Frame:
+    """Return the frame of images that are keyed by (owner, field)."""
+
+    def collect(owner: str) -> dict[str, Any]:
+        return {field: image for (who, field), image in images.items() if who == owner}
+
+    others = {owner: Radiance(**collect(owner)) for owner in ("half_a", "half_b", "variance") if collect(owner)}
+    radiance, gbuffer = Radiance(**collect("radiance")), GBuffer(**collect("gbuffer"))
+    return Frame(radiance, gbuffer, camera, spp=spp, lobe_tables=lobe_tables, **others)
+
+
+MAX_HALF = 65504.0
+
+
+def require_shaded(container: Container) -> None:
+    """Raise InputError if a file holds a frame that was shaded sparsely, MissingChannelError if it holds none."""
+    if require_beauty(container).get(SPARSE) is not None:
+        raise InputError(
+            f"input {str(container.path)!r}",
+            expected="radiance at every pixel",
+            got="a frame that was shaded sparsely",
+            action="upsample it (lobewise upsample)",
+        )
+
+
+def make_images(slots: Iterable[Slot], pixels: Mapping[str, Pixels]) -> dict[tuple[str, str], FloatArray]:
+    """Return the images of some slots by owner and field, from channels in the types that they were stored in."""
+    images = {}
+    for slot in slots:
+        image = join_planes([pixels[name] for name in slot.channels])
+        images[slot.owner, slot.field] = image[..., 0] if slot.kind == "geometry" and image.shape[2] == 1 else image
+    return images
+
+
+@contextmanager
+def name_file(path: PathLike) -> Iterator[None]:
+    """Put the name of the file that was read before whatever is wrong with what it holds."""
+    try:
+        yield
+    except LobewiseError as problem:
+        raise type(problem)(f"input {str(path)!r}: {problem}") from None
+
+
+def plan_writing(container: Container, beauty: Part, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
+    """Return which of a result's images, by their fields, replace what in which part; those that none has are left out.
+
+    In a file of another renderer only the total is replaced.
+    """
+    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
+    plan: dict[int, list[Slot]] = {}
+    for slot in known:
+        if slot.owner != "radiance" or slot.field not in fields:
+            continue
+        for part in _list_readable(container, beauty):
+            if {channel.name for channel in part.channels}.issuperset(slot.channels):
+                plan.setdefault(part.index, []).append(slot)
+                break
+    return [(container.parts[index], slots) for index, slots in plan.items()]
+
+
+def put_images(
+    slots: Iterable[Slot], images: Mapping[str, FloatArray], pixels: Mapping[str, Pixels]
+) -> dict[str, Pixels]:
+    """Return the channels of a part with those of some slots replaced, in the types that they were stored in."""
+    changed = dict(pixels)
+    for slot in slots:
+        for index, name in enumerate(slot.channels):
+            changed[name] = _convert(images[slot.field][..., index], pixels[name].dtype)
+    return changed
+
+
+def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Slot]]]:
+    """Return which images of a frame are read from which part.
+
+    Raises
+    ------
+    MissingChannelError
+        If an image has only some of its channels.
+    """
+    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
+    plan: dict[int, list[Slot]] = {}
+    for slot in known:
+        best: list[str] = []
+        for part in _list_readable(container, beauty):
+            names = {channel.name for channel in part.channels}
+            have = [name for name in slot.channels if name in names]
+            if len(have) == len(slot.channels):
+                plan.setdefault(part.index, []).append(slot)
+                best = []
+                break
+            best = max(best, have, key=len)
+        if best:
+            raise MissingChannelError(_say_incomplete(container.path, slot.label, "only " + ", ".join(best)))
+    found = {(slot.owner, slot.field) for slots in plan.values() for slot in slots}
+    for owner in ("half_a", "half_b", "variance"):
+        if (owner, "color") not in found and any(who == owner for who, _ in found):
+            got = "none of them beside its other images"
+            raise MissingChannelError(_say_incomplete(container.path, f"{owner}.R/G/B", got))
+    return [(container.parts[index], slots) for index, slots in sorted(plan.items())]
+
+
+def require_beauty(container: Container) -> Part:
+    """Return the part that holds the image; raise MissingChannelError where none has R, G and B."""
+    part = find_beauty(container.parts)
+    if part is not None:
+        return part
+    names = [channel.name for part in container.parts for channel in part.channels]
+    shown = ", ".join(map(show_name, names[:8])) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    raise MissingChannelError(
+        f"input {str(container.path)!r}",
+        expected="channels R, G and B",
+        got=f"only {shown}",
+        action="rename the channels of the image to R, G and B",
+    )
+
+
+def _list_readable(container: Container, beauty: Part) -> Iterable[Part]:
+    """Yield the part of the image and those that can hold its other channels: same window and view, flat."""
+    yield beauty
+    for part in container.parts:
+        same = part.data_window == beauty.data_window and part.view in ("", beauty.view)
+        if part.index != beauty.index and same and not part.deep:
+            yield part
+
+
+def _say_incomplete(path: PathLike, label: str, got: str) -> str:
+    return describe_problem(
+        f"input {str(path)!r}", expected=f"all of {label}, or none", got=got, action="add or remove them"
+    )
+
+
+def _convert(plane: NDArray[Any], dtype: np.dtype[Any]) -> Pixels:
+    """Return a plane in the type of the channel that it replaces."""
+    if dtype == np.float16:
+        plane = np.clip(plane, -MAX_HALF, MAX_HALF)
+    elif dtype == np.uint32:
+        plane = np.clip(np.rint(plane), 0, 2**32 - 1)
+    out: Pixels = plane.astype(dtype)
+    return out
+
+
+def join_planes(planes: Sequence[Pixels]) -> FloatArray:
+    """Return the image of these channels, each converted where it is put: a fifth of the time of two steps."""
+    image = np.empty((*planes[0].shape, len(planes)), dtype=np.float32)
+    for index, plane in enumerate(planes):
+        image[..., index] = plane
+    return image
