@@ -117,10 +117,7 @@ def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
     settings, images = resolve(frame), {}
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
-        images[noisy.name] = [
-            finish_layer(frame, noisy, pair, found.middle.weight_sum, found.middle.effective_samples).image
-            for pair in found.pairs
-        ]
+        images[noisy.name] = [finish_layer(frame, noisy, pair, found.middle).image for pair in found.pairs]
     return images
 
 

@@ -115,10 +115,7 @@ def collect(frame: Frame, scene: Scene) -> Examples:
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
         features[noisy.name] = find_features(found.pairs, MIDDLE, found.extras, noisy.level)
-        candidates[noisy.name] = [
-            finish_layer(frame, noisy, pair, found.middle.weight_sum, found.middle.effective_samples).image
-            for pair in found.pairs
-        ]
+        candidates[noisy.name] = [finish_layer(frame, noisy, pair, found.middle).image for pair in found.pairs]
     rest = find_rest(frame)
     return make_examples(scene, rest, features, candidates, sum((candidates[kind][MIDDLE] for kind in KINDS), rest))
 
@@ -130,8 +127,7 @@ def collect_peer(frame: Frame, scene: Scene, networks: dict[str, Network]) -> Ex
     for noisy in make_noisy_layers(frame, settings, ()):
         found = find_candidates(frame, noisy, settings)
         light = mix_candidates(found.pairs, MIDDLE, found.extras, noisy.level, networks[noisy.name])
-        middle = found.middle
-        image = image + finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples).image
+        image = image + finish_layer(frame, noisy, (light,), found.middle).image
         extras.append(found.extras)
     pairs = list_pairs(image, denoise_with_peer(frame, image))
     features = find_features(pairs, 0, join_extras(extras), find_level(image))

@@ -1,8 +1,7 @@
 """Images as kernels take and give them: lent to Halide without a copy, and kept on a device between two kernels.
 
-On the processor a kernel reads and writes NumPy's memory. On another device an image that is read goes up, and one that
-was written comes down only when NumPy asks for it: what the next kernel reads need not. Inside `stay_on_device` an
-image goes up once, however many kernels read it.
+On the processor a kernel reads and writes NumPy's memory. On another device an image that is read goes up, once in a
+`device_scope` however many kernels read it, and one that was written comes down only by `download`.
 
 Memory of a device is taken in multiples of 256 bytes and given back in the opposite order of its taking, and everything
 that a kernel reads or writes is there before it starts: only so does the allocator of Halide 21's Vulkan runtime never
@@ -13,13 +12,11 @@ from __future__ import annotations
 
 import ctypes
 import threading
-import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
 from functools import cache, wraps
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +28,6 @@ from lobewise.frame import FloatArray
 
 transfers: Counter[str] = Counter()
 """How many images went "up" to devices and came "down" in this process."""
-Image = NDArray[Any]
 
 
 class _Dimension(ctypes.Structure):
@@ -73,8 +69,10 @@ class Buffer:
     and so on, where that is not 0.
     """
 
-    def __init__(self, array: Image, first: Sequence[int] = ()) -> None:
+    def __init__(self, array: HostImage, first: Sequence[int] = ()) -> None:
         self.array = array
+        self.device = ""
+        """Which has memory for it, if any."""
         self.first = tuple(first)
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
@@ -90,7 +88,8 @@ class Buffer:
         self._bytes: NDArray[np.uint8] = np.empty(padded, np.uint8)
         self._whole_dimensions = _describe_axes([(padded, 1)])
         self._whole = _make_raw(self._bytes.ctypes.data, _TYPE_CODES["u"], 8, self._whole_dimensions)
-        self._call(device, "halide_device_malloc", _find_interface(device))
+        self.device = device
+        self._call("halide_device_malloc", _find_interface(device))
         self._raw.device, self._raw.device_interface = self._whole.device, self._whole.device_interface
 
     def bring_up(self, device: str) -> None:
@@ -98,28 +97,31 @@ class Buffer:
         self.take_memory(device)
         self._bytes[: self.array.nbytes] = _order_axes(self.array).reshape(-1).view(np.uint8)
         self._whole.flags = _HOST_DIRTY
-        self._call(device, "halide_copy_to_device", _find_interface(device))
+        self._call("halide_copy_to_device", _find_interface(device))
         transfers["up"] += 1
 
-    def bring_down(self, device: str) -> None:
-        """Copy to the array what was written on a device, if it was not yet."""
+    def bring_down(self) -> None:
+        """Copy to the array what was written on its device, if it was not yet."""
         if self._raw.flags & _DEVICE_DIRTY:
+            if not self.device:
+                raise TypeError("an image of a device_scope that has ended is gone: call download() inside it")
             self._raw.flags = 0
             self._whole.flags = _DEVICE_DIRTY
-            self._call(device, "halide_copy_to_host")
+            self._call("halide_copy_to_host")
             self.array[...] = self._bytes[: self.array.nbytes].view(self.array.dtype).reshape(self.array.shape)
             transfers["down"] += 1
 
-    def give_memory(self, device: str) -> None:
-        """Give a device's memory back."""
-        self._call(device, "halide_device_free")
+    def give_memory(self) -> None:
+        """Give the device's memory back."""
+        self._call("halide_device_free")
+        self.device = ""
 
-    def _call(self, device: str, name: str, *more: int) -> None:
+    def _call(self, name: str, *more: int) -> None:
         pointers = [None, ctypes.addressof(self._whole), *more]
-        get_runtime(device).call(_get_function(device, name, len(pointers)), *pointers)
+        get_runtime(self.device).call(_get_function(self.device, name, len(pointers)), *pointers)
 
 
-def _order_axes(array: Image) -> Image:
+def _order_axes(array: HostImage) -> HostImage:
     """Return an array with its axes in the order in which they lie in memory."""
     return array.transpose(sorted(range(array.ndim), key=lambda axis: -array.strides[axis]))
 
@@ -149,8 +151,11 @@ def _get_function(device: str, name: str, pointers: int) -> Callable[..., Any]:
     return get_runtime(device).get("int", name, *[ctypes.c_void_p] * pointers)
 
 
-class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
-    """What a kernel wrote on a device; an array to everybody who reads it, which brings it down.
+class DeviceImage:
+    """What a kernel wrote on a device: other kernels read it there, and `download` gives it as an array.
+
+    It is no array itself, so nothing brings it down unseen. When the `device_scope` ends that it was made in, what was
+    not downloaded is gone.
 
     Parameters
     ----------
@@ -158,141 +163,115 @@ class DeviceImage(np.lib.mixins.NDArrayOperatorsMixin):
         Where it comes down to.
     buffer : Buffer
         Of that memory and the device's.
-    device : str
-        A name from `list_devices`.
-    part : callable, optional
-        What is to be seen of ``host``: a view.
+    channel : int, optional
+        Of ``host``, (height, width, channels), where no more is asked for.
     """
 
-    def __init__(self, host: Image, buffer: Buffer, device: str, part: Callable[[Image], Image] | None = None) -> None:
-        self._host, self.buffer, self.device = host, buffer, device
-        self._part = part
-        self.is_there = True
-        """Whether the device still has it."""
-        view = host if part is None else part(host)
-        self.shape, self.dtype, self.ndim = view.shape, view.dtype, view.ndim
+    # Operators with arrays are refused at once, and not tried entry by entry.
+    __array_ufunc__ = None
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether it is all that the kernel wrote."""
-        return self._part is None
+    def __init__(self, host: HostImage, buffer: Buffer, channel: int | None = None) -> None:
+        self._host, self._buffer, self._channel = host, buffer, channel
+        self.shape = host.shape if channel is None else host.shape[:-1]
+        self.dtype, self.ndim = host.dtype, len(self.shape)
 
-    def view(self, part: Callable[[Image], Image]) -> DeviceImage:
-        """Return a part of it, which stays on the device as well."""
-        image = DeviceImage(self._host, self.buffer, self.device, part)
-        _get_stay().written.append(weakref.ref(image))
-        return image
+    def download(self) -> HostImage:
+        """Return it as an array; what several images share is copied once.
 
-    def leave(self) -> None:
-        """Bring it down for good: its memory on the device is given back."""
-        self.fetch()
-        self.is_there = False
+        Raises
+        ------
+        TypeError
+            If its scope has ended.
+        """
+        self._buffer.bring_down()
+        return self._host if self._channel is None else self._host[..., self._channel]
 
-    def fetch(self) -> Image:
-        """Return it as an array, brought down if it is not yet."""
-        self.buffer.bring_down(self.device)
-        return self._host if self._part is None else self._part(self._host)
+    def take_channel(self, channel: int) -> DeviceImage:
+        """Return one channel, (height, width), to be downloaded."""
+        return DeviceImage(self._host, self._buffer, channel)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Image:
-        array = self.fetch()
-        return array.astype(dtype) if dtype is not None and dtype != array.dtype else array.copy() if copy else array
+    def lend(self, device: str) -> Buffer:
+        """Return its buffer for a kernel to read; raise TypeError where that kernel has no such image."""
+        if self._buffer.device != device or self._channel is not None:
+            raise TypeError(f"a kernel of {device} takes whole images that are there: call download()")
+        return self._buffer
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        return getattr(ufunc, method)(*map(to_host, inputs), **{name: to_host(each) for name, each in options.items()})
-
-    def __array_function__(self, function: Any, types: Any, inputs: Any, options: Any) -> Any:
-        return function(*map(to_host, inputs), **{name: to_host(each) for name, each in options.items()})
-
-    def __getitem__(self, key: Any) -> Any:
-        return self.fetch()[key]
-
-    def __len__(self) -> int:
-        return int(self.shape[0])
-
-    def __getattr__(self, name: str) -> Any:
-        # Methods of arrays (mean, reshape ...), asked for on the host.
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.fetch(), name)
+    def __array__(self, *_: Any, **__: Any) -> HostImage:
+        raise TypeError("an image on a device is no array: call download()")
 
 
-class _Stay:
-    """What is on devices until the end of a `stay_on_device`."""
+HostImage = NDArray[Any]
+Image = HostImage | DeviceImage
+
+
+class _Scope:
+    """What is on devices until the end of a `device_scope`."""
 
     def __init__(self) -> None:
         self.lent: dict[Any, Buffer] = {}
         """Buffers of images that went up, by what tells their memory."""
-        self.taken: list[tuple[Buffer, str, Image]] = []
-        """Every buffer in the order in which it took memory, with its device and what must be held meanwhile."""
-        self.written: list[weakref.ref[DeviceImage]] = []
+        self.taken: list[tuple[Buffer, HostImage]] = []
+        """Every buffer in the order in which it took memory, with what must be held meanwhile."""
 
     def end(self) -> None:
-        """Bring down what somebody still holds, and give all memory back."""
-        for each in self.written:
-            image = each()
-            if image is not None:
-                image.leave()
+        """Give all memory back."""
         while self.taken:
-            buffer, device, _ = self.taken.pop()
-            buffer.give_memory(device)
+            buffer, _ = self.taken.pop()
+            buffer.give_memory()
 
 
 class _Current(threading.local):
-    stay: _Stay | None = None
+    scope: _Scope | None = None
 
 
 _current = _Current()
 
 
 @contextmanager
-def stay_on_device() -> Iterator[None]:
+def device_scope() -> Iterator[None]:
     """Keep every image that kernels read or write on their device until the outermost of these ends.
 
     Nobody may change an image meanwhile that a kernel has read.
     """
-    if _current.stay is not None:
+    if _current.scope is not None:
         yield
         return
-    _current.stay = _Stay()
+    _current.scope = _Scope()
     try:
         yield
     finally:
-        stay, _current.stay = _current.stay, None
-        stay.end()
+        scope, _current.scope = _current.scope, None
+        scope.end()
 
 
 Run = TypeVar("Run", bound=Callable[..., Any])
 
 
-def comes_down(run: Run) -> Run:
-    """Let what ``run`` returns be arrays, but inside `stay_on_device`, where images stay where they are."""
+def returns_host_images(run: Run) -> Run:
+    """Let what ``run`` returns be arrays, but inside a `device_scope`, where images stay where they are."""
 
     @wraps(run)
     def call(*inputs: Any, **options: Any) -> Any:
-        if _current.stay is not None:
+        if _current.scope is not None:
             return run(*inputs, **options)
-        with stay_on_device():
-            return to_host(run(*inputs, **options))
+        with device_scope():
+            return _download_all(run(*inputs, **options))
 
     return cast(Run, call)
 
 
-def to_host(value: Any) -> Any:
-    """Return ``value`` with every image in it, however deep in tuples, lists and data classes, as an array."""
-    if isinstance(value, DeviceImage):
-        return value.fetch()
+def download(image: Image) -> HostImage:
+    """Return an image as an array, brought down if it is on a device and was not yet."""
+    return image.download() if isinstance(image, DeviceImage) else image
+
+
+def _download_all(value: Any) -> Any:
+    """Return ``value`` with every image in it, however deep in tuples and lists, as an array."""
     if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return type(value)(*map(to_host, value))
+        return type(value)(*map(_download_all, value))
     if isinstance(value, (list, tuple)):
-        brought = list(map(to_host, value))
-        same = all(a is b for a, b in zip(brought, value, strict=True))
-        return value if same else type(value)(brought)
-    if is_dataclass(value) and not isinstance(value, type):
-        parts = {each.name: getattr(value, each.name) for each in fields(value)}
-        found = {name: to_host(part) for name, part in parts.items()}
-        changed = {name: part for name, part in found.items() if part is not parts[name]}
-        return replace(value, **changed) if changed else value
-    return value
+        return type(value)(map(_download_all, value))
+    return download(value)
 
 
 def lend(image: Image, device: str) -> Buffer:
@@ -300,33 +279,33 @@ def lend(image: Image, device: str) -> Buffer:
 
     Raises
     ------
+    TypeError
+        If the image is on another device, or a channel of one.
     DeviceError
         If the device has no memory for it.
     """
     if isinstance(image, DeviceImage):
-        if image.is_there and image.device == device and image.is_whole:
-            return image.buffer
-        image = np.ascontiguousarray(image.fetch())
+        return image.lend(device)
     if device == "cpu":
         return Buffer(image)
-    stay = _get_stay()
+    scope = _get_scope()
     key = (device, image.ctypes.data, image.shape, image.strides, image.dtype.str)
-    if key not in stay.lent:
+    if key not in scope.lent:
         is_dense = 0 not in image.strides and _order_axes(image).flags.c_contiguous
         buffer = Buffer(image if is_dense else np.ascontiguousarray(image))
         buffer.bring_up(device)
         # The image is held, so that no other one comes to lie where this one does.
-        stay.taken.append((buffer, device, image))
-        stay.lent[key] = buffer
-    return stay.lent[key]
+        scope.taken.append((buffer, image))
+        scope.lent[key] = buffer
+    return scope.lent[key]
 
 
-def _get_stay() -> _Stay:
-    assert _current.stay is not None, "kernels of other devices run inside stay_on_device"
-    return _current.stay
+def _get_scope() -> _Scope:
+    assert _current.scope is not None, "kernels of other devices run inside a device_scope"
+    return _current.scope
 
 
-def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None = None) -> tuple[Buffer, FloatArray]:
+def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None = None) -> tuple[Buffer, Image]:
     """Return a buffer for a kernel of ``device`` to write, and the image that it then is (`DeviceImage` elsewhere).
 
     ``memory`` of that shape is where the image lies, or comes down to.
@@ -335,15 +314,16 @@ def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None =
     buffer = Buffer(host)
     if device == "cpu":
         return buffer, host
-    stay = _get_stay()
     buffer.take_memory(device)
-    stay.taken.append((buffer, device, host))
-    image = DeviceImage(host, buffer, device)
-    stay.written.append(weakref.ref(image))
-    return buffer, cast(FloatArray, image)
+    _get_scope().taken.append((buffer, host))
+    return buffer, DeviceImage(host, buffer)
 
 
-def take_image(name: str, image: Image, shape: tuple[int, ...]) -> FloatArray:
+@overload
+def take_image(name: str, image: HostImage, shape: tuple[int, ...]) -> FloatArray: ...
+@overload
+def take_image(name: str, image: DeviceImage, shape: tuple[int, ...]) -> DeviceImage: ...
+def take_image(name: str, image: Image, shape: tuple[int, ...]) -> Image:
     """Return an image as the kernels take it; raise InputError where it is none of this shape."""
     if image.shape != shape or image.dtype.kind not in "fiub":
         raise InputError(
@@ -357,18 +337,18 @@ def take_image(name: str, image: Image, shape: tuple[int, ...]) -> FloatArray:
     return take_dense(image)
 
 
-def take_dense(image: Image) -> FloatArray:
+@overload
+def take_dense(image: HostImage) -> FloatArray: ...
+@overload
+def take_dense(image: DeviceImage) -> DeviceImage: ...
+def take_dense(image: Image) -> Image:
     """Return an image as dense float32; one on a device stays there."""
-    if isinstance(image, DeviceImage) and image.is_whole:
-        return cast(FloatArray, image)
-    return np.ascontiguousarray(image, dtype=np.float32)
+    return image if isinstance(image, DeviceImage) else np.ascontiguousarray(image, dtype=np.float32)
 
 
-def take_channel(image: FloatArray, channel: int) -> FloatArray:
+def take_channel(image: Image, channel: int) -> Image:
     """Return one channel, (height, width), of an image (height, width, channels); it stays where it is."""
-    if isinstance(image, DeviceImage):
-        return cast(FloatArray, image.view(lambda whole: whole[..., channel]))
-    return image[..., channel]
+    return image.take_channel(channel) if isinstance(image, DeviceImage) else image[..., channel]
 
 
 def take_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lobewise.backend.buffers import download
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.high import load_networks
 from lobewise.filters.mixing import mix_candidates
@@ -41,7 +42,7 @@ def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArr
         If Open Image Denoise is not installed.
     """
     pairs, seen = list_pairs(image, denoise_with_peer(frame, image)), join_extras(extras)
-    return mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device)
+    return download(mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device))
 
 
 def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:

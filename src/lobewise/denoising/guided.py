@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import choose_quality, resolve_settings
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
 from lobewise.denoising.noise import find_halves
@@ -133,7 +134,7 @@ class BoundedLayer:
     """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
 
     @property
-    def halves(self) -> tuple[FloatArray, FloatArray]:
+    def halves(self) -> tuple[Image, Image]:
         """Both halves, (height, width, 3) each."""
         return self.bounded.a, self.bounded.b
 
@@ -226,7 +227,7 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
     (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
-    normal = np.float32(2.0) * mean.b - np.float32(1.0)
+    normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     return (SeenFeature(mean.a, normal, **sharpness),)
 
@@ -238,7 +239,7 @@ def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
-def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> FloatArray | None:
+def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> Image | None:
     """Return the guide of a pass: what the one ``before`` gave, or else the samples; None where they tell no noise."""
     if before is None:
         if not noisy.is_whole:
@@ -294,23 +295,16 @@ def _find_plan_reach(plan: Plan, radius: int) -> int:
 
 def filter_balanced(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> CleanLayer:
     """Filter a layer by its plan."""
-    found = run_pass(frame, noisy, 0, None, settings)
-    weight_sum, effective_samples = found.weight_sum, found.effective_samples
+    found = support = run_pass(frame, noisy, 0, None, settings)
     for number, chosen in enumerate(noisy.plan.passes[1:], 1):
         found = run_pass(frame, noisy, number, found, settings)
         # Sparse passes average averages: what they gather is no count of samples.
         if chosen.step == 1:
-            weight_sum, effective_samples = found.weight_sum, found.effective_samples
-    return finish_layer(frame, noisy, (found.a,), weight_sum, effective_samples)
+            support = found
+    return finish_layer(frame, noisy, (found.a,), support)
 
 
-def finish_layer(
-    frame: Frame,
-    noisy: NoisyLayer,
-    light: Sequence[FloatArray],
-    weight_sum: FloatArray,
-    effective_samples: FloatArray,
-) -> CleanLayer:
+def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], support: DualBufferOutput) -> CleanLayer:
     """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known.
 
     ``light`` is one image or two halves.
@@ -320,9 +314,7 @@ def finish_layer(
     mean, coverage = means.get(noisy.name), guides.coverage
     if coverage is None or mean is None or albedo is None:
         mean, coverage = albedo, None
+    weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)
     lit = noisy.layer.mask & (weight_sum > 0.0)
-    return CleanLayer(
-        resolve_light(light, lit, noisy.layer.radiance, mean, coverage),
-        weight_sum,
-        effective_samples,
-    )
+    image = resolve_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
+    return CleanLayer(image, weight_sum, effective_samples)

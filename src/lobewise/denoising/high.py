@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lobewise.backend.buffers import Image, download
 from lobewise.denoising.guided import (
     CleanLayer,
     NoisyLayer,
@@ -76,7 +77,7 @@ class Candidates(NamedTuple):
         both in a diffuse layer).
     """
 
-    pairs: list[tuple[FloatArray, FloatArray]]
+    pairs: list[tuple[Image, Image]]
     middle: DualBufferOutput
     extras: FloatArray
 
@@ -100,7 +101,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings)
     kind = "diffuse" if noisy.name == "diffuse" else "specular"
     radius, device = settings.radius, settings.device
 
-    def guide(found: DualBufferOutput) -> FloatArray:
+    def guide(found: DualBufferOutput) -> Image:
         return make_noise_guide(found.a, found.b, noisy.level, device)
 
     (pilot,) = filter_dual_buffer(
@@ -118,7 +119,7 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings)
     place = make_pass_features(frame, settings, SIGMA)
     piloted = guide(pilot)
     del pilot
-    pairs: list[tuple[FloatArray, FloatArray]] = []
+    pairs: list[tuple[Image, Image]] = []
     first: list[DualBufferOutput] = []
     for variants in DENSE:
         dense = filter_dual_buffer(
@@ -156,7 +157,8 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings)
         )
         pairs += [(each.a, each.b) for each in sparse]
         source = sparse[0]
-    extras = [narrow.effective_samples, middle.effective_samples, piloted[..., -1], guides[0][..., -1]]
+    extras = [download(each) for each in (narrow.effective_samples, middle.effective_samples)]
+    extras += [download(each)[..., -1] for each in (piloted, guides[0])]
     return Candidates(pairs, middle, _take_logarithms(frame, noisy, extras, kind))
 
 
@@ -212,6 +214,4 @@ def mix_layer(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> tu
     light = mix_candidates(
         candidates.pairs, MIDDLE, candidates.extras, noisy.level, load_networks()[kind], settings.device
     )
-    middle = candidates.middle
-    clean = finish_layer(frame, noisy, (light,), middle.weight_sum, middle.effective_samples)
-    return clean, candidates.extras
+    return finish_layer(frame, noisy, (light,), candidates.middle), candidates.extras

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import comes_down
+from lobewise.backend.buffers import device_scope
 from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
@@ -159,7 +159,7 @@ def find_reach(settings: ResolvedSettings) -> int:
     return ATROUS_REACH if settings.form == "atrous" else settings.radius
 
 
-@comes_down
+@device_scope()
 def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> Filtered:
     """Filter every layer in one pass, by its guides alone."""
     layers = make_layers(frame, settings, features)
@@ -179,7 +179,7 @@ def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Fe
     return Filtered(layers, parts, outputs, compose(frame, parts))
 
 
-@comes_down
+@device_scope()
 def filter_guided(
     frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> Filtered:

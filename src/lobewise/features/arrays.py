@@ -10,7 +10,6 @@ from lobewise.backend.buffers import Image, take_dense
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 from lobewise.features.base import Feature
-from lobewise.frame import FloatArray
 
 
 def declare_features(signature: Signature, prefix: str, features: Sequence[Feature], *axes: str) -> list[hl.ImageParam]:
@@ -30,7 +29,7 @@ def declare_features(signature: Signature, prefix: str, features: Sequence[Featu
     return [signature.image(name, *axes, *array.shape[2:]) for name, array in _name_arrays(prefix, features).items()]
 
 
-def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:
+def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
     """Return what `declare_features` declared, by name; raise InputError where an array is none of this size."""
     arrays = take_arrays(features, size)
     return dict(zip(_name_arrays(prefix, features), arrays, strict=True))
@@ -65,7 +64,7 @@ def _name_scalar(prefix: str, number: int, k: int) -> str:
     return f"{prefix}_feature{number}_scalar{k}".removeprefix("_")
 
 
-def take_arrays(features: Sequence[Feature], size: tuple[int, int]) -> list[FloatArray]:
+def take_arrays(features: Sequence[Feature], size: tuple[int, int]) -> list[Image]:
     """Return the arrays of every feature, one after the other; raise InputError where one does not fit."""
     return [_take_array(feature, array, size) for feature in features for array in feature.get_arrays()]
 
@@ -75,7 +74,7 @@ def take_parameters(features: Sequence[Feature]) -> list[float]:
     return [value for feature in features for value in feature.get_parameters()]
 
 
-def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> FloatArray:
+def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:
     """Return an input of a feature as the kernels take it; raise InputError where it is no image of this size."""
     if array.ndim not in (2, 3) or array.shape[:2] != size or array.dtype.kind not in "fiub":
         raise InputError(

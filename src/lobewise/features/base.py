@@ -19,8 +19,8 @@ from typing import Any, ClassVar
 
 import halide as hl
 
+from lobewise.backend.buffers import Image
 from lobewise.errors import InputError, describe_problem
-from lobewise.frame import FloatArray
 
 Vector = Sequence[hl.Expr]
 Pixel = Any
@@ -50,7 +50,7 @@ class Feature(ABC):
         return ()
 
     @abstractmethod
-    def get_arrays(self) -> tuple[FloatArray, ...]:
+    def get_arrays(self) -> tuple[Image, ...]:
         """Return the per-pixel inputs, each float32 of shape (height, width) or (height, width, channels)."""
 
     def get_parameters(self) -> tuple[float, ...]:
@@ -107,8 +107,8 @@ class DeclaredFeature(Feature):
         """Return name and value of every field."""
         return [(field.name, getattr(self, field.name)) for field in fields(self)]  # type: ignore[arg-type]
 
-    def get_arrays(self) -> tuple[FloatArray, ...]:
-        arrays: list[FloatArray] = []
+    def get_arrays(self) -> tuple[Image, ...]:
+        arrays: list[Image] = []
         for _, value in self._list_fields():
             if isinstance(value, tuple):
                 arrays.extend(value)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import halide as hl
 
+from lobewise.backend.buffers import Image
 from lobewise.backend.expressions import LOG2_E, dot, subtract
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
@@ -70,8 +71,8 @@ class SeenFeature(DeclaredFeature):
     """
 
     name = "seen"
-    albedo: FloatArray
-    normal: FloatArray
+    albedo: Image
+    normal: Image
     albedo_sharpness: float
     normal_sharpness: float
 

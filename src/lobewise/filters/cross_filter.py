@@ -13,7 +13,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer, Image, comes_down, lend, make_output, take_image, take_mask
+from lobewise.backend.buffers import Buffer, Image, device_scope, download, lend, make_output, take_image, take_mask
 from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars
@@ -81,7 +81,7 @@ def _split_output(pixels: FloatArray) -> FilterOutput:
     return FilterOutput(image, *rest)
 
 
-@comes_down
+@device_scope()
 def run_filter(
     radiance: FloatArray,
     mask: NDArray[np.bool_],
@@ -152,15 +152,16 @@ def run_filter(
     if strictness is not None:
         images["strictness"] = take_image("strictness", strictness, size)
     given = _Given(images, give_scalars(features))
-    source = take_image("radiance", radiance, (*size, COLORS))
+    image = take_image("radiance", radiance, (*size, COLORS))
     kernels = [get_kernel(device, key, partial(_make_scheduled, key, features)) for key in keys]
     shapes = kernels[-1].list_shapes(height=size[0], width=size[1])
     outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
-    results = {name: image for name, (_, image) in outputs.items()}
     if form == "separable" and device == "cpu":
+        whole = {name: buffer.array for name, (buffer, _) in outputs.items()}
         for rows, columns in _list_tiles(*size):
-            _run_tile(kernels, radius, given, source, results, rows, columns)
+            _run_tile(kernels, radius, given, image, whole, rows, columns)
     else:
+        source: Image = image
         for number, (kernel, (_, _, step)) in enumerate(zip(kernels[:-1], passes, strict=False)):
             shape = kernel.list_shapes(height=size[0], width=size[1])["sums"]
             memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
@@ -169,6 +170,7 @@ def run_filter(
             source = sums
         buffers = {name: buffer for name, (buffer, _) in outputs.items()}
         given.call(kernels[-1], lend(source, device), buffers, step=passes[-1][2], device=device)
+    results = {name: download(each) for name, (_, each) in outputs.items()}
     return FilterOutput(**results) if writes is Writes.IMAGES else _split_output(results["pixels"])
 
 
@@ -192,7 +194,9 @@ class _Given:
         """Run a pass over the pixels ``part``, which ``source`` has already; over all without it."""
         read = {each.name for each in kernel.parameters}
         lent = {
-            name: lend(image[part] if part else image, device) for name, image in self.images.items() if name in read
+            name: lend(download(image)[part] if part else image, device)
+            for name, image in self.images.items()
+            if name in read
         }
         kernel(source=source, step=step, **lent, **self.scalars, **outputs)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import comes_down, lend, make_output, take_channel, take_image, take_mask
+from lobewise.backend.buffers import Image, lend, make_output, returns_host_images, take_channel, take_image, take_mask
 from lobewise.backend.jit import get_kernel
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
@@ -47,20 +47,15 @@ class DualBufferOutput(NamedTuple):
         Mean of both halves' weight sums, in units of the pixel's own albedo; what the mean of both halves is worth.
     """
 
-    a: FloatArray
-    b: FloatArray
-    weight_sum: FloatArray
-    effective_samples: FloatArray
-
-    @property
-    def mean(self) -> FloatArray:
-        """The mean of both halves, (height, width, 3)."""
-        return np.float32(0.5) * (self.a + self.b)
+    a: Image
+    b: Image
+    weight_sum: Image
+    effective_samples: Image
 
 
-@comes_down
+@returns_host_images
 def filter_dual_buffer(
-    halves: tuple[FloatArray, FloatArray],
+    halves: tuple[Image, Image],
     mask: NDArray[np.bool_],
     place: Sequence[Feature],
     lobes: Sequence[Feature],
@@ -70,7 +65,7 @@ def filter_dual_buffer(
     seen: Sequence[Feature] = (),
     step: int = 1,
     albedo: FloatArray | None = None,
-    guide: FloatArray | None = None,
+    guide: Image | None = None,
     noise: float = 1.0,
     joined: bool = False,
     device: str = "cpu",
@@ -125,7 +120,7 @@ def filter_dual_buffer(
 
     kernel = get_kernel(device, key, make)
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held: list[NDArray[Any]] = [take_image("half", half, (height, width, COLORS)) for half in halves]
+    held: list[Image] = [take_image("half", half, (height, width, COLORS)) for half in halves]
     if albedo is not None:
         held.append(take_image("albedo", albedo, (height, width, COLORS)))
     held.append(take_mask(mask))

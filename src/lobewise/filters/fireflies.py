@@ -18,7 +18,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import comes_down, lend, make_output, take_image, take_mask
+from lobewise.backend.buffers import Image, download, lend, make_output, returns_host_images, take_image, take_mask
 from lobewise.backend.jit import get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
@@ -50,8 +50,8 @@ class BoundedHalves(NamedTuple):
         By row, of all good pixels of both: their luminance before, and what was taken of it.
     """
 
-    a: FloatArray
-    b: FloatArray
+    a: Image
+    b: Image
     tally: NDArray[np.float64]
 
     @property
@@ -68,7 +68,7 @@ class _Funcs:
     arguments: list[Any]
 
 
-@comes_down
+@returns_host_images
 def bound_fireflies(
     halves: tuple[FloatArray, FloatArray],
     albedo: FloatArray | None,
@@ -108,7 +108,7 @@ def bound_fireflies(
     """
     height, width = mask.shape
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held: list[NDArray[Any]] = [
+    held: list[Image] = [
         take_image(f"half {name}", half, (height, width, 3)) for name, half in zip("ab", halves, strict=True)
     ]
     if albedo is not None:
@@ -121,7 +121,8 @@ def bound_fireflies(
     outputs = [make_output(shape, device) for shape in shapes]
     kernel(*(lend(array, device) for array in held), *(buffer for buffer, _ in outputs))
     a, b, seen, taken = (image for _, image in outputs)
-    return BoundedHalves(a, b, np.stack([rows.sum(axis=1, dtype=np.float64) for rows in (seen, taken)], axis=1))
+    tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in (seen, taken)], axis=1)
+    return BoundedHalves(a, b, tally)
 
 
 def find_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:

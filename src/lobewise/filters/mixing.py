@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.buffers import comes_down, lend, make_output, take_image
+from lobewise.backend.buffers import Image, lend, make_output, returns_host_images, take_image
 from lobewise.backend.jit import get_kernel
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.cross_pass import find_luminance
@@ -248,15 +248,15 @@ def _require_fit(network: Network, inputs: int, candidates: int) -> None:
         )
 
 
-@comes_down
+@returns_host_images
 def _run(
-    candidates: Sequence[tuple[FloatArray, FloatArray]],
+    candidates: Sequence[tuple[Image, Image]],
     middle: int,
     extras: FloatArray,
     level: float,
     network: Network | None,
     device: str,
-) -> FloatArray:
+) -> Image:
     _require_whole(len(candidates), middle, extras)
     height, width, count = extras.shape
     channels = count_features(len(candidates), count)
@@ -267,7 +267,7 @@ def _run(
     units = tuple(len(bias) for bias in network.biases[:-1]) if network is not None else ()
     key = ("mixing", len(candidates), middle, count, units)
     kernel = get_kernel(device, key, lambda target: _Funcs(target, len(candidates), middle, count, units))
-    held: list[NDArray[Any]] = [*images, take_image("extras", extras, extras.shape)]
+    held: list[Image] = [*images, take_image("extras", extras, extras.shape)]
     tail: list[NDArray[Any]] = []
     if network is not None:
         tail += [network.mean, network.scale]
@@ -283,12 +283,12 @@ def _run(
 
 
 def find_features(
-    candidates: Sequence[tuple[FloatArray, FloatArray]],
+    candidates: Sequence[tuple[Image, Image]],
     middle: int,
     extras: FloatArray,
     level: float,
     device: str = "cpu",
-) -> FloatArray:
+) -> Image:
     """Return what a network sees of every pixel, shape (height, width, `count_features`).
 
     In this order, all base-2 logarithms: variance of each candidate (a quarter of the squared difference of its
@@ -318,13 +318,13 @@ def find_features(
 
 
 def mix_candidates(
-    candidates: Sequence[tuple[FloatArray, FloatArray]],
+    candidates: Sequence[tuple[Image, Image]],
     middle: int,
     extras: FloatArray,
     level: float,
     network: Network,
     device: str = "cpu",
-) -> FloatArray:
+) -> Image:
     """Return the mixture of the candidates, shape (height, width, 3), its shares the network's softmax.
 
     Parameters

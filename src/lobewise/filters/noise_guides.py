@@ -10,7 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.buffers import comes_down, lend, make_output, take_image, take_mask
+from lobewise.backend.buffers import (
+    Image,
+    device_scope,
+    download,
+    lend,
+    make_output,
+    returns_host_images,
+    take_image,
+    take_mask,
+)
 from lobewise.backend.jit import get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
@@ -120,9 +129,9 @@ class _Sums:
         out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
 
 
-@comes_down
+@device_scope()
 def measure_light(
-    halves: tuple[FloatArray, FloatArray], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
+    halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
 ) -> NDArray[np.float64]:
     """Return for every row the luminance of radiance over albedo, summed in ``mask``, and its pixels: (height, 2).
 
@@ -142,7 +151,7 @@ def measure_light(
     """
     height, width = mask.shape
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held: list[NDArray[Any]] = [take_image("half", half, (height, width, COLORS)) for half in halves]
+    held: list[Image] = [take_image("half", half, (height, width, COLORS)) for half in halves]
     held += [] if albedo is None else [take_image("albedo", albedo, (height, width, COLORS))]
     held.append(take_mask(mask))
     lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
@@ -150,7 +159,7 @@ def measure_light(
     buffer, sums = make_output((height, lanes), device)
     kernel = get_kernel(device, (measure_light, albedo is not None), lambda target: _Sums(target, albedo is not None))
     kernel(*(lend(image, device) for image in held), buffer)
-    return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+    return np.stack([download(sums).sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
 
 def find_level(rows: NDArray[np.float64]) -> float:
@@ -159,8 +168,8 @@ def find_level(rows: NDArray[np.float64]) -> float:
     return float(light / max(count, 1.0))
 
 
-@comes_down
-def make_noise_guide(a: FloatArray, b: FloatArray, level: float, device: str = "cpu") -> FloatArray:
+@returns_host_images
+def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu") -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is `DARKEST` of ``level``, so that the guide of a brighter image is the same but for a constant. The variance

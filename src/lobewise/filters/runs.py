@@ -10,7 +10,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import comes_down, lend, make_output, take_image, take_mask
+from lobewise.backend.buffers import device_scope, download, lend, make_output, take_image, take_mask
 from lobewise.backend.jit import get_kernel
 from lobewise.errors import InputError, describe_problem
 from lobewise.features.arrays import take_arrays, take_parameters
@@ -58,7 +58,7 @@ class _Planes:
     def get_image(self) -> FloatArray:
         """Return the image (height, width, count), once the kernel has returned."""
         for _, plane in self._outputs:
-            np.asarray(plane)
+            download(plane)
         return np.moveaxis(self._memory[..., : self._width], 0, -1)
 
 
@@ -114,7 +114,7 @@ class SampleGrid:
         self.shaded = slice(place[0], None, scale), slice(place[1], None, scale)
         self._scale, self._place = scale, place
         tints = [] if albedo is None else [take_image("albedo", albedo, (*self.shape, 3))]
-        whole: list[Image] = [*tints, take_mask(mask), *take_arrays(features, self.shape)]
+        whole: list[Image] = [*tints, take_mask(mask), *map(download, take_arrays(features, self.shape))]
         self._tinted = bool(tints)
         self._taps = [np.ascontiguousarray(image[self.shaded]) for image in whole] if scale > 1 else whole
         self.size: tuple[int, int] = (self._taps[0].shape[0], self._taps[0].shape[1])
@@ -131,7 +131,7 @@ class SampleGrid:
         key: Hashable = ("joining", self._tinted, *map(describe_structure, self._features))
         return get_kernel(self._device, key, make)
 
-    @comes_down
+    @device_scope()
     def join(
         self,
         samples: FloatArray,
@@ -299,7 +299,7 @@ def run_upsampling(
     return FilterOutput(np.ascontiguousarray(out.image), out.weight_sum, out.effective_samples, average)
 
 
-@comes_down
+@device_scope()
 def run_reprojection(
     past: FloatArray,
     places: FloatArray,
@@ -346,7 +346,7 @@ def run_reprojection(
     kernel = get_kernel(device, key, make)
     sums = _flatten_history(past, size)
     sides: list[list[Image]] = [
-        [take_mask(mask), *take_arrays(each, size)] for mask, each in zip(masks, features, strict=True)
+        [take_mask(mask), *map(download, take_arrays(each, size))] for mask, each in zip(masks, features, strict=True)
     ]
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
     arrays = [image.reshape(height * width, *image.shape[2:]) for image in sides[0]]
