@@ -84,16 +84,12 @@ def test_balanced_in_bands_is_balanced(halves: bool, apart: bool, tmp_path: Path
     compare(make_bad(halves=halves, apart=apart), tmp_path, (7, 33, 83), quality="balanced", similarity="sg")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("similarity", ["normal", "asg", "ggx", "sg_mixture"])
-def test_balanced_with_every_similarity(similarity: str, tmp_path: Path) -> None:
-    compare(make_bad(), tmp_path, (10, 33), quality="balanced", similarity=similarity)
+def test_balanced_with_lobes_of_two_axes(tmp_path: Path) -> None:
+    # What hangs on the similarity is the lobes of a band, which "fast" has for each of them.
+    compare(make_bad(), tmp_path, (10, 33), quality="balanced", similarity="ggx")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("similarity", "halves"), [("ggx", True), ("normal", False), ("sg", True), ("asg", True), ("sg_mixture", True)]
-)
+@pytest.mark.parametrize(("similarity", "halves"), [("ggx", True), ("normal", False)])
 def test_high_in_bands_is_high(similarity: str, halves: bool, tmp_path: Path) -> None:
     compare(make_bad(halves=halves), tmp_path, (10, 33), quality="high", similarity=similarity)
 
