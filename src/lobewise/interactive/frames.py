@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice, require_integer
+from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.methods import METHODS
 from lobewise.interactive.views import VIEWS, make_view
@@ -74,10 +74,8 @@ class InteractiveSettings:
         for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
             require_integer(name, getattr(self, name), 1, highest)
         if not 0.0 <= self.adaptive <= 1.0:
-            raise InputError(
-                describe_problem(
-                    "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
-                )
+            raise InputError.about(
+                "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
             )
         self.make_filter_settings()
 

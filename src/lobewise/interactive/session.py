@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
 from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
@@ -146,7 +146,7 @@ class Session:
         """
         for name, value in (("width", width), ("height", height)):
             if value < 1:
-                raise InputError(describe_problem(name, expected="at least 1", got=repr(value), action="pass another"))
+                raise InputError.about(name, expected="at least 1", got=repr(value), action="pass another")
         self._size = width, height
 
     def reset(self) -> None:

@@ -9,19 +9,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from lobewise.errors import MissingDependencyError, describe_problem
+from lobewise.errors import MissingDependencyError
 
 try:
     import drjit
     import mitsuba
 except ImportError as error:
-    raise MissingDependencyError(
-        describe_problem(
-            "rendering",
-            expected="the packages mitsuba and drjit",
-            got=f"no module {error.name!r}",
-            action="pip install 'lobewise[mitsuba]'",
-        )
+    raise MissingDependencyError.about(
+        "rendering",
+        expected="the packages mitsuba and drjit",
+        got=f"no module {error.name!r}",
+        action="pip install 'lobewise[mitsuba]'",
     ) from error
 
 dr: Any = drjit

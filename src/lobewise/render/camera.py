@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4
@@ -16,10 +16,8 @@ RAY_TOLERANCE = 1e-4
 
 def _get_sensor(scene: Any) -> Any:
     if not scene.sensors():
-        raise InputError(
-            describe_problem(
-                "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
-            )
+        raise InputError.about(
+            "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
         )
     return scene.sensors()[0]
 
@@ -39,13 +37,11 @@ def get_image_size(scene: Any) -> tuple[int, int]:
 def _get_perspective_sensor(scene: Any) -> Any:
     sensor = _get_sensor(scene)
     if sensor.class_name() != "PerspectiveCamera":
-        raise InputError(
-            describe_problem(
-                "sensor",
-                expected="type 'perspective'",
-                got=str(sensor.class_name()),
-                action="reflection lobes need one viewpoint for all pixels; use a perspective sensor",
-            )
+        raise InputError.about(
+            "sensor",
+            expected="type 'perspective'",
+            got=str(sensor.class_name()),
+            action="reflection lobes need one viewpoint for all pixels; use a perspective sensor",
         )
     return sensor
 
@@ -73,13 +69,11 @@ def get_camera(scene: Any) -> Camera:
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
     error = float(np.abs(np.array(rays.d).T - expected).max())
     if not error < RAY_TOLERANCE:
-        raise InputError(
-            describe_problem(
-                "sensor",
-                expected="a pinhole whose film is centred and not mirrored",
-                got=f"rays that differ by {error:.2g} from it",
-                action="remove crop windows, principal point offsets and negative scales from the sensor",
-            )
+        raise InputError.about(
+            "sensor",
+            expected="a pinhole whose film is centred and not mirrored",
+            got=f"rays that differ by {error:.2g} from it",
+            action="remove crop windows, principal point offsets and negative scales from the sensor",
         )
     return camera
 
@@ -98,13 +92,11 @@ def set_camera(scene: Any, camera: Camera) -> None:
     width, height = get_image_size(scene)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
-        raise InputError(
-            describe_problem(
-                "camera fov_x",
-                expected=f"square pixels on an image of {width}x{height}",
-                got=f"pixels {half_width * height / (half_height * width):.4g} times as wide as high",
-                action="leave fov_x out",
-            )
+        raise InputError.about(
+            "camera fov_x",
+            expected=f"square pixels on an image of {width}x{height}",
+            got=f"pixels {half_width * height / (half_height * width):.4g} times as wide as high",
+            action="leave fov_x out",
         )
     matrix = np.eye(4)
     # Mitsuba's x points to the left of the image.

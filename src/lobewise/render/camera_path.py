@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.io.files import PathLike, require_readable
 from lobewise.render.bridge import mi
 from lobewise.render.camera import get_camera
@@ -60,7 +60,7 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
     ):
         if not good:
             got = {"frames": frames, "centre": centre, "degrees_per_frame": degrees_per_frame}[name]
-            raise InputError(describe_problem(name, expected=expected, got=str(got), action="pass another"))
+            raise InputError.about(name, expected=expected, got=str(got), action="pass another")
 
     def turn(vector: Vector, angle: float) -> Vector:
         """Rodrigues' rotation about the camera's up."""
@@ -100,38 +100,32 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
     try:
         entries = json.loads(Path(file).read_text(encoding="utf-8"))
     except ValueError as problem:
-        raise InputError(
-            describe_problem(name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file")
+        raise InputError.about(
+            name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file"
         ) from None
     if not isinstance(entries, list) or not entries:
-        raise InputError(
-            describe_problem(
-                name,
-                expected="a JSON list of cameras, one for each frame",
-                got="an empty list" if entries == [] else f"a {type(entries).__name__}",
-                action='write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]',
-            )
+        raise InputError.about(
+            name,
+            expected="a JSON list of cameras, one for each frame",
+            got="an empty list" if entries == [] else f"a {type(entries).__name__}",
+            action='write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]',
         )
     return [_make_camera(f"{name}, entry {number}", entry, camera) for number, entry in enumerate(entries, start=1)]
 
 
 def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     if not isinstance(entry, dict):
-        raise InputError(
-            describe_problem(
-                name, expected="an object", got=f"a {type(entry).__name__}", action="write position and target"
-            )
+        raise InputError.about(
+            name, expected="an object", got=f"a {type(entry).__name__}", action="write position and target"
         )
     for key in entry:
         require_choice(f"{name}, key", key, _KEYS)
     if "position" not in entry or ("target" in entry) == ("forward" in entry):
-        raise InputError(
-            describe_problem(
-                name,
-                expected="position, and either target or forward",
-                got=", ".join(entry) or "nothing",
-                action="say where the camera is and where it looks",
-            )
+        raise InputError.about(
+            name,
+            expected="position, and either target or forward",
+            got=", ".join(entry) or "nothing",
+            action="say where the camera is and where it looks",
         )
     position = _read_vector(name, entry, "position")
     if "target" in entry:
@@ -139,23 +133,16 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     else:
         forward = _read_vector(name, entry, "forward")
     if not forward.any():
-        raise InputError(
-            describe_problem(
-                name,
-                expected="a direction of view",
-                got="a length of 0",
-                action="look at another point",
-            )
+        raise InputError.about(
+            name, expected="a direction of view", got="a length of 0", action="look at another point"
         )
     up = _read_vector(name, entry, "up") if "up" in entry else np.array([0.0, 1.0, 0.0])
     fov_y = default.fov_y
     if "fov_y" in entry:
         angle = entry["fov_y"]
         if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle < 180.0:
-            raise InputError(
-                describe_problem(
-                    f"{name}, fov_y", expected="degrees between 0 and 180", got=repr(angle), action="40 is usual"
-                )
+            raise InputError.about(
+                f"{name}, fov_y", expected="degrees between 0 and 180", got=repr(angle), action="40 is usual"
             )
         fov_y = float(np.deg2rad(angle))
     try:
@@ -168,9 +155,7 @@ def _read_vector(name: str, entry: dict[str, Any], key: str) -> Vector:
     value = entry[key]
     numbers = isinstance(value, list) and len(value) == 3
     if not numbers or any(isinstance(each, bool) or not isinstance(each, (int, float)) for each in value):
-        raise InputError(
-            describe_problem(
-                f"{name}, {key}", expected="a list of three numbers", got=json.dumps(value), action="write [x, y, z]"
-            )
+        raise InputError.about(
+            f"{name}, {key}", expected="a list of three numbers", got=json.dumps(value), action="write [x, y, z]"
         )
     return np.array(value, dtype=np.float64)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
@@ -128,13 +128,11 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
         require_choice("moves", name, numbers)
         matrix = np.asarray(move, dtype=np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError(
-                describe_problem(
-                    f"moves[{name!r}]",
-                    expected="a finite matrix of shape (4, 4)",
-                    got=f"an array of shape {matrix.shape}",
-                    action="pass what takes points of now to where they were",
-                )
+            raise InputError.about(
+                f"moves[{name!r}]",
+                expected="a finite matrix of shape (4, 4)",
+                got=f"an array of shape {matrix.shape}",
+                action="pass what takes points of now to where they were",
             )
         there = position @ matrix[:3, :3].T + matrix[:3, 3]
         before = np.where((shape == numbers[name])[..., None], there, before)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import FileError, InputError, describe_problem, require_choice, require_integer
+from lobewise.errors import FileError, InputError, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
 from lobewise.scenes import BUILT_IN, MOVING, describe_movers, describe_scene
 
@@ -116,13 +116,11 @@ class MovingScene:
 
 def _require_moving(name: str) -> None:
     if name not in MOVING:
-        raise InputError(
-            describe_problem(
-                "scene",
-                expected=f"one whose objects move: {' or '.join(MOVING)}",
-                got=repr(name),
-                action="take one of them, or let the camera move alone",
-            )
+        raise InputError.about(
+            "scene",
+            expected=f"one whose objects move: {' or '.join(MOVING)}",
+            got=repr(name),
+            action="take one of them, or let the camera move alone",
         )
 
 
@@ -193,24 +191,20 @@ def _make_mesh(
 def _load_file(path: Path, width: int | None, height: int | None) -> Any:
     if not path.is_file():
         got = "a folder" if path.is_dir() else "nothing there"
-        raise FileError(describe_problem(str(path), expected="a Mitsuba XML file", got=got, action="check the path"))
+        raise FileError.about(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
     mi = load_mitsuba()
     try:
         scene = mi.load_file(str(path))
     except (RuntimeError, OSError) as error:
-        raise InputError(
-            describe_problem(
-                str(path),
-                expected="a scene that Mitsuba understands",
-                got=" ".join(str(error).split()),
-                action="mend the file",
-            )
+        raise InputError.about(
+            str(path),
+            expected="a scene that Mitsuba understands",
+            got=" ".join(str(error).split()),
+            action="mend the file",
         ) from error
     if not isinstance(scene, mi.Scene):
-        raise InputError(
-            describe_problem(
-                str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"
-            )
+        raise InputError.about(
+            str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"
         )
     if (width or height) and scene.sensors():
         _resize(mi, scene, width, height)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem, require_choice, require_integer
+from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
@@ -38,13 +38,11 @@ LIGHTS = {"all": 0, "indirect": 2}
 def _check_scene(scene: Any) -> None:
     variant = mi.variant()
     if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
-        raise InputError(
-            describe_problem(
-                "scene",
-                expected="a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values()),
-                got=f"a {type(scene).__name__} under the variant {variant}",
-                action="call load_mitsuba() first, then load the scene",
-            )
+        raise InputError.about(
+            "scene",
+            expected="a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values()),
+            got=f"a {type(scene).__name__} under the variant {variant}",
+            action="call load_mitsuba() first, then load the scene",
         )
 
 
@@ -340,17 +338,15 @@ def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, i
     whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
     if not whole or rows.size != columns.size:
         shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
-        raise InputError(
-            describe_problem("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
+        raise InputError.about(
+            "rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero"
         )
     if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
-        raise InputError(
-            describe_problem(
-                "rows and columns",
-                expected=f"pixels of an image of {width}x{height}",
-                got=f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}",
-                action="count both from 0",
-            )
+        raise InputError.about(
+            "rows and columns",
+            expected=f"pixels of an image of {width}x{height}",
+            got=f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}",
+            action="count both from 0",
         )
     return np.asarray(rows * width + columns, dtype=np.uint32)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.render.camera import get_camera, set_camera
 from lobewise.render.loading import MovingScene
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
@@ -68,18 +68,14 @@ def render_sequence(
         See `render_frame`.
     """
     if not 0 <= first < len(cameras):
-        raise InputError(
-            describe_problem(
-                "first",
-                expected=f"the index of one of the {len(cameras)} cameras",
-                got=repr(first),
-                action="pass a longer path",
-            )
+        raise InputError.about(
+            "first",
+            expected=f"the index of one of the {len(cameras)} cameras",
+            got=repr(first),
+            action="pass a longer path",
         )
     if reference and scale != 1:
-        raise InputError(
-            describe_problem("reference", expected="scale 1", got=str(scale), action="references are whole frames")
-        )
+        raise InputError.about("reference", expected="scale 1", got=str(scale), action="references are whole frames")
     places = list_places(scale)
     common: dict[str, Any] = {"spp": spp, "max_depth": max_depth, "light": light}
 

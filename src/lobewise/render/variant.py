@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from lobewise.errors import DeviceError, MissingDependencyError, describe_problem, require_choice
+from lobewise.errors import DeviceError, MissingDependencyError, require_choice
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 """Environment variable that tells Dr.Jit which LLVM to load."""
@@ -120,27 +120,23 @@ def find_llvm() -> str:
     if chosen:
         version = query_llvm_version(chosen)
         if version is None or version < OLDEST_LLVM:
-            raise MissingDependencyError(
-                describe_problem(
-                    LIBRARY_VARIABLE,
-                    expected=f"the path of a libLLVM of version {OLDEST_LLVM} or newer",
-                    got=chosen,
-                    action="unset it to search the usual places, or name another library",
-                )
+            raise MissingDependencyError.about(
+                LIBRARY_VARIABLE,
+                expected=f"the path of a libLLVM of version {OLDEST_LLVM} or newer",
+                got=chosen,
+                action="unset it to search the usual places, or name another library",
             )
         return chosen
     candidates = list_llvm_libraries()
     for path in rank_llvm_libraries(candidates):
         if (query_llvm_version(path) or 0) >= OLDEST_LLVM:
             return path
-    raise MissingDependencyError(
-        describe_problem(
-            "libLLVM",
-            expected=f"version {OLDEST_LLVM} or newer, which Mitsuba needs to render on the CPU",
-            got=", ".join(candidates) if candidates else "none on this machine",
-            action="install it (Debian and Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
-            f"macOS: brew install llvm), or set {LIBRARY_VARIABLE} to its path",
-        )
+    raise MissingDependencyError.about(
+        "libLLVM",
+        expected=f"version {OLDEST_LLVM} or newer, which Mitsuba needs to render on the CPU",
+        got=", ".join(candidates) if candidates else "none on this machine",
+        action="install it (Debian and Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
+        f"macOS: brew install llvm), or set {LIBRARY_VARIABLE} to its path",
     )
 
 
@@ -168,25 +164,21 @@ def load_mitsuba(device: str = "auto") -> Any:
     current = mi.variant()
     if current in VARIANTS.values():
         if device != "auto" and VARIANTS[device] != current:
-            raise DeviceError(
-                describe_problem(
-                    "device",
-                    expected=f"the one in use, {current}",
-                    got=repr(device),
-                    action="start another process: scenes cannot move between Mitsuba's variants",
-                )
+            raise DeviceError.about(
+                "device",
+                expected=f"the one in use, {current}",
+                got=repr(device),
+                action="start another process: scenes cannot move between Mitsuba's variants",
             )
         return mi
 
     has_cuda = bool(dr.has_backend(dr.JitBackend.CUDA)) if device != "cpu" else False
     if device == "cuda" and not has_cuda:
-        raise DeviceError(
-            describe_problem(
-                "device 'cuda'",
-                expected="an NVIDIA GPU and its driver",
-                got="none that Dr.Jit can use",
-                action="pass device='cpu'",
-            )
+        raise DeviceError.about(
+            "device 'cuda'",
+            expected="an NVIDIA GPU and its driver",
+            got="none that Dr.Jit can use",
+            action="pass device='cpu'",
         )
     chosen = "cuda" if has_cuda else "cpu"
     if chosen == "cpu" and sys.platform != "win32":  # on Windows Dr.Jit searches PATH for LLVM-C.dll itself

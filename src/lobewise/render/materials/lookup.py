@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.fitting.fit import COSINES, Evaluate
 from lobewise.lobes.vectors import Array
 from lobewise.render.loading import load_scene
@@ -68,24 +68,20 @@ def open_scene_material(reference: str) -> SceneMaterial:
     """
     scene, mark, name = reference.rpartition("#")
     if not (mark and scene and name):
-        raise InputError(
-            describe_problem(
-                "Mitsuba material",
-                expected="SCENE#ID, a scene and the id of a BSDF or shape in it",
-                got=repr(reference),
-                action="pass for example scene.xml#paint",
-            )
+        raise InputError.about(
+            "Mitsuba material",
+            expected="SCENE#ID, a scene and the id of a BSDF or shape in it",
+            got=repr(reference),
+            action="pass for example scene.xml#paint",
         )
     bsdf = _find_bsdf(load_scene(scene), scene, name)
     evaluate = make_specular_evaluate(bsdf, find_parts(bsdf))
     if evaluate is None:
-        raise InputError(
-            describe_problem(
-                f"BSDF {name!r}",
-                expected="a glossy lobe",
-                got="mirrors or diffuse lobes alone",
-                action="only glossy reflection can be fitted",
-            )
+        raise InputError.about(
+            f"BSDF {name!r}",
+            expected="a glossy lobe",
+            got="mirrors or diffuse lobes alone",
+            action="only glossy reflection can be fitted",
         )
     isotropic = is_isotropic(evaluate)
     cosines = list_fitted_views(evaluate, np.asarray(COSINES) if isotropic else make_views(isotropic))
@@ -103,21 +99,17 @@ def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
     found.pop("", None)
     if name not in found:
         near = difflib.get_close_matches(name, found, n=_MOST_SHOWN, cutoff=0.0)
-        raise InputError(
-            describe_problem(
-                f"scene {scene_name!r}",
-                expected=f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs",
-                got=repr(name),
-                action="correct the id" if near else "give the BSDF an id in the scene",
-            )
+        raise InputError.about(
+            f"scene {scene_name!r}",
+            expected=f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs",
+            got=repr(name),
+            action="correct the id" if near else "give the BSDF an id in the scene",
         )
     if len(found[name]) > 1:
-        raise InputError(
-            describe_problem(
-                f"scene {scene_name!r}",
-                expected=f"one BSDF with the id {name!r}",
-                got=str(len(found[name])),
-                action="name the shape that carries it",
-            )
+        raise InputError.about(
+            f"scene {scene_name!r}",
+            expected=f"one BSDF with the id {name!r}",
+            got=str(len(found[name])),
+            action="name the shape that carries it",
         )
     return next(iter(found[name].values()))

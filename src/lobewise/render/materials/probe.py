@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import UnsupportedBsdfError, describe_problem
+from lobewise.errors import UnsupportedBsdfError
 from lobewise.lobes.vectors import Array
 from lobewise.render.bridge import dr, mi
 
@@ -248,13 +248,11 @@ def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
         dr.eval(out)
     except Exception as error:  # what a BSDF of the user's raises can be anything
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise UnsupportedBsdfError(
-            describe_problem(
-                _name(bsdf),
-                expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
-                got=f"{bsdf.class_name()}: {reason}",
-                action="mend or replace it in the scene",
-            )
+        raise UnsupportedBsdfError.about(
+            _name(bsdf),
+            expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
+            got=f"{bsdf.class_name()}: {reason}",
+            action="mend or replace it in the scene",
         ) from error
     return out
 

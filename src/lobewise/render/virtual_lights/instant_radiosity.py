@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem, require_integer
+from lobewise.errors import InputError, require_integer
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_image_size
 from lobewise.render.materials.bsdfs import Material
@@ -347,16 +347,12 @@ def find_sharpness_limit(lights: float) -> float:
         If it is not above 0.
     """
     if not (math.isfinite(lights) and lights > 0.0):
-        raise InputError(
-            describe_problem("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
-        )
+        raise InputError.about("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
     return min(1.0 / math.sqrt(2.0 * lights), 1.0)
 
 
 def _require_part(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
-        raise InputError(
-            describe_problem(
-                name, expected="a part of the scene's diagonal, 0 to 1", got=repr(value), action="0.05 is usual"
-            )
+        raise InputError.about(
+            name, expected="a part of the scene's diagonal, 0 to 1", got=repr(value), action="0.05 is usual"
         )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.render.bridge import dr, mi
 
 QUASI_BOUNCES = 6
@@ -175,13 +175,11 @@ class LightPaths:
         ray, power, emitter = scene.sample_emitter_ray(0.0, first[0], place, aim, True)
         power = power * share * self._widen(ray, emitter)
         if not dr.any((dr.max(power) > 0) & dr.isfinite(dr.max(power))):
-            raise InputError(
-                describe_problem(
-                    "scene",
-                    expected="an emitter that sends light out",
-                    got=f"{len(scene.emitters())} emitters and no light from them",
-                    action="add one, or switch one on",
-                )
+            raise InputError.about(
+                "scene",
+                expected="an emitter that sends light out",
+                got=f"{len(scene.emitters())} emitters and no light from them",
+                action="add one, or switch one on",
             )
         rng = mi.PCG32()
         state, sequence = mi.sample_tea_32(path, dr.opaque(mi.UInt32, self._seed & 0xFFFFFFFF))

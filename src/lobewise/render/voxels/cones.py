@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, describe_problem, require_integer
+from lobewise.errors import InputError, require_integer
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
@@ -90,13 +90,11 @@ class VoxelCones:
         progress: Progress | None = None,
     ) -> None:
         if resolution not in RESOLUTIONS:
-            raise InputError(
-                describe_problem(
-                    "resolution",
-                    expected="one of " + ", ".join(map(str, RESOLUTIONS)),
-                    got=repr(resolution),
-                    action="pass resolution=128",
-                )
+            raise InputError.about(
+                "resolution",
+                expected="one of " + ", ".join(map(str, RESOLUTIONS)),
+                got=repr(resolution),
+                action="pass resolution=128",
             )
         require_integer("bounces", bounces, 0, 16)
         require_integer("light_samples", light_samples, 1, 1024)

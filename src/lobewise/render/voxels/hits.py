@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
@@ -89,13 +89,11 @@ def find_bounds(scene: Any, resolution: int) -> Bounds:
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
     if not extent > 0.0:
-        raise InputError(
-            describe_problem(
-                "scene",
-                expected="surfaces of finite size",
-                got=f"{len(boxes)} of them, {extent:g} wide",
-                action="add a shape to the scene",
-            )
+        raise InputError.about(
+            "scene",
+            expected="surfaces of finite size",
+            got=f"{len(boxes)} of them, {extent:g} wide",
+            action="add a shape to the scene",
         )
     voxel = extent / (resolution - 2.0 * MARGIN)
     corner = 0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0)) - 0.5 * resolution * voxel
