@@ -15,15 +15,7 @@ from lobewise.fitting.merl import MerlBrdf, make_merl
 from lobewise.lobes.brdf import ggx_brdf
 from lobewise.render import load_mitsuba
 from lobewise.render.loading import build_scene
-from lobewise.scenes.build import (
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_diffuse,
-    make_light,
-    make_rectangle,
-    make_sphere,
-)
+from lobewise.scenes import parts
 
 DIFFUSE_SHARE = 0.35
 """How many samples follow the cosine."""
@@ -131,29 +123,28 @@ def make_scene(materials: tuple[MerlBrdf, ...], size: int) -> Any:
     kind = make_bsdf_type()
     alphas = (0.12, 0.1, 0.22)
     bsdfs = [kind(materials[number % len(materials)], alphas[number % len(alphas)]) for number in range(3)]
-    balls = {f"ball{number}": make_sphere((1.7 * (number - 1), 0.8, 0.0), 0.8, bsdfs[number]) for number in range(3)}
+    balls = {f"ball{number}": parts.sphere((1.7 * (number - 1), 0.8, 0.0), 0.8, bsdfs[number]) for number in range(3)}
     plates = {
-        f"plate{number}": make_rectangle(
+        f"plate{number}": parts.rectangle(
             (1.4 * (number % 4) - 2.1, 0.0, 1.2 - 1.4 * (number // 4)),
             (1.4 * (number % 4) - 2.1, 1.0, 1.2 - 1.4 * (number // 4)),
             (0.7, 0.7),
-            {"bsdf": bsdfs[(number + number // 4) % 3]},
-            up=(0, 0, -1),
+            bsdfs[(number + number // 4) % 3],
         )
         for number in range(12)
     }
-    checks = make_checkerboard((0.9, 0.9, 0.85), (0.08, 0.09, 0.35), (8, 4))
+    checks = parts.checkerboard((0.9, 0.9, 0.85), (0.08, 0.09, 0.35), (8, 4))
     return build_scene(
         {
             "type": "scene",
-            "sensor": make_camera((0.0, 2.3, 5.6), (0.0, 0.55, 0.0), 42.0, size, size),
+            "sensor": parts.camera((0.0, 2.3, 5.6), (0.0, 0.55, 0.0), 42.0, size, size),
             "integrator": {"type": "path", "max_depth": 6},
-            "wall": make_rectangle((0, 2, -3), (0, 2, 0), (4, 2), {"bsdf": make_diffuse(checks)}),
-            "front": make_rectangle((0, 2, 7), (0, 2, 0), (4, 2), {"bsdf": make_diffuse((0.4, 0.4, 0.42))}),
-            "left": make_rectangle((-4, 2, 2), (0, 2, 2), (5, 2), {"bsdf": make_diffuse((0.7, 0.3, 0.1))}),
-            "right": make_rectangle((4, 2, 2), (0, 2, 2), (5, 2), {"bsdf": make_diffuse((0.1, 0.35, 0.6))}),
-            "lamp": make_light((0, 4.0, 1.0), (0, 0, 1.0), (1.6, 0.8), (11.0, 10.5, 9.8)),
-            "post": make_box((-0.85, 0.35, 1.0), (0.1, 0.35, 0.1), make_diffuse((0.9, 0.6, 0.05)), 30),
+            "wall": parts.rectangle((0, 2, -3), (0, 2, 0), (4, 2), parts.diffuse(checks)),
+            "front": parts.rectangle((0, 2, 7), (0, 2, 0), (4, 2), parts.diffuse((0.4, 0.4, 0.42))),
+            "left": parts.rectangle((-4, 2, 2), (0, 2, 2), (5, 2), parts.diffuse((0.7, 0.3, 0.1))),
+            "right": parts.rectangle((4, 2, 2), (0, 2, 2), (5, 2), parts.diffuse((0.1, 0.35, 0.6))),
+            "lamp": parts.light((0, 4.0, 1.0), (0, 0, 1.0), (1.6, 0.8), (11.0, 10.5, 9.8)),
+            "post": parts.box((-0.85, 0.35, 1.0), (0.1, 0.35, 0.1), parts.diffuse((0.9, 0.6, 0.05)), 30),
             **balls,
             **plates,
         }

@@ -25,16 +25,7 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.render import render_frame, render_reference
 from lobewise.render.loading import build_scene
-from lobewise.scenes.build import (
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_diffuse,
-    make_light,
-    make_metal,
-    make_rectangle,
-    make_texture,
-)
+from lobewise.scenes import parts
 from lobewise.settings import DenoiseSettings
 
 SIZE = 384
@@ -51,23 +42,19 @@ def make_scene() -> Any:
     colors = ((0.85, 0.10, 0.06), (0.10, 0.30, 0.80), (0.90, 0.70, 0.10), (0.12, 0.55, 0.20), (0.85, 0.85, 0.82))
     posts = {}
     for number, x in enumerate(np.linspace(-2.2, 2.2, 12)):
-        stripes = make_checkerboard(colors[number % 5], (0.05, 0.05, 0.06), (1, 6))
+        stripes = parts.checkerboard(colors[number % 5], (0.05, 0.05, 0.06), (1, 6))
         where = (float(x), 0.6, -0.5 + 0.9 * (number % 3 - 1))
-        posts[f"post{number}"] = make_box(where, (0.06, 0.6, 0.06), make_diffuse(stripes), 20.0 * number)
+        posts[f"post{number}"] = parts.box(where, (0.06, 0.6, 0.06), parts.diffuse(stripes), 20.0 * number)
     return build_scene(
         {
             "type": "scene",
-            "sensor": make_camera((0.0, 1.7, 5.2), (0.0, 0.35, 0.0), 40.0, SIZE, SIZE),
+            "sensor": parts.camera((0.0, 1.7, 5.2), (0.0, 0.35, 0.0), 40.0, SIZE, SIZE),
             "integrator": {"type": "path", "max_depth": 6},
-            "floor": make_rectangle(
-                (0, 0, 0),
-                (0, 1, 0),
-                (3, 3),
-                {"bsdf": make_metal("aluminium", make_texture(alpha, filter_type="nearest"))},
-                up=(0, 0, -1),
+            "floor": parts.rectangle(
+                (0, 0, 0), (0, 1, 0), (3, 3), parts.metal("aluminium", parts.texture(alpha, filter_type="nearest"))
             ),
-            "wall": make_rectangle((0, 1.5, -3), (0, 1.5, 0), (3, 1.5), {"bsdf": make_diffuse((0.5, 0.5, 0.52))}),
-            "lamp": make_light((0, 4.5, 2.0), (0, 0, 0), (2.0, 1.0), (7.0, 6.8, 6.4)),
+            "wall": parts.rectangle((0, 1.5, -3), (0, 1.5, 0), (3, 1.5), parts.diffuse((0.5, 0.5, 0.52))),
+            "lamp": parts.light((0, 4.5, 2.0), (0, 0, 0), (2.0, 1.0), (7.0, 6.8, 6.4)),
             **posts,
         }
     )

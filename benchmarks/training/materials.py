@@ -7,21 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    IOR_OF_METALS,
-    Item,
-    Vector,
-    encode_normals,
-    make_bump_map,
-    make_diffuse,
-    make_metal,
-    make_mirror,
-    make_normal_map,
-    make_plastic,
-    make_principled,
-    make_rgb,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import IOR_OF_METALS, Item, Vector, encode_normals
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -123,7 +110,7 @@ def draw_albedo(
 ) -> Item:
     """Return a colour, or with the probability ``textured`` a texture between two or among some colours."""
     if generator.random() >= textured:
-        return make_rgb(draw_color(generator, low, high, saturated=saturated))
+        return parts.rgb(draw_color(generator, low, high, saturated=saturated))
     texels = 2 * TEXELS if periods > 6.0 else TEXELS
     pattern = draw_pattern(generator, periods, texels)[..., None]
     first, second, third = (np.array(draw_color(generator, low, high, saturated=saturated)) for _ in range(3))
@@ -131,7 +118,7 @@ def draw_albedo(
     if generator.random() < 0.3:
         patches = draw_pattern(generator, 0.5 * periods, texels)[..., None] > 0.5
         values = np.where(patches, values, third * (0.6 + 0.4 * pattern))
-    return make_texture(values, filter_type="nearest" if generator.random() < 0.2 else "bilinear")
+    return parts.texture(values, filter_type="nearest" if generator.random() < 0.2 else "bilinear")
 
 
 def draw_alpha(generator: Generator, low: float = SMALLEST_ALPHA, high: float = LARGEST_ALPHA) -> float:
@@ -146,7 +133,7 @@ def draw_alpha_map(generator: Generator, periods: float, low: float = SMALLEST_A
 
 
 def _draw_diffuse(generator: Generator, periods: float) -> Item:
-    return make_diffuse(draw_albedo(generator, periods, textured=0.5, low=0.02, high=0.92))
+    return parts.diffuse(draw_albedo(generator, periods, textured=0.5, low=0.02, high=0.92))
 
 
 def _draw_name(generator: Generator) -> str:
@@ -155,9 +142,9 @@ def _draw_name(generator: Generator) -> str:
 
 def _draw_metal(generator: Generator, periods: float) -> Item:
     textured = generator.random() < 0.3
-    metal = make_metal(
+    metal = parts.metal(
         _draw_name(generator),
-        make_texture(draw_alpha_map(generator, periods)) if textured else draw_alpha(generator),
+        parts.texture(draw_alpha_map(generator, periods)) if textured else draw_alpha(generator),
     )
     if generator.random() < 0.4:
         metal["inner"]["specular_reflectance"] = draw_albedo(generator, periods, low=0.3, high=1.0)
@@ -170,11 +157,11 @@ def _draw_brushed(generator: Generator, periods: float) -> Item:
     alphas = [small, small * stretch]
     if generator.random() < 0.5:
         alphas.reverse()
-    return make_metal(_draw_name(generator), alphas[0], alphas[1])
+    return parts.metal(_draw_name(generator), alphas[0], alphas[1])
 
 
 def _draw_plastic(generator: Generator, periods: float) -> Item:
-    return make_plastic(draw_albedo(generator, periods), draw_alpha(generator, 0.01), ior=generator.uniform(1.3, 1.9))
+    return parts.plastic(draw_albedo(generator, periods), draw_alpha(generator, 0.01), ior=generator.uniform(1.3, 1.9))
 
 
 def _draw_smooth_plastic(generator: Generator, periods: float) -> Item:
@@ -183,14 +170,14 @@ def _draw_smooth_plastic(generator: Generator, periods: float) -> Item:
 
 
 def _draw_mirror(generator: Generator, periods: float) -> Item:
-    return make_mirror(draw_color(generator, 0.6, 0.95))
+    return parts.mirror(draw_color(generator, 0.6, 0.95))
 
 
 def _draw_principled(generator: Generator, periods: float) -> Item:
     # The plugin squares the roughness that it is given.
     textured = generator.random() < 0.35
     roughness = (
-        make_texture(np.sqrt(draw_alpha_map(generator, periods, 0.01)))
+        parts.texture(np.sqrt(draw_alpha_map(generator, periods, 0.01)))
         if textured
         else float(np.sqrt(draw_alpha(generator, 0.01)))
     )
@@ -205,7 +192,7 @@ def _draw_principled(generator: Generator, periods: float) -> Item:
         parameters.update(clearcoat=generator.uniform(0.2, 1.0), clearcoat_gloss=generator.uniform(0.3, 1.0))
     if generator.random() < 0.25:
         parameters["anisotropic"] = generator.uniform(0.2, 0.95)
-    return make_principled(draw_albedo(generator, periods), **parameters)
+    return parts.principled(draw_albedo(generator, periods), **parameters)
 
 
 def _draw_glass(generator: Generator, periods: float) -> Item:
@@ -213,7 +200,7 @@ def _draw_glass(generator: Generator, periods: float) -> Item:
     rough = {"type": "roughdielectric", "distribution": "ggx", "alpha": draw_alpha(generator, 0.03, 0.4)}
     kind = rough if generator.random() < 0.5 else {"type": "dielectric"}
     ior = generator.uniform(1.3, 1.8)
-    return {**kind, "int_ior": ior, "ext_ior": 1.0, "specular_transmittance": make_rgb(tint)}
+    return {**kind, "int_ior": ior, "ext_ior": 1.0, "specular_transmittance": parts.rgb(tint)}
 
 
 FAMILIES: dict[str, Callable[[Generator, float], Item]] = {
@@ -263,9 +250,9 @@ def add_relief(generator: Generator, bsdf: Item, periods: float, size: float) ->
     height, slope_x, slope_y = _draw_waves(generator, texels, min(periods, FINEST))
     deviation = float(np.sqrt(0.5 * (slope_x**2 + slope_y**2).mean()))
     if generator.random() < 0.5:
-        return make_normal_map(encode_normals(*(steepness / deviation * each for each in (slope_x, slope_y))), bsdf)
+        return parts.normal_map(encode_normals(*(steepness / deviation * each for each in (slope_x, slope_y))), bsdf)
     low, high = float(height.min()), float(height.max())
-    return make_bump_map((height - low) / (high - low), steepness / deviation * (high - low) * size, bsdf)
+    return parts.bump_map((height - low) / (high - low), steepness / deviation * (high - low) * size, bsdf)
 
 
 def draw_material(

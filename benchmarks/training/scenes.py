@@ -28,7 +28,7 @@ from benchmarks.training.settings import make_corridor, make_open_stage, make_ro
 from lobewise.io.exr import write_frame
 from lobewise.render import load_mitsuba, render_frame, render_reference
 from lobewise.render.loading import build_scene
-from lobewise.scenes.build import make_camera
+from lobewise.scenes import parts
 
 SAMPLES = (1, 4, 16, 64)
 SETTINGS = ("room", "stage", "dark", "corridor", "room", "stage")
@@ -59,7 +59,7 @@ def _make_scene(seed: int, width: int, height: int, light: float) -> dict[str, A
         stage = make_room(generator, light, dark=kind == "dark")
     return {
         "type": "scene",
-        "sensor": make_camera(stage.origin, stage.target, stage.fov, width, height),
+        "sensor": parts.camera(stage.origin, stage.target, stage.fov, width, height),
         "integrator": {"type": "path", "max_depth": 8},
         **stage.items,
     }

@@ -20,14 +20,8 @@ from benchmarks.training.materials import (
     draw_material,
 )
 
-from lobewise.scenes.build import (
-    Item,
-    Vector,
-    make_diffuse,
-    make_light,
-    make_rectangle,
-    make_rgb,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, Vector
 
 CLEARANCE, NEAREST = 0.5, 3.0
 """Least distance from the camera to an object's surface, and from it to the middle in radii: none fills the picture."""
@@ -183,7 +177,7 @@ def _draw_floor(stage: Stage, size: float) -> Item:
     generator = stage.generator
     periods = size * draw_log(generator, 0.3, 2.0)
     if generator.random() < 0.3:
-        return make_diffuse(draw_albedo(generator, periods, textured=0.7, low=0.05))
+        return parts.diffuse(draw_albedo(generator, periods, textured=0.7, low=0.05))
     families = {"principled": 0.5, "plastic": 0.25, "metal": 0.15, "diffuse": 0.05, "smooth plastic": 0.05}
     bsdf = draw_material(generator, families, periods=periods, size=size, closed=False, relief=0.0)
     return add_relief(generator, bsdf, size * draw_log(generator, 0.5, 2.0), size) if generator.random() < 0.3 else bsdf
@@ -194,7 +188,9 @@ def _draw_wall(stage: Stage, size: float, low: float, high: float) -> Item:
     generator = stage.generator
     if generator.random() < 0.15:
         return draw_material(generator, stage.families, periods=size, size=size, closed=False)
-    bsdf = make_diffuse(draw_albedo(generator, size * draw_log(generator, 0.3, 2.0), low=low, high=high, saturated=0.4))
+    bsdf = parts.diffuse(
+        draw_albedo(generator, size * draw_log(generator, 0.3, 2.0), low=low, high=high, saturated=0.4)
+    )
     return add_relief(generator, bsdf, 2.0 * size, size) if generator.random() < 0.15 else bsdf
 
 
@@ -206,18 +202,18 @@ def _add_shell(stage: Stage, half: tuple[float, float], height: float, low: floa
     wide, deep, tall = x + 0.05, z + 0.05, middle + 0.05
     floor, ceiling = (
         _draw_floor(stage, 2.0 * max(half)),
-        make_diffuse(draw_color(stage.generator, 0.4 * high, high, saturated=0.25)),
+        parts.diffuse(draw_color(stage.generator, 0.4 * high, high, saturated=0.25)),
     )
-    stage.add("floor", make_rectangle((0, 0, 0), (0, 1, 0), (wide, deep), {"bsdf": floor}, up=(0, 0, -1)))
-    stage.add("ceiling", make_rectangle((0, height, 0), (0, 0, 0), (wide, deep), {"bsdf": ceiling}, up=(0, 0, -1)))
+    stage.add("floor", parts.rectangle((0, 0, 0), (0, 1, 0), (wide, deep), floor))
+    stage.add("ceiling", parts.rectangle((0, height, 0), (0, 0, 0), (wide, deep), ceiling))
     for at, size in (
         ((0.0, middle, -z), (wide, tall)),
         ((0.0, middle, z), (wide, tall)),
         ((-x, middle, 0.0), (deep, tall)),
         ((x, middle, 0.0), (deep, tall)),
     ):
-        content = {"bsdf": _draw_wall(stage, 2.0 * size[0], low, high)}
-        stage.add("wall", make_rectangle(at, (0, middle, 0), size, content))
+        wall = _draw_wall(stage, 2.0 * size[0], low, high)
+        stage.add("wall", parts.rectangle(at, (0, middle, 0), size, wall))
 
 
 def _draw_light_color(generator: Generator, saturation: float = 0.35) -> Array:
@@ -232,8 +228,7 @@ def _scale_color(color: Array, radiance: float) -> Vector:
 
 
 def _add_ball_lamp(stage: Stage, center: Vector, radius: float, radiance: Vector) -> None:
-    emitter = {"type": "area", "radiance": make_rgb(radiance)}
-    stage.add("lamp", {"type": "sphere", "center": list(center), "radius": radius, "emitter": emitter})
+    stage.add("lamp", parts.bulb(center, radius, radiance))
     stage.places.append((center, radius))
 
 
@@ -247,14 +242,14 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
         size = tuple(float(draw_log(generator, 0.15, 0.6) * each) for each in half)
         at = (float(generator.uniform(-0.4, 0.4) * x), float(generator.uniform(-0.5, 0.4) * z))
         radiance = _scale_color(color, light)
-        stage.add("lamp", make_light((at[0], height - 0.02, at[1]), (at[0], 0, at[1]), (size[0], size[1]), radiance))
+        stage.add("lamp", parts.light((at[0], height - 0.02, at[1]), (at[0], 0, at[1]), (size[0], size[1]), radiance))
     elif kind == "window":
         side = float(generator.choice([-1.0, 1.0]))
         at_z, wide, tall = float(generator.uniform(-0.5, 0.3) * z), 0.35 * z, 0.28 * height
         center = (side * (x - 0.03), 0.55 * height, at_z)
-        pane = make_light(center, (0, center[1], at_z), (wide, tall), _scale_color(color, light), up=(0, 1, 0))
+        pane = parts.light(center, (0, center[1], at_z), (wide, tall), _scale_color(color, light), up=(0, 1, 0))
         stage.add("window", pane)
-        frame = make_diffuse(draw_color(generator, 0.1, 0.8))
+        frame = parts.diffuse(draw_color(generator, 0.1, 0.8))
         for k in (-1.0, 0.0, 1.0):
             for at, size in (
                 ((center[0], center[1], at_z + k * wide), (0.06, tall + 0.04, 0.04)),
@@ -271,12 +266,12 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
                 # It faces up, far enough from the ceiling for a wide spot there: most of what is seen is lit by that.
                 at_y = float(generator.uniform(0.5, 0.7) * height)
                 at_x = float(np.sign(at_x) * generator.uniform(0.6, 0.85) * x)
-                stage.add("uplight", make_light((at_x, at_y, at_z), (at_x, height, at_z), size, own))
+                stage.add("uplight", parts.light((at_x, at_y, at_z), (at_x, height, at_z), size, own))
             elif generator.random() < 0.4:
                 center = (at_x, float(generator.uniform(0.6, 0.85) * height), min(at_z, stage.origin[2] - 2.0))
                 _add_ball_lamp(stage, center, draw_log(generator, 0.1, 0.25), own)
             else:
-                stage.add("lamp", make_light((at_x, height - 0.02, at_z), (at_x, 0, at_z), size, own))
+                stage.add("lamp", parts.light((at_x, height - 0.02, at_z), (at_x, 0, at_z), size, own))
 
 
 def _aim(stage: Stage, origin: Vector, target: Vector, fov: float) -> None:
@@ -334,13 +329,13 @@ def make_corridor(generator: Generator, light: float) -> Stage:
             bsdf = draw_material(generator, families, periods=3.0, size=1.4, closed=False, relief=0.2)
             for z in np.arange(half[1] - 1.5, -half[1], -float(generator.uniform(1.7, 3.0))):
                 at = (side * (half[0] - 0.02), 0.5 * height, float(z))
-                panel = make_rectangle(at, (0, at[1], at[2]), (0.7, 0.38 * height), {"bsdf": bsdf})
+                panel = parts.rectangle(at, (0, at[1], at[2]), (0.7, 0.38 * height), bsdf)
                 stage.add("panel", panel)
     step, color = float(generator.uniform(1.6, 4.0)), _draw_light_color(generator)
     size = (draw_log(generator, 0.2, 0.7), draw_log(generator, 0.15, 0.6))
     for z in np.arange(half[1] - 1.0, -half[1], -step):
         own = _scale_color(color * _draw_light_color(generator, 0.5), light * generator.uniform(0.3, 1.0))
-        stage.add("lamp", make_light((0, height - 0.02, float(z)), (0, 0, float(z)), size, own))
+        stage.add("lamp", parts.light((0, height - 0.02, float(z)), (0, 0, float(z)), size, own))
     add_objects(stage, int(generator.integers(8, 26)), 0.4 * half[0])
     return stage
 
@@ -391,11 +386,11 @@ def make_open_stage(generator: Generator, light: float) -> Stage:
     )
     _aim(stage, origin, (0.0, float(generator.uniform(0.2, 0.6)), -0.3), float(generator.uniform(32.0, 60.0)))
     stage.add("sky", {"type": "envmap", "bitmap": (light * make_sky(generator)).astype(np.float32)})
-    floor = {"bsdf": _draw_floor(stage, 2.0 * size)}
-    stage.add("floor", make_rectangle((0, 0, 0), (0, 1, 0), (size, size), floor, up=(0, 0, -1)))
+    floor = _draw_floor(stage, 2.0 * size)
+    stage.add("floor", parts.rectangle((0, 0, 0), (0, 1, 0), (size, size), floor))
     for place in ((0.0, 1.0, -1.15 * reach), (-1.15 * reach, 1.0, -0.3)):
         if generator.random() < 0.35:
-            content = {"bsdf": _draw_wall(stage, 2.0 * reach, 0.05, 0.85)}
-            stage.add("wall", make_rectangle(place, (0, 1, 0), (reach, 1.0), content))
+            wall = _draw_wall(stage, 2.0 * reach, 0.05, 0.85)
+            stage.add("wall", parts.rectangle(place, (0, 1, 0), (reach, 1.0), wall))
     add_objects(stage, int(generator.integers(8, 26)), 0.35 * reach)
     return stage

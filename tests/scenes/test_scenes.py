@@ -68,17 +68,17 @@ def test_scenes_are_the_same_every_time(mi: Any) -> None:
 @pytest.mark.parametrize("name", list_moving_scenes())
 def test_objects_begin_where_they_stand_and_move_on(mi: Any, name: str) -> None:
     from lobewise.render.loading import build_scene
-    from lobewise.scenes.build import make_box, make_diffuse, make_sphere
+    from lobewise.scenes import parts
 
-    gray = make_diffuse((0.5, 0.5, 0.5))
+    gray = parts.diffuse((0.5, 0.5, 0.5))
     standing = {
         "showroom": {
-            "plastic": make_sphere((-0.5, 0.45, 0.9), 0.45, gray),
-            "cube": make_box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), gray, 30),
+            "plastic": parts.sphere((-0.5, 0.45, 0.9), 0.45, gray),
+            "cube": parts.box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), gray, 30),
         },
         "parlour": {
-            "pearl": make_sphere((0.55, 0.88, 0.45), 0.16, gray),
-            "stool": make_box((1.7, 0.2, 1.85), (0.30, 0.2, 0.30), gray, 20),
+            "pearl": parts.sphere((0.55, 0.88, 0.45), 0.16, gray),
+            "stool": parts.box((1.7, 0.2, 1.85), (0.30, 0.2, 0.30), gray, 20),
         },
     }[name]
 
@@ -252,13 +252,15 @@ def test_corridor_has_mirrors_beside_satin_and_a_floor_of_many_alphas(built_in_f
 @pytest.mark.mitsuba
 def test_lathe_is_the_body_that_its_outline_says(mi: Any) -> None:
     from lobewise.render.loading import build_scene
-    from lobewise.scenes.build import make_diffuse, make_lathe
+    from lobewise.scenes import parts
 
     # Half a circle from pole to pole: a ball, whose normals are its directions.
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 65)
     outline = 0.8 * np.stack([np.maximum(np.cos(angle), 0.0), np.sin(angle)], axis=-1)
     outline[[0, -1], 0] = 0.0
-    scene = build_scene({"type": "scene", "body": make_lathe(outline, (0.3, 0.5, -0.2), make_diffuse((0.5, 0.5, 0.5)))})
+    scene = build_scene(
+        {"type": "scene", "body": parts.lathe(outline, (0.3, 0.5, -0.2), parts.diffuse((0.5, 0.5, 0.5)))}
+    )
     generator = np.random.default_rng(5)
     toward = generator.normal(size=(3, 400))
     toward /= np.linalg.norm(toward, axis=0)
@@ -275,14 +277,14 @@ def test_lathe_is_the_body_that_its_outline_says(mi: Any) -> None:
 
 @pytest.mark.mitsuba
 def test_curve_goes_through_its_points(mi: Any) -> None:
-    from lobewise.scenes.build import make_curve
+    from lobewise.scenes import parts
 
     points = ((0.0, 0.0), (0.4, 0.1), (0.5, 0.6), (0.2, 1.0))
-    curve = make_curve(points, steps=8)
+    curve = parts.curve(points, steps=8)
     assert np.allclose(curve[::8], points)
     assert curve.shape == (25, 2)
     # Points on a line, evenly spaced, stay evenly spaced.
-    line = make_curve(((0.0, 0.0), (1.0, 2.0), (2.0, 4.0)), steps=4)
+    line = parts.curve(((0.0, 0.0), (1.0, 2.0), (2.0, 4.0)), steps=4)
     assert np.allclose(line, np.linspace((0.0, 0.0), (2.0, 4.0), 9))
 
 

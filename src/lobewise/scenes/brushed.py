@@ -10,19 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    Vector,
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_diffuse,
-    make_light,
-    make_metal,
-    make_rectangle,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, Vector
 
 
 def make_floor_normals(resolution: int = 1024) -> NDArray[np.float64]:
@@ -68,36 +57,28 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     }
     floor = {
         "type": "twosided",
-        "inner": {
-            "type": "normalmap",
-            "normalmap": make_texture(make_floor_normals()),
-            "inner": lacquer,
-        },
+        "inner": {"type": "normalmap", "normalmap": parts.texture(make_floor_normals()), "inner": lacquer},
     }
-    steel = make_metal("aluminium", 0.35, 0.06)
-    checks = make_checkerboard((0.90, 0.88, 0.82), (0.75, 0.10, 0.06), (6, 3))
+    steel = parts.metal("aluminium", 0.35, 0.06)
+    checks = parts.checkerboard((0.90, 0.88, 0.82), (0.75, 0.10, 0.06), (6, 3))
     return {
-        "type": "scene",
-        "sensor": make_camera((0.0, 2.9, 7.3), (0.0, 0.85, 0.0), 42.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
-        "floor": make_rectangle((0, 0, 1), (0, 1, 1), (5, 5), {"bsdf": floor}, up=(0, 0, -1)),
-        "back": make_rectangle((0, 2.5, -4), (0, 2.5, 0), (5, 2.5), {"bsdf": make_diffuse((0.34, 0.38, 0.46))}),
-        "front": make_rectangle((0, 2.5, 8), (0, 2.5, 0), (5, 2.5), {"bsdf": make_diffuse((0.40, 0.40, 0.42))}),
-        "left": make_rectangle((-5, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse((0.62, 0.38, 0.12))}),
-        "right": make_rectangle((5, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse((0.16, 0.22, 0.55))}),
-        "ceiling": make_rectangle(
-            (0, 5, 2), (0, 0, 2), (5, 6), {"bsdf": make_diffuse((0.55, 0.55, 0.55))}, up=(0, 0, -1)
-        ),
-        "lamp": make_light((-1.6, 4.95, 1.2), (-1.6, 0, 1.2), (0.5, 1.6), (30.0, 27.5, 24.0)),
-        "strip": make_light((2.4, 4.95, -0.6), (2.4, 0, -0.6), (1.4, 0.18), (34.0, 37.0, 44.0)),
-        "panel": make_rectangle((0, 1.7, -3.7), (0, 1.7, 0), (3.6, 1.5), {"bsdf": steel}),
-        "drum": make_cylinder((-1.7, 0.0, -0.4), 1.5, 0.8, make_metal("copper", 0.05, 0.30)),
-        "drum_lid": make_disk((-1.7, 1.5, -0.4), 0.8, make_metal("copper", 0.30, 0.05)),
-        "globe": make_sphere((0.35, 1.0, -1.2), 1.0, make_metal("silver", 0.06, 0.40)),
-        "ball": make_sphere((2.0, 0.75, 0.2), 0.75, make_metal("gold", 0.45, 0.08)),
-        "tin": make_cylinder((-0.35, 0.0, 1.5), 0.62, 0.36, make_metal("aluminium", 0.04, 0.22)),
-        "tin_lid": make_disk((-0.35, 0.62, 1.5), 0.36, make_metal("aluminium", 0.22, 0.04)),
-        "block": make_box((3.3, 0.6, -1.7), (0.5, 0.6, 0.5), make_diffuse(checks), 28),
-        "apple": make_sphere((0.75, 0.27, 1.9), 0.27, make_diffuse((0.25, 0.62, 0.12))),
-        "post": make_box((-3.4, 0.8, -1.8), (0.35, 0.8, 0.35), make_diffuse((0.85, 0.55, 0.06)), 15),
+        **parts.scene((0.0, 2.9, 7.3), (0.0, 0.85, 0.0), 42.0, width, height),
+        "floor": parts.rectangle((0, 0, 1), (0, 1, 1), (5, 5), floor),
+        "back": parts.rectangle((0, 2.5, -4), (0, 2.5, 0), (5, 2.5), parts.diffuse((0.34, 0.38, 0.46))),
+        "front": parts.rectangle((0, 2.5, 8), (0, 2.5, 0), (5, 2.5), parts.diffuse((0.40, 0.40, 0.42))),
+        "left": parts.rectangle((-5, 2.5, 2), (0, 2.5, 2), (6, 2.5), parts.diffuse((0.62, 0.38, 0.12))),
+        "right": parts.rectangle((5, 2.5, 2), (0, 2.5, 2), (6, 2.5), parts.diffuse((0.16, 0.22, 0.55))),
+        "ceiling": parts.rectangle((0, 5, 2), (0, 0, 2), (5, 6), parts.diffuse((0.55, 0.55, 0.55))),
+        "lamp": parts.light((-1.6, 4.95, 1.2), (-1.6, 0, 1.2), (0.5, 1.6), (30.0, 27.5, 24.0)),
+        "strip": parts.light((2.4, 4.95, -0.6), (2.4, 0, -0.6), (1.4, 0.18), (34.0, 37.0, 44.0)),
+        "panel": parts.rectangle((0, 1.7, -3.7), (0, 1.7, 0), (3.6, 1.5), steel),
+        "drum": make_cylinder((-1.7, 0.0, -0.4), 1.5, 0.8, parts.metal("copper", 0.05, 0.30)),
+        "drum_lid": make_disk((-1.7, 1.5, -0.4), 0.8, parts.metal("copper", 0.30, 0.05)),
+        "globe": parts.sphere((0.35, 1.0, -1.2), 1.0, parts.metal("silver", 0.06, 0.40)),
+        "ball": parts.sphere((2.0, 0.75, 0.2), 0.75, parts.metal("gold", 0.45, 0.08)),
+        "tin": make_cylinder((-0.35, 0.0, 1.5), 0.62, 0.36, parts.metal("aluminium", 0.04, 0.22)),
+        "tin_lid": make_disk((-0.35, 0.62, 1.5), 0.36, parts.metal("aluminium", 0.22, 0.04)),
+        "block": parts.box((3.3, 0.6, -1.7), (0.5, 0.6, 0.5), parts.diffuse(checks), 28),
+        "apple": parts.sphere((0.75, 0.27, 1.9), 0.27, parts.diffuse((0.25, 0.62, 0.12))),
+        "post": parts.box((-3.4, 0.8, -1.8), (0.35, 0.8, 0.35), parts.diffuse((0.85, 0.55, 0.06)), 15),
     }

@@ -11,20 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_diffuse,
-    make_light,
-    make_metal,
-    make_mirror,
-    make_principled,
-    make_rectangle,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item
 
 HALF_WIDTH, HEIGHT = 1.7, 2.9
 NEAR, FAR = 6.0, -8.0
@@ -66,45 +54,45 @@ def make_satin_alpha(size: int = 128) -> NDArray[np.float64]:
 
 def make_panels() -> dict[str, Item]:
     """Return the panels of both walls, as items by name: mirrors on the left, satin on the right, each in a frame."""
-    dim, tinted = make_mirror((0.88, 0.89, 0.90)), make_mirror((0.90, 0.80, 0.66))
-    soft, softer = make_metal("silver", 0.012), make_metal("silver", 0.03)
-    rings = make_metal("aluminium", make_texture(make_satin_alpha(), filter_type="nearest"))
+    dim, tinted = parts.mirror((0.88, 0.89, 0.90)), parts.mirror((0.90, 0.80, 0.66))
+    soft, softer = parts.metal("silver", 0.012), parts.metal("silver", 0.03)
+    rings = parts.metal("aluminium", parts.texture(make_satin_alpha(), filter_type="nearest"))
     left = (dim, soft, tinted, dim, softer, dim)
     right = (
-        make_metal("aluminium", 0.15),
-        make_metal("copper", 0.22),
+        parts.metal("aluminium", 0.15),
+        parts.metal("copper", 0.22),
         rings,
-        make_metal("gold", 0.18),
-        make_metal("aluminium", 0.30),
-        make_metal("copper", 0.15),
+        parts.metal("gold", 0.18),
+        parts.metal("aluminium", 0.30),
+        parts.metal("copper", 0.15),
     )
-    walnut = make_diffuse((0.20, 0.10, 0.05))
+    walnut = parts.diffuse((0.20, 0.10, 0.05))
     items: dict[str, Item] = {}
     for i, z in enumerate(BAYS):
         for side, name, bsdf in ((-1.0, "mirror", left[i]), (1.0, "satin", right[i])):
             x = side * (HALF_WIDTH - 0.05)
-            items[f"{name}_{i}"] = make_rectangle((x, 1.4, z), (0, 1.4, z), (0.72, 1.15), {"bsdf": bsdf})
-            items[f"{name}_frame_{i}"] = make_box((side * HALF_WIDTH, 1.4, z), (0.04, 1.22, 0.79), walnut)
+            items[f"{name}_{i}"] = parts.rectangle((x, 1.4, z), (0, 1.4, z), (0.72, 1.15), bsdf)
+            items[f"{name}_frame_{i}"] = parts.box((side * HALF_WIDTH, 1.4, z), (0.04, 1.22, 0.79), walnut)
     return items
 
 
 def make_things() -> dict[str, Item]:
     """Return what stands about, as items by name."""
-    checks = make_checkerboard((0.90, 0.86, 0.76), (0.05, 0.22, 0.42), (2, 2))
+    checks = parts.checkerboard((0.90, 0.86, 0.76), (0.05, 0.22, 0.42), (2, 2))
     bands = np.repeat(np.array([[0.85, 0.16, 0.06], [0.92, 0.86, 0.70], [0.05, 0.32, 0.34]]), 16, axis=0)
-    banded = make_diffuse(make_texture(np.tile(bands, (3, 1))[:, None].repeat(2, axis=1), filter_type="nearest"))
+    banded = parts.diffuse(parts.texture(np.tile(bands, (3, 1))[:, None].repeat(2, axis=1), filter_type="nearest"))
     return {
-        "plinth": make_box((-1.1, 0.35, 2.5), (0.26, 0.35, 0.26), make_diffuse((0.85, 0.80, 0.70)), 20),
-        "globe": make_sphere((-1.1, 1.0, 2.5), 0.3, banded),
-        "chest": make_box((1.2, 0.32, 1.9), (0.3, 0.32, 0.45), make_diffuse((0.75, 0.12, 0.06)), 8),
-        "ball": make_sphere((1.15, 0.86, 1.85), 0.22, make_diffuse((0.93, 0.72, 0.08))),
-        "cube": make_box((0.45, 0.28, -0.5), (0.28, 0.28, 0.28), make_diffuse(checks), 33),
-        "apple": make_sphere((-0.45, 0.22, 0.9), 0.22, make_diffuse((0.30, 0.62, 0.10))),
-        "post": make_box((-1.2, 0.7, -1.4), (0.18, 0.7, 0.18), make_diffuse((0.08, 0.16, 0.62)), 30),
-        "lantern": make_sphere((-1.2, 1.6, -1.4), 0.2, make_diffuse((0.90, 0.40, 0.05))),
-        "bench": make_box((1.2, 0.22, -3.3), (0.3, 0.22, 0.8), make_diffuse((0.10, 0.42, 0.28))),
-        "far_ball": make_sphere((-0.9, 0.4, -4.2), 0.4, make_diffuse((0.75, 0.10, 0.32))),
-        "chrome": make_sphere((0.5, 0.3, 2.75), 0.3, make_metal("silver", 0.02)),
+        "plinth": parts.box((-1.1, 0.35, 2.5), (0.26, 0.35, 0.26), parts.diffuse((0.85, 0.80, 0.70)), 20),
+        "globe": parts.sphere((-1.1, 1.0, 2.5), 0.3, banded),
+        "chest": parts.box((1.2, 0.32, 1.9), (0.3, 0.32, 0.45), parts.diffuse((0.75, 0.12, 0.06)), 8),
+        "ball": parts.sphere((1.15, 0.86, 1.85), 0.22, parts.diffuse((0.93, 0.72, 0.08))),
+        "cube": parts.box((0.45, 0.28, -0.5), (0.28, 0.28, 0.28), parts.diffuse(checks), 33),
+        "apple": parts.sphere((-0.45, 0.22, 0.9), 0.22, parts.diffuse((0.30, 0.62, 0.10))),
+        "post": parts.box((-1.2, 0.7, -1.4), (0.18, 0.7, 0.18), parts.diffuse((0.08, 0.16, 0.62)), 30),
+        "lantern": parts.sphere((-1.2, 1.6, -1.4), 0.2, parts.diffuse((0.90, 0.40, 0.05))),
+        "bench": parts.box((1.2, 0.22, -3.3), (0.3, 0.22, 0.8), parts.diffuse((0.10, 0.42, 0.28))),
+        "far_ball": parts.sphere((-0.9, 0.4, -4.2), 0.4, parts.diffuse((0.75, 0.10, 0.32))),
+        "chrome": parts.sphere((0.5, 0.3, 2.75), 0.3, parts.metal("silver", 0.02)),
     }
 
 
@@ -112,50 +100,36 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
     color, alpha = make_floor_patterns()
     # The plugin squares what it is given.
-    floor = make_principled(make_texture(color), roughness=make_texture(np.sqrt(alpha)), eta=1.9)
+    floor = parts.principled(parts.texture(color), roughness=parts.texture(np.sqrt(alpha)), eta=1.9)
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
     painting = np.array([[[0.90, 0.62, 0.10], [0.80, 0.15, 0.08], [0.10, 0.25, 0.60]]] * 3)
     painting[1] = painting[1, [2, 0, 1]]
     painting[2] = painting[2, [1, 2, 0]]
     scene: dict[str, Any] = {
-        "type": "scene",
-        "sensor": make_camera((0.55, 1.62, 5.6), (-0.38, 1.08, 0.0), 58.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
-        "floor": make_rectangle(
-            (0, 0, middle), (0, 1, middle), (HALF_WIDTH, half_length), {"bsdf": floor}, up=(0, 0, -1)
+        **parts.scene((0.55, 1.62, 5.6), (-0.38, 1.08, 0.0), 58.0, width, height),
+        "floor": parts.rectangle((0, 0, middle), (0, 1, middle), (HALF_WIDTH, half_length), floor),
+        "ceiling": parts.rectangle(
+            (0, HEIGHT, middle), (0, 0, middle), (HALF_WIDTH, half_length), parts.diffuse((0.78, 0.77, 0.74))
         ),
-        "ceiling": make_rectangle(
-            (0, HEIGHT, middle),
-            (0, 0, middle),
-            (HALF_WIDTH, half_length),
-            {"bsdf": make_diffuse((0.78, 0.77, 0.74))},
-            up=(0, 0, -1),
+        "end": parts.rectangle(
+            (0, 0.5 * HEIGHT, FAR), (0, 1, 0), (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP), parts.diffuse((0.52, 0.50, 0.46))
         ),
-        "end": make_rectangle(
-            (0, 0.5 * HEIGHT, FAR),
-            (0, 1, 0),
-            (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP),
-            {"bsdf": make_diffuse((0.52, 0.50, 0.46))},
-        ),
-        "entrance": make_rectangle(
+        "entrance": parts.rectangle(
             (0, 0.5 * HEIGHT, NEAR),
             (0, 1, 0),
             (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP),
-            {"bsdf": make_diffuse((0.42, 0.28, 0.20))},
+            parts.diffuse((0.42, 0.28, 0.20)),
         ),
-        "painting": make_rectangle(
-            (0, 1.5, FAR + 0.03),
-            (0, 1.5, 0),
-            (0.9, 0.9),
-            {"bsdf": make_diffuse(make_texture(painting, filter_type="nearest"))},
+        "painting": parts.rectangle(
+            (0, 1.5, FAR + 0.03), (0, 1.5, 0), (0.9, 0.9), parts.diffuse(parts.texture(painting, filter_type="nearest"))
         ),
     }
     for name, side, paint in (("left", -1.0, (0.40, 0.44, 0.40)), ("right", 1.0, (0.50, 0.40, 0.30))):
-        scene[name] = make_rectangle(
+        scene[name] = parts.rectangle(
             (side * HALF_WIDTH, 0.5 * HEIGHT, middle),
             (0, 0.5 * HEIGHT, middle),
             (half_length + LAP, 0.5 * HEIGHT + LAP),
-            {"bsdf": make_diffuse(paint)},
+            parts.diffuse(paint),
         )
     lamps = (
         (4.5, (20.0, 17.5, 14.0)),
@@ -164,8 +138,8 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
         (-4.9, (17.0, 18.5, 21.0)),
     )
     for i, (z, radiance) in enumerate(lamps):
-        scene[f"lamp_{i}"] = make_light((0, HEIGHT - 0.02, z), (0, 0, z), (0.5, 0.28), radiance)
-        scene[f"lamp_rim_{i}"] = make_box((0, HEIGHT, z), (0.58, 0.018, 0.36), make_metal("copper", 0.1))
+        scene[f"lamp_{i}"] = parts.light((0, HEIGHT - 0.02, z), (0, 0, z), (0.5, 0.28), radiance)
+        scene[f"lamp_rim_{i}"] = parts.box((0, HEIGHT, z), (0.58, 0.018, 0.36), parts.metal("copper", 0.1))
     scene.update(make_panels())
     scene.update(make_things())
     return scene

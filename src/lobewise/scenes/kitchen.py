@@ -11,25 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    Vector,
-    encode_normals,
-    make_blend,
-    make_box,
-    make_camera,
-    make_curve,
-    make_diffuse,
-    make_lathe,
-    make_light,
-    make_metal,
-    make_normal_map,
-    make_plastic,
-    make_rectangle,
-    make_rgb,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, Vector, encode_normals
 
 LEFT, RIGHT, BACK, FRONT, HEIGHT = -2.6, 2.6, -2.0, 5.0, 2.7
 
@@ -59,85 +42,89 @@ def make_tiles(
     # The glaze is a shallow pillow that falls off to the joint.
     slope_x, slope_y = slope_x + 6.0 * np.abs(u) ** 5 * np.sign(u), slope_y + 6.0 * np.abs(v) ** 5 * np.sign(v)
     joint = np.maximum(np.abs(u), np.abs(v)) > 0.5 - GROUT
-    glaze = make_plastic(make_texture(np.clip(colors[choice][tile] * shade[..., None], 0.0, 1.0)), alpha)
-    grout = make_diffuse((0.42, 0.40, 0.37))
-    weight = make_texture(joint.astype(np.float64), filter_type="nearest")
-    return make_normal_map(encode_normals(slope_x, slope_y), make_blend(glaze, grout, weight))
+    glaze = parts.plastic(parts.texture(np.clip(colors[choice][tile] * shade[..., None], 0.0, 1.0)), alpha)
+    grout = parts.diffuse((0.42, 0.40, 0.37))
+    weight = parts.texture(joint.astype(np.float64), filter_type="nearest")
+    return parts.normal_map(encode_normals(slope_x, slope_y), parts.blend(glaze, grout, weight))
 
 
 def make_pot(center: Vector, radius: float, height: float, bsdf: Item) -> Item:
     """Return a pot with a lid and a knob."""
     wall = ((0.92, 0.0), (0.92, 0.0), (1.0, 0.08), (1.0, 0.08), (1.0, 1.0), (1.0, 1.0), (1.05, 1.01), (1.05, 1.01))
-    lid = make_curve(((1.05, 1.04), (0.7, 1.14), (0.3, 1.19), (0.1, 1.2)))
-    knob = make_curve(((0.1, 1.2), (0.07, 1.26), (0.17, 1.32), (0.12, 1.38), (0.0, 1.39)))
-    return make_lathe(np.concatenate([wall, lid, knob]) * [radius, height], center, bsdf)
+    lid = parts.curve(((1.05, 1.04), (0.7, 1.14), (0.3, 1.19), (0.1, 1.2)))
+    knob = parts.curve(((0.1, 1.2), (0.07, 1.26), (0.17, 1.32), (0.12, 1.38), (0.0, 1.39)))
+    return parts.lathe(np.concatenate([wall, lid, knob]) * [radius, height], center, bsdf)
 
 
 def make_bowl(center: Vector, radius: float, bsdf: Item) -> Item:
     """Return an open bowl."""
-    outside = make_curve(((0.0, 0.0), (0.35, 0.0), (0.40, 0.04), (0.78, 0.26), (1.0, 0.62)))
-    inside = make_curve(((1.0, 0.62), (0.95, 0.62), (0.74, 0.30), (0.36, 0.1), (0.0, 0.08)))
-    return make_lathe(radius * np.concatenate([outside, inside]), center, bsdf)
+    outside = parts.curve(((0.0, 0.0), (0.35, 0.0), (0.40, 0.04), (0.78, 0.26), (1.0, 0.62)))
+    inside = parts.curve(((1.0, 0.62), (0.95, 0.62), (0.74, 0.30), (0.36, 0.1), (0.0, 0.08)))
+    return parts.lathe(radius * np.concatenate([outside, inside]), center, bsdf)
 
 
 def make_furniture() -> dict[str, Item]:
     """Return cupboards, counter and appliances, as items by name."""
-    teal, cream = make_plastic((0.03, 0.20, 0.22), 0.05, ior=1.6), make_plastic((0.72, 0.64, 0.48), 0.08)
-    along, across = make_metal("aluminium", 0.30, 0.06), make_metal("aluminium", 0.06, 0.30)
-    bar, black = make_metal("copper", 0.15), make_plastic((0.015, 0.015, 0.018), 0.03, ior=1.6)
-    stone = make_plastic((0.30, 0.28, 0.26), 0.10)
+    teal, cream = parts.plastic((0.03, 0.20, 0.22), 0.05, ior=1.6), parts.plastic((0.72, 0.64, 0.48), 0.08)
+    along, across = parts.metal("aluminium", 0.30, 0.06), parts.metal("aluminium", 0.06, 0.30)
+    bar, black = parts.metal("copper", 0.15), parts.plastic((0.015, 0.015, 0.018), 0.03, ior=1.6)
+    stone = parts.plastic((0.30, 0.28, 0.26), 0.10)
     items: dict[str, Item] = {
-        "body": make_box((-0.45, 0.45, -1.69), (2.05, 0.45, 0.27), make_diffuse((0.05, 0.05, 0.05))),
-        "counter": make_box((-0.45, 0.92, -1.68), (2.12, 0.025, 0.32), stone),
-        "hob": make_box((-0.2, 0.951, -1.66), (0.42, 0.006, 0.25), along),
-        "oven": make_box((-0.2, 0.46, -1.41), (0.36, 0.40, 0.02), across),
-        "oven_door": make_box((-0.2, 0.40, -1.40), (0.29, 0.24, 0.02), black),
-        "oven_handle": make_box((-0.2, 0.70, -1.35), (0.28, 0.014, 0.014), bar),
-        "hood": make_box((-0.2, 1.84, -1.72), (0.46, 0.06, 0.28), along),
-        "chimney": make_box((-0.2, 2.3, -1.84), (0.16, 0.42, 0.15), across),
-        "fridge_door": make_box((2.12, 1.22, -1.62), (0.43, 0.70, 0.37), make_metal("silver", 0.05, 0.35)),
-        "fridge_drawer": make_box((2.12, 0.26, -1.62), (0.43, 0.245, 0.37), make_metal("silver", 0.35, 0.05)),
-        "fridge_handle": make_box((1.78, 1.1, -1.22), (0.018, 0.36, 0.02), bar),
-        "shelf": make_box((0.95, 1.55, -1.86), (0.58, 0.02, 0.14), make_plastic((0.40, 0.20, 0.08), 0.12)),
+        "body": parts.box((-0.45, 0.45, -1.69), (2.05, 0.45, 0.27), parts.diffuse((0.05, 0.05, 0.05))),
+        "counter": parts.box((-0.45, 0.92, -1.68), (2.12, 0.025, 0.32), stone),
+        "hob": parts.box((-0.2, 0.951, -1.66), (0.42, 0.006, 0.25), along),
+        "oven": parts.box((-0.2, 0.46, -1.41), (0.36, 0.40, 0.02), across),
+        "oven_door": parts.box((-0.2, 0.40, -1.40), (0.29, 0.24, 0.02), black),
+        "oven_handle": parts.box((-0.2, 0.70, -1.35), (0.28, 0.014, 0.014), bar),
+        "hood": parts.box((-0.2, 1.84, -1.72), (0.46, 0.06, 0.28), along),
+        "chimney": parts.box((-0.2, 2.3, -1.84), (0.16, 0.42, 0.15), across),
+        "fridge_door": parts.box((2.12, 1.22, -1.62), (0.43, 0.70, 0.37), parts.metal("silver", 0.05, 0.35)),
+        "fridge_drawer": parts.box((2.12, 0.26, -1.62), (0.43, 0.245, 0.37), parts.metal("silver", 0.35, 0.05)),
+        "fridge_handle": parts.box((1.78, 1.1, -1.22), (0.018, 0.36, 0.02), bar),
+        "shelf": parts.box((0.95, 1.55, -1.86), (0.58, 0.02, 0.14), parts.plastic((0.40, 0.20, 0.08), 0.12)),
     }
     for i, x in enumerate((-2.21, -1.61, -1.01)):
-        items[f"cupboard_{i}"] = make_box((x, 1.98, -1.83), (0.29, 0.36, 0.17), cream)
+        items[f"cupboard_{i}"] = parts.box((x, 1.98, -1.83), (0.29, 0.36, 0.17), cream)
     for i, x in enumerate((-2.15, -1.49, -0.87, 0.47, 1.09, 1.55)):
         half = 0.32 if i < 2 else (0.28 if i < 5 else 0.14)
-        items[f"door_{i}"] = make_box((x, 0.46, -1.41), (half, 0.40, 0.02), teal)
-        items[f"handle_{i}"] = make_box((x, 0.78, -1.37), (0.6 * half, 0.012, 0.012), bar)
+        items[f"door_{i}"] = parts.box((x, 0.46, -1.41), (half, 0.40, 0.02), teal)
+        items[f"handle_{i}"] = parts.box((x, 0.78, -1.37), (0.6 * half, 0.012, 0.012), bar)
     for i, (x, z) in enumerate(((-0.42, -1.55), (0.03, -1.55), (-0.42, -1.78), (0.03, -1.78))):
-        items[f"plate_{i}"] = make_box((x, 0.957, z), (0.1, 0.004, 0.09), black)
+        items[f"plate_{i}"] = parts.box((x, 0.957, z), (0.1, 0.004, 0.09), black)
     return items
 
 
 def make_things() -> dict[str, Item]:
     """Return pots, bowls and fruit, as items by name."""
     top = 0.78
-    white, yellow = make_plastic((0.78, 0.76, 0.70), 0.04), make_plastic((0.85, 0.58, 0.05), 0.06)
-    blue, red = make_plastic((0.04, 0.12, 0.45), 0.03), make_plastic((0.62, 0.05, 0.03), 0.10)
+    white, yellow = parts.plastic((0.78, 0.76, 0.70), 0.04), parts.plastic((0.85, 0.58, 0.05), 0.06)
+    blue, red = parts.plastic((0.04, 0.12, 0.45), 0.03), parts.plastic((0.62, 0.05, 0.03), 0.10)
     return {
-        "table": make_box((0.6, top - 0.03, 0.7), (1.0, 0.03, 0.5), make_plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)),
-        "table_foot": make_box((0.6, 0.37, 0.7), (0.4, 0.36, 0.12), make_plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)),
-        "pot": make_pot((-0.40, 0.961, -1.62), 0.17, 0.22, make_metal("aluminium", 0.05, 0.25)),
-        "pan": make_pot((0.06, 0.961, -1.66), 0.15, 0.13, make_metal("copper", 0.08, 0.35)),
-        "kettle": make_pot((-0.12, top, 0.55), 0.19, 0.26, make_metal("silver", 0.06, 0.40)),
-        "tin": make_pot((-1.95, 0.945, -1.65), 0.13, 0.30, make_metal("aluminium", 0.25, 0.07)),
-        "tin_2": make_pot((-1.62, 0.945, -1.70), 0.11, 0.22, make_metal("gold", 0.06, 0.22)),
+        "table": parts.box(
+            (0.6, top - 0.03, 0.7), (1.0, 0.03, 0.5), parts.plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)
+        ),
+        "table_foot": parts.box(
+            (0.6, 0.37, 0.7), (0.4, 0.36, 0.12), parts.plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)
+        ),
+        "pot": make_pot((-0.40, 0.961, -1.62), 0.17, 0.22, parts.metal("aluminium", 0.05, 0.25)),
+        "pan": make_pot((0.06, 0.961, -1.66), 0.15, 0.13, parts.metal("copper", 0.08, 0.35)),
+        "kettle": make_pot((-0.12, top, 0.55), 0.19, 0.26, parts.metal("silver", 0.06, 0.40)),
+        "tin": make_pot((-1.95, 0.945, -1.65), 0.13, 0.30, parts.metal("aluminium", 0.25, 0.07)),
+        "tin_2": make_pot((-1.62, 0.945, -1.70), 0.11, 0.22, parts.metal("gold", 0.06, 0.22)),
         "bowl": make_bowl((0.62, top, 0.62), 0.3, white),
-        "orange": make_sphere((0.54, top + 0.17, 0.62), 0.115, make_plastic((0.82, 0.30, 0.03), 0.15)),
-        "lemon": make_sphere((0.70, top + 0.16, 0.70), 0.1, make_plastic((0.88, 0.70, 0.06), 0.12)),
-        "apple": make_sphere((0.68, top + 0.17, 0.51), 0.105, make_plastic((0.30, 0.50, 0.05), 0.06)),
+        "orange": parts.sphere((0.54, top + 0.17, 0.62), 0.115, parts.plastic((0.82, 0.30, 0.03), 0.15)),
+        "lemon": parts.sphere((0.70, top + 0.16, 0.70), 0.1, parts.plastic((0.88, 0.70, 0.06), 0.12)),
+        "apple": parts.sphere((0.68, top + 0.17, 0.51), 0.105, parts.plastic((0.30, 0.50, 0.05), 0.06)),
         "cup": make_bowl((0.98, top, 0.98), 0.16, blue),
         "plate_red": make_bowl((1.2, top, 0.6), 0.22, yellow),
-        "egg": make_sphere((0.26, top + 0.07, 1.02), 0.07, make_diffuse((0.80, 0.68, 0.55))),
-        "egg_2": make_sphere((0.41, top + 0.065, 1.08), 0.065, make_diffuse((0.82, 0.76, 0.68))),
-        "board": make_box((0.1, top + 0.012, 0.93), (0.27, 0.012, 0.17), make_diffuse((0.52, 0.34, 0.17)), 14),
+        "egg": parts.sphere((0.26, top + 0.07, 1.02), 0.07, parts.diffuse((0.80, 0.68, 0.55))),
+        "egg_2": parts.sphere((0.41, top + 0.065, 1.08), 0.065, parts.diffuse((0.82, 0.76, 0.68))),
+        "board": parts.box((0.1, top + 0.012, 0.93), (0.27, 0.012, 0.17), parts.diffuse((0.52, 0.34, 0.17)), 14),
         "shelf_bowl": make_bowl((0.62, 1.57, -1.85), 0.15, red),
         "shelf_bowl_2": make_bowl((0.97, 1.57, -1.85), 0.13, yellow),
-        "shelf_jar": make_sphere((1.29, 1.67, -1.86), 0.1, blue),
-        "melon": make_sphere((1.2, 1.085, -1.66), 0.14, make_plastic((0.12, 0.30, 0.06), 0.14)),
-        "toaster": make_box((0.75, 1.055, -1.70), (0.17, 0.11, 0.1), make_metal("silver", 0.30, 0.08), -14),
+        "shelf_jar": parts.sphere((1.29, 1.67, -1.86), 0.1, blue),
+        "melon": parts.sphere((1.2, 1.085, -1.66), 0.14, parts.plastic((0.12, 0.30, 0.06), 0.14)),
+        "toaster": parts.box((0.75, 1.055, -1.70), (0.17, 0.11, 0.1), parts.metal("silver", 0.30, 0.08), -14),
     }
 
 
@@ -153,56 +140,40 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     middle = 0.5 * (BACK + FRONT)
     half_width, half_length, half_height = RIGHT + 0.05, 0.5 * (FRONT - BACK) + 0.05, 0.5 * HEIGHT
     scene: dict[str, Any] = {
-        "type": "scene",
-        "sensor": make_camera((-0.35, 1.66, 3.0), (0.05, 1.1, -1.2), 54.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
-        "floor": make_rectangle(
-            (0, 0, middle), (0, 1, middle), (half_width, half_length), {"bsdf": floor}, up=(0, 0, -1)
+        **parts.scene((-0.35, 1.66, 3.0), (0.05, 1.1, -1.2), 54.0, width, height),
+        "floor": parts.rectangle((0, 0, middle), (0, 1, middle), (half_width, half_length), floor),
+        "wall": parts.rectangle((0, half_height, BACK), (0, half_height, 0), (half_width, half_height), wall),
+        "ceiling": parts.rectangle(
+            (0, HEIGHT, middle), (0, 0, middle), (half_width, half_length), parts.diffuse((0.80, 0.79, 0.76))
         ),
-        "wall": make_rectangle((0, half_height, BACK), (0, half_height, 0), (half_width, half_height), {"bsdf": wall}),
-        "ceiling": make_rectangle(
-            (0, HEIGHT, middle),
-            (0, 0, middle),
-            (half_width, half_length),
-            {"bsdf": make_diffuse((0.80, 0.79, 0.76))},
-            up=(0, 0, -1),
+        "front": parts.rectangle(
+            (0, half_height, FRONT), (0, half_height, 0), (half_width, half_height), parts.diffuse((0.50, 0.42, 0.36))
         ),
-        "front": make_rectangle(
-            (0, half_height, FRONT),
-            (0, half_height, 0),
-            (half_width, half_height),
-            {"bsdf": make_diffuse((0.50, 0.42, 0.36))},
-        ),
-        "left": make_rectangle(
+        "left": parts.rectangle(
             (LEFT, half_height, middle),
             (0, half_height, middle),
             (half_length, half_height),
-            {"bsdf": make_diffuse((0.62, 0.60, 0.52))},
+            parts.diffuse((0.62, 0.60, 0.52)),
         ),
-        "right": make_rectangle(
+        "right": parts.rectangle(
             (RIGHT, half_height, middle),
             (0, half_height, middle),
             (half_length, half_height),
-            {"bsdf": make_diffuse((0.66, 0.40, 0.24))},
+            parts.diffuse((0.66, 0.40, 0.24)),
         ),
-        "window": make_light((LEFT + 0.02, 1.6, 0.3), (0, 1.6, 0.3), (1.2, 0.62), (10.5, 12.0, 14.0), up=(0, 1, 0)),
-        "lamp": {
-            "type": "sphere",
-            "center": [0.6, 1.98, 0.5],
-            "radius": 0.11,
-            "emitter": {"type": "area", "radiance": make_rgb((34.0, 25.0, 15.0))},
-        },
-        "shade": make_lathe(
-            make_curve(((0.30, 0.0), (0.24, 0.10), (0.10, 0.20), (0.03, 0.24))),
+        "window": parts.light((LEFT + 0.02, 1.6, 0.3), (0, 1.6, 0.3), (1.2, 0.62), (10.5, 12.0, 14.0), up=(0, 1, 0)),
+        "lamp": parts.bulb((0.6, 1.98, 0.5), 0.11, (34.0, 25.0, 15.0)),
+        "shade": parts.lathe(
+            parts.curve(((0.30, 0.0), (0.24, 0.10), (0.10, 0.20), (0.03, 0.24))),
             (0.6, 2.0, 0.5),
-            make_metal("copper", 0.06, 0.25),
+            parts.metal("copper", 0.06, 0.25),
         ),
-        "cord": make_box((0.6, 2.47, 0.5), (0.008, 0.24, 0.008), make_diffuse((0.04, 0.04, 0.04))),
+        "cord": parts.box((0.6, 2.47, 0.5), (0.008, 0.24, 0.008), parts.diffuse((0.04, 0.04, 0.04))),
     }
     for i, z in enumerate((-0.9, -0.1, 0.7, 1.5)):
-        scene[f"bar_{i}"] = make_box((LEFT + 0.04, 1.6, z), (0.03, 0.68, 0.04), make_plastic((0.75, 0.73, 0.68), 0.1))
+        scene[f"bar_{i}"] = parts.box((LEFT + 0.04, 1.6, z), (0.03, 0.68, 0.04), parts.plastic((0.75, 0.73, 0.68), 0.1))
     for name, y in (("sill", 0.96), ("transom", 1.7), ("lintel", 2.24)):
-        scene[name] = make_box((LEFT + 0.05, y, 0.3), (0.05, 0.04, 1.26), make_plastic((0.75, 0.73, 0.68), 0.1))
+        scene[name] = parts.box((LEFT + 0.05, y, 0.3), (0.05, 0.04, 1.26), parts.plastic((0.75, 0.73, 0.68), 0.1))
     scene.update(make_furniture())
     scene.update(make_things())
     return scene

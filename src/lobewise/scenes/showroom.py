@@ -11,21 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    find_swing,
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_diffuse,
-    make_light,
-    make_metal,
-    make_plastic,
-    make_rectangle,
-    make_rgb,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, find_swing
 
 SMOOTHEST = 0.03
 ROUGHEST = 0.6
@@ -65,8 +52,10 @@ def make_movers(time: float) -> dict[str, Item]:
     """Return the shapes that move: the green ball slides to the left over smooth tiles and back, the cube turns."""
     slid = 0.028 * find_swing(time, 32.0)
     return {
-        "plastic": make_sphere((-0.5 - slid, 0.45, 0.9), 0.45, make_plastic((0.10, 0.42, 0.12), 0.06)),
-        "cube": make_box((2.3, 0.32, 1.5), (0.32, 0.32, 0.32), make_plastic((0.55, 0.06, 0.30), 0.2), 30 + 2.5 * time),
+        "plastic": parts.sphere((-0.5 - slid, 0.45, 0.9), 0.45, parts.plastic((0.10, 0.42, 0.12), 0.06)),
+        "cube": parts.box(
+            (2.3, 0.32, 1.5), (0.32, 0.32, 0.32), parts.plastic((0.55, 0.06, 0.30), 0.2), 30 + 2.5 * time
+        ),
     }
 
 
@@ -76,38 +65,31 @@ def make_scene(width: int, height: int, time: float = 0.0) -> dict[str, Any]:
     column_alpha = SMOOTHEST * (ROUGHEST / SMOOTHEST) ** np.linspace(0.0, 1.0, 256)[:, None].repeat(4, axis=1)
     patch_alpha = np.kron(np.where(np.indices((4, 8)).sum(axis=0) % 2, 0.04, 0.32), np.ones((32, 32)))
     stripes = make_stripes(((0.85, 0.12, 0.06), (0.92, 0.90, 0.82), (0.04, 0.25, 0.62), (0.95, 0.70, 0.08)), 3)
-    floor = make_metal("aluminium", make_texture(make_floor_alpha()))
-    floor["inner"]["specular_reflectance"] = make_rgb((0.70, 0.69, 0.68))
+    floor = parts.metal("aluminium", parts.texture(make_floor_alpha()))
+    floor["inner"]["specular_reflectance"] = parts.rgb((0.70, 0.69, 0.68))
     walls = {"left": (0.70, 0.14, 0.07), "right": (0.04, 0.36, 0.40)}
-    checks = make_checkerboard((0.90, 0.90, 0.88), (0.05, 0.05, 0.06), (4, 4))
+    checks = parts.checkerboard((0.90, 0.90, 0.88), (0.05, 0.05, 0.06), (4, 4))
     return {
-        "type": "scene",
-        "sensor": make_camera((0.0, 3.3, 7.2), (0.0, 0.75, -0.6), 46.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
-        "floor": make_rectangle((0, 0, 1.5), (0, 1, 1.5), (4, 5.5), {"bsdf": floor}, up=(0, 0, -1)),
-        "back": make_rectangle((0, 2.5, -4), (0, 2.5, 0), (4, 2.5), {"bsdf": make_diffuse((0.60, 0.58, 0.54))}),
-        "front": make_rectangle((0, 2.5, 8), (0, 2.5, 0), (4, 2.5), {"bsdf": make_diffuse((0.45, 0.44, 0.42))}),
-        "left": make_rectangle((-4, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse(walls["left"])}),
-        "right": make_rectangle((4, 2.5, 2), (0, 2.5, 2), (6, 2.5), {"bsdf": make_diffuse(walls["right"])}),
-        "ceiling": make_rectangle(
-            (0, 5, 2), (0, 0, 2), (4, 6), {"bsdf": make_diffuse((0.70, 0.70, 0.70))}, up=(0, 0, -1)
+        **parts.scene((0.0, 3.3, 7.2), (0.0, 0.75, -0.6), 46.0, width, height),
+        "floor": parts.rectangle((0, 0, 1.5), (0, 1, 1.5), (4, 5.5), floor),
+        "back": parts.rectangle((0, 2.5, -4), (0, 2.5, 0), (4, 2.5), parts.diffuse((0.60, 0.58, 0.54))),
+        "front": parts.rectangle((0, 2.5, 8), (0, 2.5, 0), (4, 2.5), parts.diffuse((0.45, 0.44, 0.42))),
+        "left": parts.rectangle((-4, 2.5, 2), (0, 2.5, 2), (6, 2.5), parts.diffuse(walls["left"])),
+        "right": parts.rectangle((4, 2.5, 2), (0, 2.5, 2), (6, 2.5), parts.diffuse(walls["right"])),
+        "ceiling": parts.rectangle((0, 5, 2), (0, 0, 2), (4, 6), parts.diffuse((0.70, 0.70, 0.70))),
+        "lamp": parts.light((0, 4.98, 0.2), (0, 0, 0.2), (1.6, 1.0), (10.5, 9.9, 9.0)),
+        "stripes": parts.rectangle(
+            (0, 1.9, -3.96), (0, 1.9, 0), (3.0, 1.3), parts.diffuse(parts.texture(stripes, filter_type="nearest"))
         ),
-        "lamp": make_light((0, 4.98, 0.2), (0, 0, 0.2), (1.6, 1.0), (10.5, 9.9, 9.0)),
-        "stripes": make_rectangle(
-            (0, 1.9, -3.96),
-            (0, 1.9, 0),
-            (3.0, 1.3),
-            {"bsdf": make_diffuse(make_texture(stripes, filter_type="nearest"))},
+        "gold": parts.sphere((-1.85, 0.85, -0.6), 0.85, parts.metal("gold", 0.08)),
+        "silver": parts.sphere(
+            (0.1, 1.05, -1.9), 1.05, parts.metal("silver", parts.texture(patch_alpha, filter_type="nearest"))
         ),
-        "gold": make_sphere((-1.85, 0.85, -0.6), 0.85, make_metal("gold", 0.08)),
-        "silver": make_sphere(
-            (0.1, 1.05, -1.9), 1.05, make_metal("silver", make_texture(patch_alpha, filter_type="nearest"))
-        ),
-        "copper": make_sphere((1.95, 0.9, -0.4), 0.9, make_metal("copper", make_texture(column_alpha))),
+        "copper": parts.sphere((1.95, 0.9, -0.4), 0.9, parts.metal("copper", parts.texture(column_alpha))),
         "plastic": movers["plastic"],
-        "chalk": make_sphere((0.95, 0.38, 1.3), 0.38, make_diffuse((0.80, 0.78, 0.72))),
-        "checks": make_box((-3.05, 0.75, -2.3), (0.5, 0.75, 0.5), make_diffuse(checks), 24),
-        "plinth": make_box((3.05, 0.55, -2.4), (0.5, 0.55, 0.5), make_diffuse((0.92, 0.62, 0.05)), -18),
+        "chalk": parts.sphere((0.95, 0.38, 1.3), 0.38, parts.diffuse((0.80, 0.78, 0.72))),
+        "checks": parts.box((-3.05, 0.75, -2.3), (0.5, 0.75, 0.5), parts.diffuse(checks), 24),
+        "plinth": parts.box((3.05, 0.55, -2.4), (0.5, 0.55, 0.5), parts.diffuse((0.92, 0.62, 0.05)), -18),
         "cube": movers["cube"],
-        "post": make_box((-2.5, 0.4, 1.4), (0.2, 0.4, 0.2), make_diffuse((0.06, 0.16, 0.60)), 12),
+        "post": parts.box((-2.5, 0.4, 1.4), (0.2, 0.4, 0.2), parts.diffuse((0.06, 0.16, 0.60)), 12),
     }

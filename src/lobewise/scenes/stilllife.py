@@ -11,22 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    Vector,
-    make_box,
-    make_camera,
-    make_checkerboard,
-    make_curve,
-    make_diffuse,
-    make_lathe,
-    make_metal,
-    make_plastic,
-    make_principled,
-    make_rectangle,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, Vector
 
 SUN_DEGREES = 7.0
 """How wide the sun is: wide enough that its reflections in smooth paint are found by sampling the paint."""
@@ -97,8 +83,8 @@ def make_walnut(size: int = 768) -> NDArray[np.float64]:
 
 def make_car_paint(color: Vector, flake_roughness: float) -> Item:
     """Return paint with metal flakes, whose lobe is broad and coloured, among lacquer, whose lobe is sharp."""
-    flakes = make_principled(color, metallic=0.8, roughness=flake_roughness, clearcoat=1.0, clearcoat_gloss=0.96)
-    lacquer = make_plastic(color, 0.02, ior=1.8)
+    flakes = parts.principled(color, metallic=0.8, roughness=flake_roughness, clearcoat=1.0, clearcoat_gloss=0.96)
+    lacquer = parts.plastic(color, 0.02, ior=1.8)
     blend = {"type": "blendbsdf", "weight": 0.35, "lacquer": lacquer["inner"], "flakes": flakes["inner"]}
     return {"type": "twosided", "inner": blend}
 
@@ -110,7 +96,7 @@ def make_bowl(center: Vector, radius: float, bsdf: Item) -> Item:
         ((0.36, 0.10), (0.70, 0.24), (0.93, 0.50), (1.0, 0.78), (0.965, 0.81), (0.93, 0.78)),
         ((0.93, 0.78), (0.84, 0.54), (0.60, 0.32), (0.30, 0.22), (0.0, 0.20)),
     )
-    return make_lathe(radius * np.concatenate([make_curve(part) for part in points]), center, bsdf)
+    return parts.lathe(radius * np.concatenate([parts.curve(part) for part in points]), center, bsdf)
 
 
 def make_vase(center: Vector, height: float, bsdf: Item) -> Item:
@@ -126,8 +112,8 @@ def make_vase(center: Vector, height: float, bsdf: Item) -> Item:
         (0.17, 1.0),
     )
     inside = ((0.17, 1.0), (0.09, 0.92), (0.07, 0.80), (0.0, 0.60))
-    profile = np.concatenate([make_curve(outline), make_curve(inside)])
-    return make_lathe(height * profile, center, bsdf)
+    profile = np.concatenate([parts.curve(outline), parts.curve(inside)])
+    return parts.lathe(height * profile, center, bsdf)
 
 
 def make_scene(width: int, height: int) -> dict[str, Any]:
@@ -135,35 +121,31 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     green_glass = {**glass, "specular_transmittance": {"type": "rgb", "value": [0.72, 0.93, 0.82]}}
     frosted = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.12, "int_ior": 1.5, "ext_ior": 1.0}
-    checks = make_checkerboard((0.85, 0.82, 0.74), (0.12, 0.20, 0.42), (8, 5))
+    checks = parts.checkerboard((0.85, 0.82, 0.74), (0.12, 0.20, 0.42), (8, 5))
     stripes = np.repeat(
         np.array([[0.80, 0.76, 0.66], [0.60, 0.10, 0.07], [0.80, 0.76, 0.66], [0.08, 0.16, 0.36]]), 8, axis=0
     )
-    cloth = make_texture(np.tile(stripes, (5, 1))[None], filter_type="nearest")
+    cloth = parts.texture(np.tile(stripes, (5, 1))[None], filter_type="nearest")
     return {
-        "type": "scene",
-        "sensor": make_camera((0.2, 2.5, 6.4), (0.1, 0.55, -0.2), 38.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
+        **parts.scene((0.2, 2.5, 6.4), (0.1, 0.55, -0.2), 38.0, width, height),
         "studio": {"type": "envmap", "bitmap": make_studio().astype(np.float32)},
-        "table": make_rectangle(
-            (0, 0, 0), (0, 1, 0), (3.6, 3.4), {"bsdf": make_plastic(make_texture(make_walnut()), 0.07)}, up=(0, 0, -1)
+        "table": parts.rectangle((0, 0, 0), (0, 1, 0), (3.6, 3.4), parts.plastic(parts.texture(make_walnut()), 0.07)),
+        "edge": parts.box((0, -0.121, 0), (3.6, 0.12, 3.4), parts.plastic((0.20, 0.085, 0.04), 0.1)),
+        "screen": parts.box((-1.6, 1.15, -2.6), (1.75, 1.15, 0.05), parts.diffuse(checks), 14),
+        "screen_right": parts.box((1.95, 0.98, -2.75), (1.5, 0.98, 0.05), parts.diffuse((0.58, 0.30, 0.10)), -16),
+        "cloth": parts.rectangle(
+            (0.35, 0.006, 0.75), (0.35, 1, 0.75), (1.5, 0.95), parts.diffuse(cloth), up=(0.3, 0, -1)
         ),
-        "edge": make_box((0, -0.121, 0), (3.6, 0.12, 3.4), make_plastic((0.20, 0.085, 0.04), 0.1)),
-        "screen": make_box((-1.6, 1.15, -2.6), (1.75, 1.15, 0.05), make_diffuse(checks), 14),
-        "screen_right": make_box((1.95, 0.98, -2.75), (1.5, 0.98, 0.05), make_diffuse((0.58, 0.30, 0.10)), -16),
-        "cloth": make_rectangle(
-            (0.35, 0.006, 0.75), (0.35, 1, 0.75), (1.5, 0.95), {"bsdf": make_diffuse(cloth)}, up=(0.3, 0, -1)
-        ),
-        "red": make_sphere((-1.35, 0.85, -0.7), 0.85, make_car_paint((0.55, 0.02, 0.02), 0.45)),
-        "blue": make_sphere((-0.55, 0.4, 1.35), 0.4, make_plastic((0.02, 0.10, 0.42), 0.02, ior=1.8)),
-        "lime": make_sphere((2.2, 0.5, -1.3), 0.5, make_car_paint((0.32, 0.46, 0.04), 0.5)),
-        "glass": make_sphere((1.35, 0.5, 0.75), 0.5, glass),
+        "red": parts.sphere((-1.35, 0.85, -0.7), 0.85, make_car_paint((0.55, 0.02, 0.02), 0.45)),
+        "blue": parts.sphere((-0.55, 0.4, 1.35), 0.4, parts.plastic((0.02, 0.10, 0.42), 0.02, ior=1.8)),
+        "lime": parts.sphere((2.2, 0.5, -1.3), 0.5, make_car_paint((0.32, 0.46, 0.04), 0.5)),
+        "glass": parts.sphere((1.35, 0.5, 0.75), 0.5, glass),
         "bowl": make_bowl((0.2, 0.008, 0.35), 0.72, green_glass),
-        "orange": make_sphere((0.22, 0.42, 0.3), 0.26, make_plastic((0.80, 0.28, 0.03), 0.16)),
-        "frosted": make_sphere((0.35, 0.55, -1.35), 0.55, frosted),
-        "vase": make_vase((1.45, 0.0, -0.75), 1.9, make_metal("silver", 0.16)),
-        "pebble": make_sphere((-1.08, 0.24, 0.72), 0.24, make_metal("gold", 0.22)),
-        "marble": make_sphere((0.45, 0.2, 1.75), 0.2, frosted),
-        "chalk": make_sphere((-1.5, 0.27, 1.25), 0.27, make_diffuse((0.80, 0.76, 0.68))),
-        "dice": make_box((2.08, 0.27, 0.1), (0.27, 0.27, 0.27), make_plastic((0.07, 0.36, 0.34), 0.05), 25),
+        "orange": parts.sphere((0.22, 0.42, 0.3), 0.26, parts.plastic((0.80, 0.28, 0.03), 0.16)),
+        "frosted": parts.sphere((0.35, 0.55, -1.35), 0.55, frosted),
+        "vase": make_vase((1.45, 0.0, -0.75), 1.9, parts.metal("silver", 0.16)),
+        "pebble": parts.sphere((-1.08, 0.24, 0.72), 0.24, parts.metal("gold", 0.22)),
+        "marble": parts.sphere((0.45, 0.2, 1.75), 0.2, frosted),
+        "chalk": parts.sphere((-1.5, 0.27, 1.25), 0.27, parts.diffuse((0.80, 0.76, 0.68))),
+        "dice": parts.box((2.08, 0.27, 0.1), (0.27, 0.27, 0.27), parts.plastic((0.07, 0.36, 0.34), 0.05), 25),
     }

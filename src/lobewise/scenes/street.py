@@ -11,26 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.scenes.build import (
-    Item,
-    Vector,
-    encode_normals,
-    make_box,
-    make_bump_map,
-    make_camera,
-    make_curve,
-    make_diffuse,
-    make_lathe,
-    make_light,
-    make_metal,
-    make_normal_map,
-    make_plastic,
-    make_principled,
-    make_rectangle,
-    make_rgb,
-    make_sphere,
-    make_texture,
-)
+from lobewise.scenes import parts
+from lobewise.scenes.parts import Item, Vector, encode_normals
 
 HALF_WIDTH, NEAR, FAR = 4.0, 7.0, -17.0
 """The street between its walls, and where it ends behind the camera and far away."""
@@ -113,25 +95,23 @@ def make_facades() -> dict[str, Item]:
     """Return the houses on both sides and at the end, as items by name."""
     color, height = make_bricks(64, 36)
     # Dull ones: on these walls glossy bricks under the bump map get NaN from Mitsuba, in its own integrator too.
-    brick = make_bump_map(height, 0.012, make_diffuse(make_texture(color)))
+    brick = parts.bump_map(height, 0.012, parts.diffuse(parts.texture(color)))
     far_color, far_height = make_bricks(22, 32)
-    far_brick = make_bump_map(far_height, 0.012, make_diffuse(make_texture(0.8 * far_color)))
+    far_brick = parts.bump_map(far_height, 0.012, parts.diffuse(parts.texture(0.8 * far_color)))
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
     items: dict[str, Item] = {
-        "end": make_rectangle((0, 2.5, FAR), (0, 2.5, 0), (HALF_WIDTH, 2.5), {"bsdf": far_brick}),
-        "behind": make_rectangle(
-            (0, 2.5, NEAR), (0, 2.5, 0), (HALF_WIDTH, 2.5), {"bsdf": make_diffuse((0.2, 0.2, 0.22))}
-        ),
+        "end": parts.rectangle((0, 2.5, FAR), (0, 2.5, 0), (HALF_WIDTH, 2.5), far_brick),
+        "behind": parts.rectangle((0, 2.5, NEAR), (0, 2.5, 0), (HALF_WIDTH, 2.5), parts.diffuse((0.2, 0.2, 0.22))),
     }
-    stone = make_plastic((0.16, 0.16, 0.17), 0.12)
-    shutter = make_bump_map(make_ribs(26).T, 0.06, make_metal("aluminium", 0.22))
+    stone = parts.plastic((0.16, 0.16, 0.17), 0.12)
+    shutter = parts.bump_map(make_ribs(26).T, 0.06, parts.metal("aluminium", 0.22))
     for name, side in (("left", -1.0), ("right", 1.0)):
         x = side * HALF_WIDTH
-        items[name] = make_rectangle((x, 2.5, middle), (0, 2.5, middle), (half_length, 2.5), {"bsdf": brick})
-        items[f"{name}_kerb"] = make_box((side * 3.5, 0.05, middle), (0.5, 0.05, half_length), stone)
+        items[name] = parts.rectangle((x, 2.5, middle), (0, 2.5, middle), (half_length, 2.5), brick)
+        items[f"{name}_kerb"] = parts.box((side * 3.5, 0.05, middle), (0.5, 0.05, half_length), stone)
     for i, (side, z) in enumerate(((-1.0, 0.6), (1.0, -6.4), (-1.0, -12.4))):
         x = side * (HALF_WIDTH - 0.04)
-        items[f"shutter_{i}"] = make_rectangle((x, 1.25, z), (0, 1.25, z), (1.0, 1.15), {"bsdf": shutter})
+        items[f"shutter_{i}"] = parts.rectangle((x, 1.25, z), (0, 1.25, z), (1.0, 1.15), shutter)
     return items
 
 
@@ -144,46 +124,39 @@ def make_lights() -> dict[str, Item]:
         (1.0, -10.4, 1.4, (14.0, 12.0, 7.0)),
         (1.0, -3.9, 0.8, (3.2, 5.4, 20.0)),
     )
-    frame = make_plastic((0.03, 0.06, 0.05), 0.06)
+    frame = parts.plastic((0.03, 0.06, 0.05), 0.06)
     items: dict[str, Item] = {}
     for i, (side, z, half_width, radiance) in enumerate(shops):
         x = side * (HALF_WIDTH - 0.03)
-        items[f"shop_{i}"] = make_light((x, 1.35, z), (0, 1.35, z), (half_width, 0.75), radiance, up=(0, 1, 0))
-        items[f"shop_sill_{i}"] = make_box((x, 0.52, z), (0.14, 0.07, half_width + 0.12), frame)
-        items[f"shop_sign_{i}"] = make_box((x, 2.22, z), (0.16, 0.10, half_width + 0.12), frame)
+        items[f"shop_{i}"] = parts.light((x, 1.35, z), (0, 1.35, z), (half_width, 0.75), radiance, up=(0, 1, 0))
+        items[f"shop_sill_{i}"] = parts.box((x, 0.52, z), (0.14, 0.07, half_width + 0.12), frame)
+        items[f"shop_sign_{i}"] = parts.box((x, 2.22, z), (0.16, 0.10, half_width + 0.12), frame)
         for k in (-1, 0, 1):
             bar = (x - 0.03 * side, 1.35, z + k * (half_width + 0.03))
-            items[f"shop_bar_{i}_{k + 1}"] = make_box(bar, (0.05, 0.8, 0.04), frame)
-    iron = make_metal("aluminium", 0.2)
+            items[f"shop_bar_{i}_{k + 1}"] = parts.box(bar, (0.05, 0.8, 0.04), frame)
+    iron = parts.metal("aluminium", 0.2)
     for i, (x, z) in enumerate(((3.15, 1.6), (-3.15, -4.9), (3.15, -8.4), (-3.15, 5.2))):
-        items[f"post_{i}"] = make_box((x, 1.5, z), (0.045, 1.5, 0.045), iron)
-        items[f"lamp_{i}"] = {
-            "type": "sphere",
-            "center": [x, 3.15, z],
-            "radius": 0.2,
-            "emitter": {"type": "area", "radiance": make_rgb((140.0, 101.0, 56.0))},
-        }
+        items[f"post_{i}"] = parts.box((x, 1.5, z), (0.045, 1.5, 0.045), iron)
+        items[f"lamp_{i}"] = parts.bulb((x, 3.15, z), 0.2, (140.0, 101.0, 56.0))
     # Windows up in the far house: one light, whose radiance is a picture.
     lit = np.zeros((7, 13, 3))
     lit[1::2, 1::2] = np.random.default_rng(36).choice([0.0, 0.6, 1.0], (3, 6, 1)) * np.array([6.5, 4.6, 2.1])
-    picture = make_texture(np.kron(lit, np.ones((4, 4, 1))), filter_type="nearest")
-    items["windows"] = make_rectangle(
-        (0, 3.2, FAR + 0.03), (0, 3.2, 0), (2.6, 1.4), {"emitter": {"type": "area", "radiance": picture}}
-    )
+    picture = parts.texture(np.kron(lit, np.ones((4, 4, 1))), filter_type="nearest")
+    items["windows"] = parts.light((0, 3.2, FAR + 0.03), (0, 3.2, 0), (2.6, 1.4), picture, up=(0, 1, 0))
     return items
 
 
 def make_car(x: float, z: float, paint: Item) -> dict[str, Item]:
     """Return a parked car seen from behind, as items by name."""
-    glass, tyre = make_plastic((0.01, 0.012, 0.015), 0.02, ior=1.6), make_diffuse((0.025, 0.025, 0.025))
+    glass, tyre = parts.plastic((0.01, 0.012, 0.015), 0.02, ior=1.6), parts.diffuse((0.025, 0.025, 0.025))
     items: dict[str, Item] = {
-        "body": make_box((x, 0.56, z), (0.78, 0.26, 1.75), paint),
-        "cabin": make_box((x, 1.02, z - 0.2), (0.66, 0.22, 0.95), glass),
-        "roof": make_box((x, 1.26, z - 0.2), (0.68, 0.025, 0.97), paint),
-        "bumper": make_box((x, 0.38, z + 1.78), (0.74, 0.06, 0.06), make_metal("silver", 0.04, 0.15)),
+        "body": parts.box((x, 0.56, z), (0.78, 0.26, 1.75), paint),
+        "cabin": parts.box((x, 1.02, z - 0.2), (0.66, 0.22, 0.95), glass),
+        "roof": parts.box((x, 1.26, z - 0.2), (0.68, 0.025, 0.97), paint),
+        "bumper": parts.box((x, 0.38, z + 1.78), (0.74, 0.06, 0.06), parts.metal("silver", 0.04, 0.15)),
     }
     for name, side in (("left", -1.0), ("right", 1.0)):
-        items[f"tail_{name}"] = make_light(
+        items[f"tail_{name}"] = parts.light(
             (x + side * 0.6, 0.66, z + 1.76),
             (x + side * 0.6, 0.66, z + 9),
             (0.13, 0.06),
@@ -204,39 +177,35 @@ def make_car(x: float, z: float, paint: Item) -> dict[str, Item]:
 def make_bin(center: Vector, radius: float, height: float, bsdf: Item) -> Item:
     """Return a round bin with a domed lid."""
     wall = ((0.9, 0.0), (0.9, 0.0), (1.0, 0.84), (1.0, 0.84), (1.08, 0.84), (1.08, 0.84), (1.08, 0.88), (1.08, 0.88))
-    lid = make_curve(((1.05, 0.9), (0.7, 0.98), (0.3, 1.02), (0.0, 1.03)))
-    return make_lathe(np.concatenate([wall, lid]) * [radius, height], center, bsdf)
+    lid = parts.curve(((1.05, 0.9), (0.7, 0.98), (0.3, 1.02), (0.0, 1.03)))
+    return parts.lathe(np.concatenate([wall, lid]) * [radius, height], center, bsdf)
 
 
 def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
     color, alpha, normals = make_asphalt()
     # The plugin squares what it is given.
-    asphalt = make_principled(make_texture(color), roughness=make_texture(np.sqrt(alpha)), specular=0.7)
+    asphalt = parts.principled(parts.texture(color), roughness=parts.texture(np.sqrt(alpha)), specular=0.7)
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
-    ribbed = make_bump_map(make_ribs(24), 0.05, make_metal("aluminium", 0.15))
+    ribbed = parts.bump_map(make_ribs(24), 0.05, parts.metal("aluminium", 0.15))
     return {
-        "type": "scene",
-        "sensor": make_camera((0.35, 1.75, 6.2), (-0.15, 0.85, -1.0), 54.0, width, height),
-        "integrator": {"type": "path", "max_depth": 8},
-        "sky": {"type": "constant", "radiance": make_rgb((0.08, 0.105, 0.19))},
-        "street": make_rectangle(
-            (0, 0, middle),
-            (0, 1, middle),
-            (HALF_WIDTH, half_length),
-            {"bsdf": make_normal_map(normals, asphalt)},
-            up=(0, 0, -1),
+        **parts.scene((0.35, 1.75, 6.2), (-0.15, 0.85, -1.0), 54.0, width, height),
+        "sky": {"type": "constant", "radiance": parts.rgb((0.08, 0.105, 0.19))},
+        "street": parts.rectangle(
+            (0, 0, middle), (0, 1, middle), (HALF_WIDTH, half_length), parts.normal_map(normals, asphalt)
         ),
         **make_facades(),
         **make_lights(),
-        **make_car(-1.9, -1.2, make_plastic((0.60, 0.05, 0.05), 0.03, ior=1.7)),
+        **make_car(-1.9, -1.2, parts.plastic((0.60, 0.05, 0.05), 0.03, ior=1.7)),
         "bin": make_bin((2.75, 0.1, 0.3), 0.27, 0.8, ribbed),
         "bin_2": make_bin((3.35, 0.1, -0.1), 0.25, 0.72, ribbed),
-        "hydrant": make_lathe(
-            make_curve(((0.16, 0.0), (0.12, 0.06), (0.11, 0.42), (0.15, 0.46), (0.11, 0.5), (0.08, 0.62), (0.0, 0.66))),
+        "hydrant": parts.lathe(
+            parts.curve(
+                ((0.16, 0.0), (0.12, 0.06), (0.11, 0.42), (0.15, 0.46), (0.11, 0.5), (0.08, 0.62), (0.0, 0.66))
+            ),
             (2.75, 0.1, 2.6),
-            make_plastic((0.70, 0.42, 0.03), 0.06),
+            parts.plastic((0.70, 0.42, 0.03), 0.06),
         ),
-        "ball": make_sphere((-0.7, 0.2, 2.7), 0.2, make_plastic((0.10, 0.40, 0.16), 0.05)),
-        "crate": make_box((-3.2, 0.36, 3.1), (0.3, 0.26, 0.3), make_diffuse((0.42, 0.26, 0.12)), 20),
+        "ball": parts.sphere((-0.7, 0.2, 2.7), 0.2, parts.plastic((0.10, 0.40, 0.16), 0.05)),
+        "crate": parts.box((-3.2, 0.36, 3.1), (0.3, 0.26, 0.3), parts.diffuse((0.42, 0.26, 0.12)), 20),
     }

@@ -25,12 +25,26 @@ def find_swing(time: float, frames: float) -> float:
     return frames - abs(time % (2.0 * frames) - frames)
 
 
-def make_rgb(color: Vector) -> Item:
+def rgb(value: Vector) -> Item:
     """Return a colour in linear sRGB."""
-    return {"type": "rgb", "value": list(color)}
+    return {"type": "rgb", "value": list(value)}
 
 
-def make_camera(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
+def color(value: Vector | Item) -> Item:
+    """Return a colour in linear sRGB, or the texture that is given instead."""
+    return value if isinstance(value, dict) else rgb(value)
+
+
+def scene(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
+    """Return the beginning of a scene: its camera, and an integrator for Mitsuba's own programs."""
+    return {
+        "type": "scene",
+        "sensor": camera(origin, target, fov_x, width, height),
+        "integrator": {"type": "path", "max_depth": 8},
+    }
+
+
+def camera(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
     """Return a perspective sensor with a box filter, ``fov_x`` degrees wide on a square image."""
     return {
         "type": "perspective",
@@ -50,100 +64,101 @@ def make_camera(origin: Vector, target: Vector, fov_x: float, width: int, height
     }
 
 
-def make_box(center: Vector, half_size: Vector, bsdf: Item, turn: float = 0.0) -> Item:
+def box(center: Vector, half_size: Vector, bsdf: Item, turn: float = 0.0) -> Item:
     """Return a box of half size ``half_size``, turned by ``turn`` degrees about the vertical."""
     transform = ("translate", list(center)), ("rotate", [0, 1, 0], turn), ("scale", list(half_size))
     return {"type": "cube", "to_world": transform, "bsdf": bsdf}
 
 
-def make_sphere(center: Vector, radius: float, bsdf: Item) -> Item:
+def sphere(center: Vector, radius: float, bsdf: Item) -> Item:
     """Return a sphere whose poles are above and below, so that textures and brushing run round it."""
     transform = ("translate", list(center)), ("rotate", [1, 0, 0], -90), ("scale", radius)
     return {"type": "sphere", "to_world": transform, "bsdf": bsdf}
 
 
-def make_rectangle(
-    center: Vector, toward: Vector, half_size: tuple[float, float], content: Item, up: Vector = (0, 1, 0)
+def rectangle(
+    center: Vector, toward: Vector, half_size: tuple[float, float], bsdf: Item, up: Vector | None = None
 ) -> Item:
-    """Return a rectangle at ``center`` that faces the point ``toward``; ``content`` is merged into it."""
+    """Return a rectangle at ``center`` that faces the point ``toward``, upright unless that is above or below it."""
+    level = (center[0], center[2]) == (toward[0], toward[2])
+    return {**_face(center, toward, half_size, up or ((0, 0, -1) if level else (0, 1, 0))), "bsdf": bsdf}
+
+
+def light(
+    center: Vector, toward: Vector, half_size: tuple[float, float], radiance: Vector | Item, up: Vector = (0, 0, 1)
+) -> Item:
+    """Return a rectangular area light that shines toward a point, in one colour or a texture."""
+    emitter = {"type": "area", "radiance": color(radiance)}
+    return {**_face(center, toward, half_size, up), "emitter": emitter}
+
+
+def bulb(center: Vector, radius: float, radiance: Vector) -> Item:
+    """Return a sphere that shines."""
+    emitter = {"type": "area", "radiance": rgb(radiance)}
+    return {"type": "sphere", "center": list(center), "radius": radius, "emitter": emitter}
+
+
+def _face(center: Vector, toward: Vector, half_size: tuple[float, float], up: Vector) -> Item:
     transform = ("look_at", list(center), list(toward), list(up)), ("scale", [half_size[0], half_size[1], 1.0])
-    return {"type": "rectangle", "to_world": transform, **content}
+    return {"type": "rectangle", "to_world": transform}
 
 
-def make_light(
-    center: Vector, toward: Vector, half_size: tuple[float, float], radiance: Vector, up: Vector = (0, 0, 1)
-) -> Item:
-    """Return a rectangular area light that shines toward a point."""
-    return make_rectangle(
-        center, toward, half_size, {"emitter": {"type": "area", "radiance": make_rgb(radiance)}}, up=up
-    )
-
-
-def make_diffuse(color: Vector | Item) -> Item:
+def diffuse(reflectance: Vector | Item) -> Item:
     """Return a two-sided diffuse material, of one colour or a texture."""
-    reflectance = color if isinstance(color, dict) else make_rgb(color)
-    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": reflectance}}
+    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": color(reflectance)}}
 
 
-def make_metal(name: str, alpha: float | Item, alpha_v: float | Item | None = None) -> Item:
+def metal(name: str, alpha: float | Item, alpha_v: float | Item | None = None) -> Item:
     """Return a GGX metal of `IOR_OF_METALS`, two-sided, isotropic unless ``alpha_v`` is given."""
     eta, k = IOR_OF_METALS[name]
-    inner: Item = {"type": "roughconductor", "distribution": "ggx", "eta": make_rgb(eta), "k": make_rgb(k)}
+    inner: Item = {"type": "roughconductor", "distribution": "ggx", "eta": rgb(eta), "k": rgb(k)}
     inner.update({"alpha": alpha} if alpha_v is None else {"alpha_u": alpha, "alpha_v": alpha_v})
     return {"type": "twosided", "inner": inner}
 
 
-def make_plastic(color: Vector | Item, alpha: float, *, ior: float = 1.5) -> Item:
+def plastic(reflectance: Vector | Item, alpha: float, *, ior: float = 1.5) -> Item:
     """Return a GGX rough plastic, two-sided."""
-    reflectance = color if isinstance(color, dict) else make_rgb(color)
     inner = {
         "type": "roughplastic",
         "distribution": "ggx",
         "alpha": alpha,
         "int_ior": ior,
-        "diffuse_reflectance": reflectance,
+        "diffuse_reflectance": color(reflectance),
         "nonlinear": True,
     }
     return {"type": "twosided", "inner": inner}
 
 
-def make_checkerboard(first: Vector, second: Vector, repeats: tuple[float, float]) -> Item:
+def checkerboard(first: Vector, second: Vector, repeats: tuple[float, float]) -> Item:
     """Return a checkerboard of two colours."""
     return {
         "type": "checkerboard",
-        "color0": make_rgb(first),
-        "color1": make_rgb(second),
+        "color0": rgb(first),
+        "color1": rgb(second),
         "to_uv": (("scale", [repeats[0], repeats[1], 1.0]),),
     }
 
 
-def make_texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilinear", raw: bool = True) -> Item:
+def texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilinear", raw: bool = True) -> Item:
     """Return a texture of an array (rows, columns) or (rows, columns, channels), row 0 at v = 1."""
     data = np.ascontiguousarray(values, dtype=np.float32)
     if data.ndim == 2:
         data = data[..., None]
-    return {
-        "type": "bitmap",
-        "bitmap": data,
-        "raw": raw,
-        "filter_type": filter_type,
-        "wrap_mode": "clamp",
-    }
+    return {"type": "bitmap", "bitmap": data, "raw": raw, "filter_type": filter_type, "wrap_mode": "clamp"}
 
 
-def make_principled(color: Vector | Item, **parameters: float | Item) -> Item:
+def principled(base: Vector | Item, **parameters: float | Item) -> Item:
     """Return a principled material, two-sided; ``parameters`` are the plugin's own (``roughness`` squared is alpha)."""
-    base = color if isinstance(color, dict) else make_rgb(color)
-    return {"type": "twosided", "inner": {"type": "principled", "base_color": base, **parameters}}
+    return {"type": "twosided", "inner": {"type": "principled", "base_color": color(base), **parameters}}
 
 
-def make_mirror(reflectance: Vector) -> Item:
+def mirror(reflectance: Vector) -> Item:
     """Return a perfectly smooth mirror, two-sided."""
-    inner = {"type": "conductor", "material": "none", "specular_reflectance": make_rgb(reflectance)}
+    inner = {"type": "conductor", "material": "none", "specular_reflectance": rgb(reflectance)}
     return {"type": "twosided", "inner": inner}
 
 
-def make_lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segments: int = 96) -> Item:
+def lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segments: int = 96) -> Item:
     """Return a smooth upright body of revolution as a mesh.
 
     Parameters
@@ -192,7 +207,7 @@ def make_lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, s
     }
 
 
-def make_curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np.float64]:
+def curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np.float64]:
     """Return a smooth curve through points of the plane, ``steps`` pieces between two of them.
 
     Source: the cubic with tangents from neighbours, Catmull and Rom 1974, "A class of local interpolating splines".
@@ -208,21 +223,21 @@ def make_curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArr
     return curve
 
 
-def make_blend(first: Item, second: Item, weight: float | Item) -> Item:
+def blend(first: Item, second: Item, weight: float | Item) -> Item:
     """Return two two-sided materials in one, ``weight`` (a number or a texture) of which is the second."""
     blend = {"type": "blendbsdf", "weight": weight, "first": first["inner"], "second": second["inner"]}
     return {"type": "twosided", "inner": blend}
 
 
-def make_normal_map(normals: NDArray[np.floating[Any]], bsdf: Item) -> Item:
+def normal_map(normals: NDArray[np.floating[Any]], bsdf: Item) -> Item:
     """Return a two-sided material under a normal map, (rows, columns, 3) in [0, 1]."""
-    inner = {"type": "normalmap", "normalmap": make_texture(normals), "inner": bsdf["inner"]}
+    inner = {"type": "normalmap", "normalmap": texture(normals), "inner": bsdf["inner"]}
     return {"type": "twosided", "inner": inner}
 
 
-def make_bump_map(heights: NDArray[np.floating[Any]], scale: float, bsdf: Item) -> Item:
+def bump_map(heights: NDArray[np.floating[Any]], scale: float, bsdf: Item) -> Item:
     """Return a two-sided material under a bump map of heights (rows, columns), ``scale`` units of length each."""
-    inner = {"type": "bumpmap", "heights": make_texture(heights), "scale": scale, "inner": bsdf["inner"]}
+    inner = {"type": "bumpmap", "heights": texture(heights), "scale": scale, "inner": bsdf["inner"]}
     return {"type": "twosided", "inner": inner}
 
 
