@@ -18,7 +18,7 @@ from lobewise.bench.plan import WHAT, Extent, add_halves, list_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
 from lobewise.bench.plots import draw_plots
 from lobewise.bench.summary import Section, format_time, make_sections
-from lobewise.bench.timing import time_best
+from lobewise.bench.timing import limit_threads, time_best
 from lobewise.cli.main import run
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.features import Feature
@@ -160,7 +160,7 @@ def test_threads_are_counted_in_powers_of_two_up_to_all(monkeypatch: pytest.Monk
     for number, expected in (("1", [1]), ("2", [1, 2]), ("6", [1, 2, 4, 6]), ("16", [1, 2, 4, 8, 16])):
         monkeypatch.setenv("HL_NUM_THREADS", number)
         assert list_threads() == expected
-    plan.limit_threads(3)
+    limit_threads(3)
     assert os.environ["HL_NUM_THREADS"] == "3"
 
 

@@ -10,47 +10,28 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 from benchmarks.common import describe_machine, write_json
+
+from lobewise.bench.kernels import make_kernel_calls
+from lobewise.bench.plane import make_features, make_frame
+from lobewise.bench.timing import keep_best, open_pools, time_best
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080), (3840, 2160), (7680, 4320))
 NAMES = ("normal", "sg", "ggx")
 RADIUS = 8
 
 
-def measure_sizes(threads: int, rounds: int) -> dict[str, dict[str, float]]:
-    """Return the best seconds of every size and similarity in a process of so many threads."""
-    told = {**os.environ, "HL_NUM_THREADS": str(threads)}
-    command = [sys.executable, "-m", "benchmarks.performance.scaling", "--measure", str(rounds)]
-    done = subprocess.run(command, capture_output=True, check=True, env=told, text=True)
-    found: dict[str, dict[str, float]] = json.loads(done.stdout)
-    return found
-
-
 def time_sizes(rounds: int) -> dict[str, dict[str, float]]:
     """Return the best seconds of every size and similarity in this process."""
-    from lobewise.bench.kernels import make_kernel_calls
-    from lobewise.bench.plane import make_features, make_frame
-
     best: dict[str, dict[str, float]] = {}
     for width, height in SIZES:
         frame = make_frame(width, height)
         calls = make_kernel_calls(frame, make_features(frame, NAMES), RADIUS, "separable")
-        row = dict.fromkeys(calls, float("inf"))
-        for call in calls.values():
-            call()
         # As many pixels for every size, so that none has more chances of a quiet moment.
-        for _ in range(max(rounds * 2_000_000 // (width * height), 3)):
-            for name, call in calls.items():
-                begin = time.perf_counter()
-                call()
-                row[name] = min(row[name], time.perf_counter() - begin)
-        best[f"{width}x{height}"] = row
+        best[f"{width}x{height}"] = time_best(calls, 0.0, rounds=max(rounds * 2_000_000 // (width * height), 3))
     return best
 
 
@@ -86,19 +67,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--rounds", type=int, default=20, help="rounds of an image of two million pixels")
     parser.add_argument("--turns", type=int, default=2)
-    parser.add_argument("--measure", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.measure:
-        print(json.dumps(time_sizes(arguments.measure)))
-        return
     runs: dict[int, dict[str, dict[str, float]]] = {}
-    for _ in range(arguments.turns):
-        for threads in (1, os.cpu_count() or 1):
-            found = measure_sizes(threads, arguments.rounds)
-            known = runs.setdefault(threads, found)
-            for size, row in found.items():
-                for name, value in row.items():
-                    known[size][name] = min(known[size][name], value)
+    with open_pools((1, os.cpu_count() or 1)) as pools:
+        for _ in range(arguments.turns):
+            for threads, pool in pools.items():
+                known = runs.setdefault(threads, {})
+                for size, row in pool.submit(time_sizes, arguments.rounds).result().items():
+                    known[size] = keep_best(known.get(size), row)
     value = {"what": "separable, radius 8, best wall time", "machine": describe_machine(), **summarize(runs)}
     print(json.dumps(value, indent=1))
     if arguments.output:

@@ -18,8 +18,8 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from benchmarks.quality.summary import HELD_OUT, TRAIN, make_lines, summarise
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from lobewise.bench.timing import time_best
 from lobewise.errors import MissingDependencyError
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import flip, mse, rel_mse, smape
@@ -141,13 +142,8 @@ def choose_methods(wanted: list[str] | None, tuning: Tuning) -> tuple[list[str],
 
 def time_methods(frame: Frame, names: list[str], tuning: Tuning) -> dict[str, Any]:
     """Return the best wall time of each method in turn, after a round that compiles and allocates."""
-    best = dict.fromkeys(names, float("inf"))
-    for turn in range(1 + TIMED_RUNS):
-        for name in names:
-            start = time.perf_counter()
-            METHODS[name].run(frame, tuning)
-            if turn > 0:
-                best[name] = min(best[name], time.perf_counter() - start)
+    calls = {name: partial(METHODS[name].run, frame, tuning) for name in names}
+    best = time_best(calls, 0.0, rounds=TIMED_RUNS)
     milliseconds = {name: round(1e3 * seconds, 2) for name, seconds in best.items() if name != "noisy"}
     row: dict[str, Any] = {"spp": frame.spp, "machine": describe_machine(), "milliseconds": milliseconds}
     for base in ("single SG", "oidn", "oidn, guides as they come"):

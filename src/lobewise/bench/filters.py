@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
-from multiprocessing import get_context
 from typing import Any
 
 from lobewise.backend.devices import choose_device, list_devices
@@ -19,12 +16,11 @@ from lobewise.bench.plan import (
     WHAT,
     Extent,
     describe_size,
-    limit_threads,
     list_jobs,
     list_threads,
     make_core_calls,
 )
-from lobewise.bench.timing import time_best
+from lobewise.bench.timing import keep_best, open_pools, time_best
 from lobewise.errors import LobewiseError
 from lobewise.peers import has_oidn
 
@@ -92,8 +88,7 @@ def measure_filters(
                 continue
             try:
                 times = time_best(job.make(), extent.seconds / job.turns, rounds=math.ceil(job.rounds / job.turns))
-                known = best.get(place, times)
-                best[place] = {name: min(value, known[name]) for name, value in times.items()}
+                best[place] = keep_best(best.get(place), times)
             except LobewiseError as problem:
                 # A device that cannot do one thing can do others.
                 skipped.append(f"{job.part} on {job.facts['device']}: {problem}")
@@ -115,22 +110,13 @@ def measure_filters(
 
 
 def _time_threads(counts: Sequence[int], extent: Extent) -> list[dict[str, Any]]:
-    """Return the times with each number of threads, which a process cannot change: each has one of its own."""
+    """Return the times with each number of threads."""
     seconds = extent.seconds / TURNS
     best: dict[int, dict[str, float]] = {}
-    with ExitStack() as stack:
-        context = get_context("spawn")
-        pools = {
-            count: stack.enter_context(
-                ProcessPoolExecutor(1, mp_context=context, initializer=limit_threads, initargs=(count,))
-            )
-            for count in counts
-        }
+    with open_pools(counts) as pools:
         for _ in range(TURNS):
             for count, pool in pools.items():
-                times = pool.submit(_time_core, extent, seconds).result()
-                known = best.get(count, times)
-                best[count] = {name: min(value, known[name]) for name, value in times.items()}
+                best[count] = keep_best(best.get(count), pool.submit(_time_core, extent, seconds).result())
     facts = {"device": "cpu", **describe_size(extent.size), "form": "separable", "radius": RADIUS}
     return [
         _make_row("threads", name, value, {**facts, "threads": count})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 import time
@@ -17,7 +18,8 @@ from lobewise.bench.machine import describe_machine
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
-    from lobewise.interactive import InteractiveSettings
+    from lobewise.camera import Camera
+    from lobewise.interactive import InteractiveSettings, Session
 
 DEGREES_PER_FRAME = 1.0
 """Of the orbit."""
@@ -79,7 +81,12 @@ def measure_interactive(
     names = list(methods or METHODS)
     each = frames + WARM_UP
     total = each * len(names) * len(sizes)
-    done = 0
+    done = itertools.count(1)
+
+    def advance() -> None:
+        if progress is not None:
+            progress(next(done), total)
+
     rows = []
     session = Session(scene)
     cameras = make_orbit(session.camera, find_orbit_centre(session.scene), each, DEGREES_PER_FRAME)
@@ -91,26 +98,9 @@ def measure_interactive(
         for width, height in sizes:
             stream = session.make_sibling()
             stream.resize(width, height)
-            seconds: list[dict[str, float]] = []
-            for camera in cameras:
-                start = time.perf_counter()
-                stages = stream.render(camera, chosen).seconds
-                seconds.append({**stages, "frame": time.perf_counter() - start})
-                done += 1
-                if progress is not None:
-                    progress(done, total)
-            counted = seconds[WARM_UP:]
-            row = {stage: median(item[stage] for item in counted) for stage in counted[0]}
-            rows.append(
-                {
-                    "method": name,
-                    "width": width,
-                    "height": height,
-                    "seconds": row,
-                    "frames_per_second": 1.0 / row["frame"],
-                    "prepare": ready,
-                }
-            )
+            row = _time_stages(stream, cameras, chosen, advance)
+            facts = {"method": name, "width": width, "height": height, "seconds": row}
+            rows.append({**facts, "frames_per_second": 1.0 / row["frame"], "prepare": ready})
     return {
         "machine": describe_machine(),
         "device": "cuda" if "cuda" in variant else "cpu",
@@ -120,6 +110,20 @@ def measure_interactive(
         "degrees_per_frame": DEGREES_PER_FRAME,
         "rows": rows,
     }
+
+
+def _time_stages(
+    stream: Session, cameras: Sequence[Camera], settings: InteractiveSettings, advance: Callable[[], None]
+) -> dict[str, float]:
+    """Return the median seconds of every stage, and of the whole frame, along a path."""
+    seconds: list[dict[str, float]] = []
+    for camera in cameras:
+        start = time.perf_counter()
+        stages = stream.render(camera, settings).seconds
+        seconds.append({**stages, "frame": time.perf_counter() - start})
+        advance()
+    counted = seconds[WARM_UP:]
+    return {stage: median(item[stage] for item in counted) for stage in counted[0]}
 
 
 def measure_devices(devices: Sequence[str] | None = None, **arguments: Any) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -166,11 +165,6 @@ def make_core_calls(extent: Extent) -> Calls:
     """Return what "threads" runs."""
     frame = fetch_frame(extent.size)
     return make_kernel_calls(frame, make_features(frame, extent.core), RADIUS, "separable")
-
-
-def limit_threads(count: int) -> None:
-    """Make this process, which has run no kernel yet, use so many threads."""
-    os.environ["HL_NUM_THREADS"] = str(count)
 
 
 def describe_size(size: Size) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE
@@ -69,7 +69,14 @@ def make_sections(data: Mapping[str, Any]) -> list[Section]:
             "lobes",
         ),
         _make_threads(rows),
-        _make_upsampling(rows),
+        _make_pivot(
+            rows,
+            "upsampling",
+            f"Upsampling to {_tell_size(pick(rows, 'upsampling'))}",
+            "Milliseconds of lobewise.upsample, diffuse and specular, one pixel shaded of every 2x2 or 4x4.",
+            lambda row: f"{row['scale']}x{row['scale']}, ms",
+            "similarity",
+        ),
     ]
     return [section for section in made if section.rows]
 
@@ -170,39 +177,21 @@ def _make_forms(rows: Sequence[Row]) -> Section:
 
 def _make_threads(rows: Sequence[Row]) -> Section:
     chosen = pick(rows, "threads")
-    counts = list(dict.fromkeys(row["threads"] for row in chosen))
-    times = {(row["name"], row["threads"]): row["milliseconds"] for row in chosen}
-    names = list(dict.fromkeys(row["name"] for row in chosen))
-    lines = [
-        [
-            name,
-            *(format_time(times[name, count]) for count in counts),
-            f"{times[name, counts[0]] / times[name, counts[-1]]:.2f}",
-        ]
-        for name in names
-    ]
-    return Section(
+    section = _make_pivot(
+        rows,
         "threads",
         f"Time over threads, {_tell_size(chosen)}",
         "Milliseconds of one image, radius 8, separable, and how many times faster all threads are than one.",
-        ["threads", *map(str, counts), "gain"],
-        lines,
+        lambda row: str(row["threads"]),
+        "threads",
     )
-
-
-def _make_upsampling(rows: Sequence[Row]) -> Section:
-    chosen = pick(rows, "upsampling")
     series = name_series(chosen)
-    scales = list(dict.fromkeys(row["scale"] for row in chosen))
-    cells = {(series(row), row["scale"]): format_time(row["milliseconds"]) for row in chosen}
-    names = list(dict.fromkeys(map(series, chosen)))
-    return Section(
-        "upsampling",
-        f"Upsampling to {_tell_size(chosen)}",
-        "Milliseconds of lobewise.upsample, diffuse and specular, one pixel shaded of every 2x2 or 4x4.",
-        ["similarity", *(f"{scale}x{scale}, ms" for scale in scales)],
-        [[name, *(cells[name, scale] for scale in scales)] for name in names],
-    )
+    times: dict[str, list[float]] = {}
+    for row in chosen:
+        times.setdefault(series(row), []).append(row["milliseconds"])
+    gains = [f"{each[0] / each[-1]:.2f}" for each in times.values()]
+    lines = [[*line, gain] for line, gain in zip(section.rows, gains, strict=True)]
+    return replace(section, header=[*section.header, "gain"], rows=lines)
 
 
 def _make_denoising(rows: Sequence[Row]) -> Section:
