@@ -31,14 +31,15 @@ from numpy.typing import NDArray
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Buffer, take_mask
 from lobewise.backend.jit import Kernel, Scheduled, get_kernel
+from lobewise.backend.signature import Signature
 from lobewise.bench.timing import time_best
 from lobewise.denoising import resolve_settings
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.features import Feature, ScreenFeature
-from lobewise.features.arrays import take_arrays, take_parameters
+from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, WEIGHT, demodulate, make_pass_inputs, make_stage
-from lobewise.filters.planes import Rows, begin_at_zero, make_guide_planes, make_image
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, WEIGHT, demodulate, make_stage
+from lobewise.filters.planes import Rows, make_guide_planes, make_image
 from lobewise.filters.runs import SampleGrid
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.frame import FloatArray, Frame
@@ -77,13 +78,12 @@ def make_pattern(count: int, radius: int) -> NDArray[np.int32]:
 def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl.Target) -> Scheduled:
     """Return the scheduled kernel of ``count`` taps within ``radius``, from the parts of the full one."""
     x, y, c, k = (hl.Var(name) for name in "xyck")
-    given = make_pass_inputs(features)
-    source, albedo, mask = given.source, given.albedo, given.mask
-    pattern = hl.ImageParam(hl.Int(32), 3, "pattern")
-    for image in (source, albedo, mask, pattern):
-        begin_at_zero(image)
-    source.dim(1).set_stride(3)
-    albedo.dim(1).set_stride(3)
+    signature, size = Signature("sparse"), ("height", "width")
+    source, albedo = (signature.image(name, *size, COLORS) for name in ("source", "albedo"))
+    mask = signature.image("mask", *size, type=hl.UInt(8))
+    arrays, scalars = declare_features(signature, "tap", features, *size), declare_scalars(signature, features)
+    pattern = signature.image("pattern", TURNS, 2, count, type=hl.Int(32))
+    signature.output("image", *size, COLORS)
     lanes = count_lanes(target)
     rows = Rows(mask.width(), hl.i32(radius), lanes)
 
@@ -92,7 +92,7 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
         return hl.select(good & usable, hl.mux(c, [*radiance, hl.f32(1.0)]), hl.f32(0.0))
 
     image = make_image("image", mask, rows, take)
-    side = make_guide_planes("tap", mask, features, given.scalars, arrays=given.arrays, rows=rows)
+    side = make_guide_planes("tap", mask, features, scalars, arrays=arrays, rows=rows)
     stages: list[hl.Func] = []
     stage = make_stage(stages, (x, y, k))
 
@@ -101,7 +101,7 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
 
     across, down = find_offset(k)
     exponent: hl.Expr = hl.f32(0.0)
-    for feature, layout, own in zip(features, side.layouts, given.scalars, strict=True):
+    for feature, layout, own in zip(features, side.layouts, scalars, strict=True):
         i, j = side.read(layout, x, y), side.read(layout, x + across, y + down)
         exponent = exponent + feature.log2_similarity(i, j, own, (hl.f32(across), hl.f32(down)), stage)
     log_weight = hl.Func("log_weight")
@@ -130,8 +130,7 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
         func.compute_at(out, xv).vectorize(x, lanes).bound(k, 0, count)
     fill_rows(image.compute_at(out, ys), WEIGHT + 1, rows)
     fill_planes(side, rows, (out, ys))
-    arguments = [source, albedo, mask, *side.arrays, *(p for own in given.scalars for p in own), pattern]
-    return Scheduled([out], arguments)
+    return Scheduled([out], signature)
 
 
 def run_sparse(count: int, radius: int, layer: Layer) -> FloatArray:
@@ -142,11 +141,15 @@ def run_sparse(count: int, radius: int, layer: Layer) -> FloatArray:
     )
     out = np.empty_like(layer.radiance)
     assert layer.albedo is not None
-    images = [np.ascontiguousarray(image, np.float32) for image in (layer.radiance, layer.albedo)]
-    held = [*images, take_mask(layer.mask), *take_arrays(layer.features, layer.mask.shape)]
-    last = make_pattern(count, radius)
-    buffers = [Buffer(array) for array in held]
-    kernel(*buffers, *take_parameters(layer.features), Buffer(last), Buffer(out))
+    images = {
+        "source": np.ascontiguousarray(layer.radiance, np.float32),
+        "albedo": np.ascontiguousarray(layer.albedo, np.float32),
+        "mask": take_mask(layer.mask),
+        **give_features("tap", layer.features, layer.mask.shape),
+        "pattern": make_pattern(count, radius),
+        "image": out,
+    }
+    kernel(**{name: Buffer(image) for name, image in images.items()}, **give_scalars(layer.features))
     return out
 
 

@@ -19,7 +19,8 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.features import DiffuseFeature, Feature, ScreenFeature, SeenFeature
 from lobewise.features.base import Pixel, Stage
-from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
+from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.frame import FloatArray
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 from tests.kernels.oracles import Pixels, get_similarity

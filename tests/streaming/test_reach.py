@@ -16,7 +16,8 @@ from lobewise.filters import compositing as resolving
 from lobewise.filters import fireflies, mixing, noise_guides
 from lobewise.filters.compositing import resolve_light
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.dual_buffer import Exponents, filter_dual_buffer
+from lobewise.filters.dual_buffer import filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.mixing import find_features

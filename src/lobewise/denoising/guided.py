@@ -22,7 +22,8 @@ from lobewise.denoising.noise import find_halves
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.compositing import resolve_light
-from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
+from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH

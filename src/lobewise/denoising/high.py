@@ -26,7 +26,8 @@ from lobewise.denoising.guided import (
 )
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.dual_buffer import DualBufferOutput, Exponents, filter_dual_buffer
+from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.mixing import REACH as MIXING_REACH
 from lobewise.filters.mixing import Network, mix_candidates

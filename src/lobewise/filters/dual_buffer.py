@@ -1,8 +1,9 @@
-"""Calls of the dual-buffer pass: buffers made and checked, kernels looked up."""
+"""The dual-buffer filter: two halves of the samples, filtered by the same weights."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import halide as hl
@@ -10,30 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, lend, make_output, returns_host_images, take_channel, take_image, take_mask
-from lobewise.backend.jit import get_kernel
-from lobewise.features.arrays import take_arrays, take_parameters
+from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import describe_structure
+from lobewise.filters.cross_pass import COLORS, describe_structure
 from lobewise.filters.dual_buffer_pass import (
-    COLORS,
     GUIDE_CHANNELS,
-    OUTPUTS,
-    DualBufferFuncs,
     DualBufferKey,
+    Exponents,
+    Groups,
+    give_exponents,
     make_dual_buffer_pass,
+    name_images,
 )
 from lobewise.filters.schedules.dual_buffer import schedule_dual_buffer
 from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
-
-
-class Exponents(NamedTuple):
-    """Powers to which a variant raises the similarities of place, of lobes, of the guides and of what is seen."""
-
-    place: float
-    lobes: float
-    range: float = 0.0
-    seen: float = 1.0
 
 
 class DualBufferOutput(NamedTuple):
@@ -100,39 +93,47 @@ def filter_dual_buffer(
     list of DualBufferOutput
         One for each variant.
     """
-    height, width = mask.shape
-    groups = (place, lobes, seen)
+    size = mask.shape[0], mask.shape[1]
+    groups = Groups(place, lobes, seen)
     key = DualBufferKey(
         radius=radius,
-        place=tuple(describe_structure(feature) for feature in place),
-        lobes=tuple(describe_structure(feature) for feature in lobes),
-        seen=tuple(describe_structure(feature) for feature in seen),
+        groups=tuple(tuple(describe_structure(feature) for feature in features) for features in groups),
         demodulate=albedo is not None,
         guided=guide is not None,
         joined=joined,
         variants=len(variants),
     )
-
-    def make(target: hl.Target) -> DualBufferFuncs:
-        funcs = make_dual_buffer_pass(key, groups, lanes=count_lanes(target))
-        schedule_dual_buffer(funcs, target)
-        return funcs
-
-    kernel = get_kernel(device, key, make)
+    kernel = get_kernel(device, key, partial(_make_scheduled, key, groups))
     # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held: list[Image] = [take_image("half", half, (height, width, COLORS)) for half in halves]
+    images: dict[str, Image] = {"mask": take_mask(mask)}
+    for name, half in zip(("half_a", "half_b"), halves, strict=True):
+        images[name] = take_image("half", half, (*size, COLORS))
     if albedo is not None:
-        held.append(take_image("albedo", albedo, (height, width, COLORS)))
-    held.append(take_mask(mask))
+        images["albedo"] = take_image("albedo", albedo, (*size, COLORS))
     if guide is not None:
-        held.append(take_image("guide", guide, (height, width, GUIDE_CHANNELS)))
-    held += [array for group in groups for array in take_arrays(group, (height, width))]
-    buffers = [lend(array, device) for array in held]
-    parameters = [value for group in groups for value in take_parameters(group)]
-    powers = [float(power) for each in variants for power in each]
-    count = OUTPUTS - 1 if joined else OUTPUTS
-    outputs = [make_output((height, width, COLORS), device) for _ in range(len(variants) * count)]
-    kernel(*buffers, step, float(noise), *parameters, *powers, *(buffer for buffer, _ in outputs))
-    images = [image for _, image in outputs]
-    parts = [images[count * k : count * (k + 1)] for k in range(len(variants))]
-    return [DualBufferOutput(part[0], part[-2], *(take_channel(part[-1], k) for k in range(2))) for part in parts]
+        images["guide"] = take_image("guide", guide, (*size, GUIDE_CHANNELS))
+    numbers = give_exponents(variants)
+    for name, features in groups._asdict().items():
+        images |= give_features(name, features, size)
+        numbers |= give_scalars(features, name)
+    shapes = kernel.list_shapes(height=size[0], width=size[1])
+    outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
+    kernel(
+        **{name: lend(image, device) for name, image in images.items()},
+        **{name: buffer for name, (buffer, _) in outputs.items()},
+        **numbers,
+        step=step,
+        noise=float(noise),
+    )
+    found: list[DualBufferOutput] = []
+    for variant in range(len(variants)):
+        *means, support = (outputs[name][1] for name in name_images(key, variant))
+        found.append(DualBufferOutput(means[0], means[-1], *(take_channel(support, k) for k in range(2))))
+    return found
+
+
+def _make_scheduled(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:
+    """Return a dual-buffer pass, ready to be compiled."""
+    funcs = make_dual_buffer_pass(key, groups, lanes=count_lanes(target))
+    schedule_dual_buffer(funcs, target)
+    return Scheduled([funcs.out], funcs.signature)

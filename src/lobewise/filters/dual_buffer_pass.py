@@ -16,27 +16,42 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import halide as hl
 
 from lobewise.backend import expressions
 from lobewise.backend.expressions import LOG2_E
-from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance, make_stage
-from lobewise.filters.planes import GuidePlanes, Rows, begin_at_zero, make_guide_planes, make_image
+from lobewise.backend.signature import Signature
+from lobewise.features.arrays import declare_features, declare_scalars
+from lobewise.features.base import Stage
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, U, V, demodulate, find_luminance, make_stage
+from lobewise.filters.planes import C, Rows, X, Y, make_guide_planes, make_image
 
-COLORS = 3
 HALVES = 2
 GUIDE_CHANNELS = COLORS + 1
 """Colours and their variance."""
 SUMS = COLORS + 2
 """Of one half in one variant: weighted radiance, weight, squared weight."""
-OUTPUTS = HALVES + 1
-"""Images of one variant, three channels each: the mean of each half, or of both where they are joined; weight sum,
-effective samples and nothing."""
 NOISE_FLOOR = 1e-4
 """Added to the noise that differences are divided by."""
+
+
+class Exponents(NamedTuple):
+    """Powers to which a variant raises the similarities of place, of lobes, of the guides and of what is seen."""
+
+    place: float
+    lobes: float
+    range: float = 0.0
+    seen: float = 1.0
+
+
+class Groups(NamedTuple):
+    """Features, or what there is of them, by group: each has an exponent of its own."""
+
+    place: Any
+    lobes: Any
+    seen: Any
 
 
 @dataclass(frozen=True)
@@ -44,9 +59,8 @@ class DualBufferKey:
     """Everything that changes the code of a dual-buffer pass."""
 
     radius: int
-    place: tuple[Hashable, ...]
-    lobes: tuple[Hashable, ...]
-    seen: tuple[Hashable, ...]
+    groups: tuple[tuple[Hashable, ...], ...]
+    """Structures of the features of `Groups`."""
     demodulate: bool
     guided: bool
     joined: bool
@@ -58,168 +72,209 @@ class DualBufferKey:
         """Planes of the images that taps read."""
         return COLORS + 2 if self.joined else HALVES * (COLORS + 1)
 
+    @property
+    def summed(self) -> int:
+        """Halves that are summed apart."""
+        return 1 if self.joined else HALVES
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a dual-buffer pass reads."""
+
+    halves: list[hl.ImageParam]
+    albedo: hl.ImageParam | None
+    mask: hl.ImageParam
+    arrays: Groups
+    scalars: Groups
+    step: hl.Expr
+    guide: hl.ImageParam | None
+    noise: hl.Expr
+    """Factor of the variance in the distance."""
+    exponents: list[Exponents]
+
+
+class HalfSums(NamedTuple):
+    """The sums of a pixel over taps: of one half, or of both together."""
+
+    light: list[hl.Expr]
+    weight: hl.Expr
+    squared_weight: hl.Expr
+
 
 @dataclass
 class DualBufferFuncs:
     """The Halide functions of a dual-buffer pass, for the schedules."""
 
-    out: hl.Func
-    sums: hl.Func
-    row: hl.Func
+    key: DualBufferKey
+    signature: Signature
     images: hl.Func
-    image_count: int
     guide: hl.Func | None
-    planes: list[GuidePlanes]
-    """Of every group of features."""
+    planes: Groups
+    """`GuidePlanes` of every group of features."""
     rows: Rows | None
     """What images, guide and planes are made of, on processors."""
     stages: list[hl.Func]
+    row: hl.Func
     across: hl.RDom
+    sums: hl.Func
     down: hl.RDom
-    variants: int
-    arguments: list[Any]
+    out: hl.Func
 
 
-def make_dual_buffer_pass(
-    key: DualBufferKey, groups: Sequence[Sequence[Feature]], *, lanes: int = 0
-) -> DualBufferFuncs:
-    """Return the algorithm of a dual-buffer pass for the features of place, of lobes and of what is seen.
+def name_images(key: DualBufferKey, variant: int) -> list[str]:
+    """Return the names of the images of a variant: the mean of each half, or of both, and how it is supported."""
+    return [f"{name}{variant}" for name in (("mean", "support") if key.joined else ("a", "b", "support"))]
 
-    For processors with vectors of ``lanes`` pixels, or 0 for others.
 
-    The arguments of the compiled pass, in order: both halves (c, x, y); albedo (c, x, y) where demodulated; mask
-    (x, y) uint8; guide (c, x, y) where guided, with `GUIDE_CHANNELS`; the arrays of every feature;
-    step (int32) from tap to tap; noise, the factor of the variance in the distance; the parameters of every feature;
-    the exponents of place, lobes, range and what is seen of every variant; out the images of every variant (c, x, y).
-    """
-    x, y, c, u, v = (hl.Var(name) for name in ("x", "y", "c", "u", "v"))
-    halves = [_make_image(f"half{number}", COLORS) for number in range(HALVES)]
-    albedo, guide_input = _make_image("albedo", COLORS), _make_image("guide_input", GUIDE_CHANNELS)
-    mask = hl.ImageParam(hl.UInt(8), 2, "mask")
-    noise, step = hl.Param(hl.Float(32), "noise"), hl.Param(hl.Int(32), "step")
-    rows = Rows(mask.width(), step * key.radius, lanes) if lanes else None
-    there = x + u * step, y + v * step
+def give_exponents(variants: Sequence[Exponents]) -> dict[str, float]:
+    """Return the exponents of every variant by the names of the kernel's numbers."""
+    return {f"{name}_exponent{k}": power for k, each in enumerate(variants) for name, power in each._asdict().items()}
 
-    def take_images(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
-        """Return radiance over albedo, times its luminance, which is the weight; nothing where a pixel is bad."""
-        values: list[hl.Expr] = []
-        for half in halves:
-            radiance, good = demodulate(half, albedo if key.demodulate else None, at, hl.f32(ALBEDO_FLOOR))
-            share: hl.Expr = hl.f32(1.0)
-            if key.demodulate:
-                share = _find_share(albedo, at)
-                radiance = _fill_unknown(radiance, [albedo[k, at[0], at[1]] for k in range(COLORS)])
-            values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
-        if key.joined:
-            # Of both halves together; then the weight of one, for the sum of squares.
-            a, b = values[: COLORS + 1], values[COLORS + 1 :]
-            values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
-        return hl.mux(c, values)
 
-    images = make_image("images", mask, rows, take_images)
+def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Inputs:
+    """Declare all that a pass reads and writes."""
+    size = "height", "width"
+    named = groups._asdict().items()
+    exponents = [signature.number(name) for name in give_exponents([Exponents(0.0, 0.0)] * key.variants)]
+    count = len(Exponents._fields)
+    inputs = _Inputs(
+        halves=[signature.image(name, *size, COLORS) for name in ("half_a", "half_b")],
+        albedo=signature.image("albedo", *size, COLORS) if key.demodulate else None,
+        mask=signature.image("mask", *size, type=hl.UInt(8)),
+        arrays=Groups(*(declare_features(signature, name, features, *size) for name, features in named)),
+        scalars=Groups(*(declare_scalars(signature, features, name) for name, features in named)),
+        step=signature.number("step", hl.Int(32)),
+        guide=signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None,
+        noise=signature.number("noise"),
+        exponents=[Exponents(*exponents[count * k : count * (k + 1)]) for k in range(key.variants)],
+    )
+    for variant in range(key.variants):
+        for name in name_images(key, variant):
+            signature.output(name, *size, COLORS)
+    return inputs
 
-    scalars = [
-        [
-            [hl.Param(hl.Float(32), f"g{group}p{number}_{k}") for k in range(len(feature.get_parameters()))]
-            for number, feature in enumerate(features)
-        ]
-        for group, features in enumerate(groups)
-    ]
-    sides = [
-        make_guide_planes(name, mask, features, own, rows=rows)
-        for name, features, own in zip(("place", "lobes", "seen"), groups, scalars, strict=True)
-    ]
+
+def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0) -> DualBufferFuncs:
+    """Return the algorithm of a dual-buffer pass, for processors with vectors of ``lanes`` pixels, or 0 for others."""
+    signature = Signature("dual buffer")
+    inputs = _declare(signature, key, groups)
+    mask = inputs.mask
+    rows = Rows(mask.width(), inputs.step * key.radius, lanes) if lanes else None
+    images = _read_images(key, inputs, rows)
+    sides = zip(Groups._fields, groups, inputs.scalars, inputs.arrays, strict=True)
+    planes = Groups(
+        *(make_guide_planes(name, mask, each, own, arrays=arrays, rows=rows) for name, each, own, arrays in sides)
+    )
     stages: list[hl.Func] = []
-    stage = make_stage(stages, (x, y, u, v))
-
-    logs: list[hl.Expr] = []
-    for features, side, own in zip(groups, sides, scalars, strict=True):
-        total: hl.Expr = hl.f32(0.0)
-        for feature, layout, parameters in zip(features, side.layouts, own, strict=True):
-            i, j = side.read(layout, x, y), side.read(layout, *there)
-            total = total + feature.log2_similarity(i, j, parameters, (hl.f32(u * step), hl.f32(v * step)), stage)
-        logs.append(total)
-
-    guide = None
-    distance: hl.Expr = hl.f32(0.0)
-    if key.guided:
-        guide = make_image("guide", mask, rows, lambda at, _: guide_input[c, at[0], at[1]])
-        own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((x, y), there))
-        explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
-        scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + noise * (own_noise + other_noise))
-        changes = [guide[x, k, y] - guide[there[0], k, there[1]] for k in range(COLORS)]
-        squares = sum((change * change for change in changes), hl.f32(0.0))
-        distance = stage(hl.max(squares - explained, hl.f32(0.0)) * scale)
-
-    exponents = [[hl.Param(hl.Float(32), f"{name}{k}") for name in ("p", "l", "r", "s")] for k in range(key.variants)]
-    log_weights: list[hl.Expr] = []
-    for of_place, of_lobes, of_range, of_seen in exponents:
-        shared = of_place * logs[0] + of_lobes * logs[1] + of_seen * logs[2]
-        log_weights.append(shared - of_range * distance if key.guided else shared)
-    log_weight = hl.Func("log_weight")
-    log_weight[x, y, u, v] = hl.Tuple(log_weights) if len(log_weights) > 1 else log_weights[0]
+    stage = make_stage(stages, (X, Y, U, V))
+    logs = _compare(groups, inputs, planes, stage)
+    guide, given = None, inputs.guide
+    if given is not None:
+        guide = make_image("guide", mask, rows, lambda at, _: given[C, at[0], at[1]])
+    distance = None if guide is None else stage(_find_distance(guide, inputs))
+    log_weight = _weigh(inputs, logs, distance)
 
     # A row of taps is summed by itself, so that its sums stay in registers.
-    r = key.radius
-    across, down = hl.RDom([(-r, 2 * r + 1)], "across"), hl.RDom([(-r, 2 * r + 1)], "down")
-    row = hl.Func("row")
-    summed = 1 if key.joined else HALVES
-    zeros = [hl.f32(0.0)] * (key.variants * summed * SUMS)
-    row[x, y, v] = hl.Tuple(zeros)
-    at = log_weight[x, y, across.x, v]
-    taken = [images[x + across.x * step, k, y + v * step] for k in range(key.plane_count)]
-    updates: list[hl.Expr] = []
-    for variant in range(key.variants):
-        weight = expressions.exp2(at[variant] if key.variants > 1 else at)
-        for first in range(0, summed * (COLORS + 1), COLORS + 1):
-            *light, share = taken[first : first + COLORS + 1]
-            counted = weight * share
-            square = counted * (weight * taken[-1]) if key.joined else counted * counted
-            for value in (*(weight * value for value in light), counted, square):
-                updates.append(row[x, y, v][len(updates)] + value)
-    row[x, y, v] = hl.Tuple(updates)
-    sums = hl.Func("sums")
-    sums[x, y] = hl.Tuple(zeros)
-    sums[x, y] = hl.Tuple([sums[x, y][k] + row[x, y, down.x][k] for k in range(len(zeros))])
+    span = [(-key.radius, 2 * key.radius + 1)]
+    across, down = hl.RDom(span, "across"), hl.RDom(span, "down")
+    row, sums = hl.Func("row"), hl.Func("sums")
+    zeros = [hl.f32(0.0)] * (key.variants * key.summed * SUMS)
+    row[X, Y, V] = hl.Tuple(zeros)
+    taken = _take(key, images, log_weight, inputs.step, across)
+    row[X, Y, V] = hl.Tuple([row[X, Y, V][k] + value for k, value in enumerate(taken)])
+    sums[X, Y] = hl.Tuple(zeros)
+    sums[X, Y] = hl.Tuple([sums[X, Y][k] + row[X, Y, down.x][k] for k in range(len(zeros))])
 
+    share = _find_share(inputs.albedo, (X, Y))
     results: list[hl.Expr] = []
-    own_share = _find_share(albedo, (x, y)) if key.demodulate else hl.f32(1.0)
     for variant in range(key.variants):
-        own_sums = [sums[x, y][variant * summed * SUMS + k] for k in range(summed * SUMS)]
-        found = (_find_mean if key.joined else _find_means)(own_sums, own_share)
-        results += [hl.select(mask[x, y] != 0, hl.mux(c, image), hl.f32(0.0)) for image in found]
+        halves = [_name_sums(sums, variant * key.summed + half) for half in range(key.summed)]
+        found = _find_mean(halves[0], share) if key.joined else _find_means(halves, share)
+        results += [hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found]
     out = hl.Func("out")
-    out[c, x, y] = hl.Tuple(results)
-    arguments: list[Any] = [*halves]
-    arguments += [albedo] if key.demodulate else []
-    arguments += [mask]
-    arguments += [guide_input] if key.guided else []
-    arguments += [array for side in sides for array in side.arrays]
-    arguments += [step, noise]
-    arguments += [parameter for own in scalars for each in own for parameter in each]
-    arguments += [parameter for each in exponents for parameter in each]
+    out[C, X, Y] = hl.Tuple(results)
     return DualBufferFuncs(
-        out=out,
-        sums=sums,
-        row=row,
-        images=images,
-        image_count=key.plane_count,
-        guide=guide,
-        planes=sides,
-        rows=rows,
-        stages=[*stages, log_weight],
-        across=across,
-        down=down,
-        variants=key.variants,
-        arguments=arguments,
+        key, signature, images, guide, planes, rows, [*stages, log_weight], row, across, sums, down, out
     )
 
 
-def _make_image(name: str, channels: int) -> hl.ImageParam:
-    image = hl.ImageParam(hl.Float(32), 3, name)
-    image.dim(1).set_stride(channels)
-    begin_at_zero(image)
-    return image
+def _read_images(key: DualBufferKey, inputs: _Inputs, rows: Rows | None) -> hl.Func:
+    """Return what taps sum up: radiance over albedo, times its luminance, which is the weight; nothing where it is bad.
+
+    Of each half, or of both halves together; then there is also the weight of one, for the sum of squares.
+    """
+
+    def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
+        values: list[hl.Expr] = []
+        for half in inputs.halves:
+            radiance, good = demodulate(half, inputs.albedo, at, hl.f32(ALBEDO_FLOOR))
+            share = _find_share(inputs.albedo, at)
+            if inputs.albedo is not None:
+                radiance = _fill_unknown(radiance, [inputs.albedo[k, at[0], at[1]] for k in range(COLORS)])
+            values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
+        if key.joined:
+            a, b = values[: COLORS + 1], values[COLORS + 1 :]
+            values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
+        return hl.mux(C, values)
+
+    return make_image("images", inputs.mask, rows, take)
+
+
+def _compare(groups: Groups, inputs: _Inputs, planes: Groups, stage: Stage) -> Groups:
+    """Return the logarithm of the similarity of each group of features at a tap."""
+    step = inputs.step
+    offset = hl.f32(U * step), hl.f32(V * step)
+    logs: list[hl.Expr] = []
+    for features, each, scalars in zip(groups, planes, inputs.scalars, strict=True):
+        total: hl.Expr = hl.f32(0.0)
+        for feature, layout, own in zip(features, each.layouts, scalars, strict=True):
+            i, j = each.read(layout, X, Y), each.read(layout, X + U * step, Y + V * step)
+            total = total + feature.log2_similarity(i, j, own, offset, stage)
+        logs.append(total)
+    return Groups(*logs)
+
+
+def _find_distance(guide: hl.Func, inputs: _Inputs) -> hl.Expr:
+    """Return how far apart a pixel and a tap are in the guide, beyond noise, in units of noise and of log2."""
+    there = X + U * inputs.step, Y + V * inputs.step
+    own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((X, Y), there))
+    explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
+    scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + inputs.noise * (own_noise + other_noise))
+    changes = [guide[X, k, Y] - guide[there[0], k, there[1]] for k in range(COLORS)]
+    squares = sum((change * change for change in changes), hl.f32(0.0))
+    return hl.max(squares - explained, hl.f32(0.0)) * scale
+
+
+def _weigh(inputs: _Inputs, logs: Groups, distance: hl.Expr | None) -> hl.Func:
+    """Return the logarithm of a tap's weight in every variant."""
+    log_weights: list[hl.Expr] = []
+    for powers in inputs.exponents:
+        shared = powers.place * logs.place + powers.lobes * logs.lobes + powers.seen * logs.seen
+        log_weights.append(shared if distance is None else shared - powers.range * distance)
+    log_weight = hl.Func("log_weight")
+    log_weight[X, Y, U, V] = hl.Tuple(log_weights) if len(log_weights) > 1 else log_weights[0]
+    return log_weight
+
+
+def _take(key: DualBufferKey, images: hl.Func, log_weight: hl.Func, step: hl.Expr, across: hl.RDom) -> list[hl.Expr]:
+    """Return what a tap adds to every sum of `HalfSums`, one after the other: every half in every variant."""
+    at = log_weight[X, Y, across.x, V]
+    tap = [images[X + across.x * step, k, Y + V * step] for k in range(key.plane_count)]
+    taken: list[hl.Expr] = []
+    for variant in range(key.variants):
+        weight = expressions.exp2(at[variant] if key.variants > 1 else at)
+        for first in range(0, key.summed * (COLORS + 1), COLORS + 1):
+            *light, share = tap[first : first + COLORS + 1]
+            counted = weight * share
+            square = counted * (weight * tap[-1]) if key.joined else counted * counted
+            taken += [*(weight * value for value in light), counted, square]
+    return taken
+
+
+def _name_sums(sums: hl.Func, number: int) -> HalfSums:
+    own = [sums[X, Y][number * SUMS + k] for k in range(SUMS)]
+    return HalfSums(own[:COLORS], own[COLORS], own[COLORS + 1])
 
 
 def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl.Expr]:
@@ -231,24 +286,28 @@ def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl
     return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
 
 
-def _find_share(albedo: hl.ImageParam, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
-    """Return the luminance of the albedo at a pixel; bad channels count 0."""
+def _find_share(albedo: hl.ImageParam | None, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+    """Return the luminance of the albedo at a pixel; bad channels count 0, and 1 where there is no albedo."""
+    if albedo is None:
+        return hl.f32(1.0)
     tints = [albedo[k, at[0], at[1]] for k in range(COLORS)]
     return find_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
 
 
-def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
+def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
     """Return the images of a variant; a half that gathered nothing takes the other's mean."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
-    means: list[list[hl.Expr]] = []
-    totals: list[hl.Expr] = []
-    spreads: list[hl.Expr] = []
-    for half in range(HALVES):
-        total, square = sums[half * SUMS + COLORS], sums[half * SUMS + COLORS + 1]
-        means.append([hl.select(total > zero, sums[half * SUMS + k] / total, zero) for k in range(COLORS)])
-        totals.append(total)
-        # The squares underflow before the sum does: then one far tap decides, which is one sample.
-        spreads.append(hl.select((total > zero) & (square > zero), square / (total * total), one))
+    totals = [half.weight for half in halves]
+    means = [[hl.select(half.weight > zero, value / half.weight, zero) for value in half.light] for half in halves]
+    # The squares underflow before the sum does: then one far tap decides, which is one sample.
+    spreads = [
+        hl.select(
+            (half.weight > zero) & (half.squared_weight > zero),
+            half.squared_weight / (half.weight * half.weight),
+            one,
+        )
+        for half in halves
+    ]
     found = [
         [hl.select(totals[half] > zero, means[half][k], means[1 - half][k]) for k in range(COLORS)]
         for half in range(HALVES)
@@ -261,11 +320,11 @@ def _find_means(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
     return [*found, [weight, worth, zero]]
 
 
-def _find_mean(sums: Sequence[hl.Expr], share: hl.Expr) -> list[list[hl.Expr]]:
+def _find_mean(both: HalfSums, share: hl.Expr) -> list[list[hl.Expr]]:
     """Return the images of a variant whose halves were added up: their mean, and how it is supported."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
-    total, square = sums[COLORS], sums[COLORS + 1]
-    mean = [hl.select(total > zero, sums[k] / total, zero) for k in range(COLORS)]
+    total, square = both.weight, both.squared_weight
+    mean = [hl.select(total > zero, value / total, zero) for value in both.light]
     worth = hl.select(square > zero, total * total / square, one)
     weight = hl.f32(0.5) * total / hl.max(share, hl.f32(ALBEDO_FLOOR))
     return [mean, [weight, hl.select(total > zero, worth, zero), zero]]

@@ -22,8 +22,8 @@ from lobewise.backend.buffers import (
 )
 from lobewise.backend.jit import get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
-from lobewise.filters.dual_buffer_pass import COLORS, GUIDE_CHANNELS
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
+from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
 from lobewise.frame import FloatArray

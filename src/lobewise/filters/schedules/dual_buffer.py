@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import halide as hl
 
-from lobewise.filters.dual_buffer_pass import COLORS, GUIDE_CHANNELS, DualBufferFuncs
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS, DualBufferFuncs
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
@@ -42,7 +43,7 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
     for stage in funcs.stages:
         stage.compute_at(sums, xv).vectorize(x, lanes)
     assert funcs.rows is not None
-    fill_rows(funcs.images.compute_at(out, ys), funcs.image_count, funcs.rows)
+    fill_rows(funcs.images.compute_at(out, ys), funcs.key.plane_count, funcs.rows)
     if funcs.guide is not None:
         fill_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, funcs.rows)
     for planes in funcs.planes:
@@ -58,7 +59,7 @@ def _schedule_blocks(funcs: DualBufferFuncs) -> None:
     funcs.row.compute_at(funcs.sums, funcs.down.x)
     for stage in funcs.stages:
         stage.compute_at(funcs.row, funcs.across.x)
-    keep_planes(funcs.images, funcs.image_count, PIXEL)
+    keep_planes(funcs.images, funcs.key.plane_count, PIXEL)
     keep_planes(funcs.guide, GUIDE_CHANNELS, PIXEL)
     for planes in funcs.planes:
         keep_planes(planes.planes, planes.plane_count, PIXEL)
