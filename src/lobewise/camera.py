@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,6 +53,12 @@ class Camera:
     fov_x: float | None = None
     band: tuple[int, int] | None = field(default=None, init=False, repr=False, compare=False)
     """First row and whole height, where the images are but some rows of a taller one; see `crop_rows`."""
+
+    if TYPE_CHECKING:  # what it takes is more than what it keeps
+
+        def __init__(
+            self, position: ArrayLike, forward: ArrayLike, up: ArrayLike, fov_y: float, fov_x: float | None = None
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         position = _as_vector("camera position", self.position)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
+from lobewise.images import ABSENT, Images, MaybeImage, refuse_size, say_size
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
-from lobewise.images import Images, refuse_size, say_size
 from lobewise.lobe_table import LobeTable
 
 
@@ -58,6 +58,17 @@ class Radiance(Images):
     specular: FloatArray | None = None
     direct: FloatArray | None = None
     indirect: FloatArray | None = None
+
+    if TYPE_CHECKING:  # what it takes is more than what it keeps
+
+        def __init__(
+            self,
+            color: ArrayLike,
+            diffuse: ArrayLike | None = None,
+            specular: ArrayLike | None = None,
+            direct: ArrayLike | None = None,
+            indirect: ArrayLike | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         if self.color is None:
@@ -120,25 +131,25 @@ class GBuffer(Images):
         If an array is not real, has the wrong shape, no pixels, or not the size of the others.
     """
 
-    depth: FloatArray | None = None
-    position: FloatArray | None = None
-    normal: FloatArray | None = None
-    tangent: FloatArray | None = None
-    alpha_u: FloatArray | None = None
-    alpha_v: FloatArray | None = None
-    lobe_kind: FloatArray | None = None
-    diffuse_albedo: FloatArray | None = None
-    specular_albedo: FloatArray | None = None
-    hit_distance: FloatArray | None = None
-    hit_position: FloatArray | None = None
-    hit_normal: FloatArray | None = None
-    hit_albedo: FloatArray | None = None
-    mean_normal: FloatArray | None = None
-    mean_diffuse_albedo: FloatArray | None = None
-    mean_specular_albedo: FloatArray | None = None
-    coverage: FloatArray | None = None
-    motion: FloatArray | None = None
-    material: FloatArray | None = None
+    depth: MaybeImage = ABSENT
+    position: MaybeImage = ABSENT
+    normal: MaybeImage = ABSENT
+    tangent: MaybeImage = ABSENT
+    alpha_u: MaybeImage = ABSENT
+    alpha_v: MaybeImage = ABSENT
+    lobe_kind: MaybeImage = ABSENT
+    diffuse_albedo: MaybeImage = ABSENT
+    specular_albedo: MaybeImage = ABSENT
+    hit_distance: MaybeImage = ABSENT
+    hit_position: MaybeImage = ABSENT
+    hit_normal: MaybeImage = ABSENT
+    hit_albedo: MaybeImage = ABSENT
+    mean_normal: MaybeImage = ABSENT
+    mean_diffuse_albedo: MaybeImage = ABSENT
+    mean_specular_albedo: MaybeImage = ABSENT
+    coverage: MaybeImage = ABSENT
+    motion: MaybeImage = ABSENT
+    material: MaybeImage = ABSENT
 
     def __post_init__(self) -> None:
         vectors = ("position", "normal", "tangent", "albedo")

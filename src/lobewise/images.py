@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 from lobewise.errors import InputError
 
 FloatArray = NDArray[np.float32]
+
+if TYPE_CHECKING:
+
+    class MaybeImage:
+        """For type checkers: a field that takes what NumPy makes an array of, and gives a float32 image or None."""
+
+        @overload
+        def __get__(self, owner: None, kind: type) -> None: ...
+        @overload
+        def __get__(self, owner: object, kind: type) -> FloatArray | None: ...
+        def __get__(self, owner: object | None, kind: type) -> FloatArray | None: ...
+        def __set__(self, owner: object, value: ArrayLike | None) -> None: ...
+
+else:
+    MaybeImage = FloatArray | None
+ABSENT: Any = None
+"""An image that is not there."""
 
 
 def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
