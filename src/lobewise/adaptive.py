@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising import denoise, find_bad_pixels
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.sparse_frame import AnyFrame
 
@@ -42,12 +42,10 @@ def find_unsupported(
     for name, value, highest in limits:
         if not 0.0 <= value <= highest:
             raise InputError(
-                describe_problem(
-                    name,
-                    expected="a number from 0 to 1" if highest == 1.0 else "a number of at least 0",
-                    got=str(value),
-                    action="0.05 is usual",
-                )
+                name,
+                expected="a number from 0 to 1" if highest == 1.0 else "a number of at least 0",
+                got=str(value),
+                action="0.05 is usual",
             )
     weight = result.weight_sum
     count = int(budget * weight.size)
@@ -106,9 +104,7 @@ def recompute(
     """
     if not (samples > 0.0 and np.isfinite(samples)):
         raise InputError(
-            describe_problem(
-                "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
-            )
+            "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
         )
     where = np.nonzero(find_unsupported(result, budget=budget, least=least, quality=quality))
     count = where[0].size
@@ -118,12 +114,10 @@ def recompute(
     new = shade(where[0], where[1])
     if new.color.shape[:2] != (count, 1):
         raise InputError(
-            describe_problem(
-                "re-computed radiance",
-                expected=f"{count} pixels, shape ({count}, 1, 3)",
-                got=f"shape {new.color.shape}",
-                action="return one for each pixel",
-            )
+            "re-computed radiance",
+            expected=f"{count} pixels, shape ({count}, 1, 3)",
+            got=f"shape {new.color.shape}",
+            action="return one for each pixel",
         )
     worth = np.full((count, 1), samples, np.float32)
     if frame is not None:

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 
 def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(
-            describe_problem(name, expected="three finite numbers", got=str(value), action="pass (x, y, z)")
-        )
+        raise InputError(name, expected="three finite numbers", got=str(value), action="pass (x, y, z)")
     vector = vector.copy()
     vector.flags.writeable = False
     return vector
@@ -67,19 +65,15 @@ class Camera:
         right = np.cross(forward, up)
         if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
             raise InputError(
-                describe_problem(
-                    "camera up",
-                    expected="a vector that is not parallel to forward",
-                    got=str(tuple(up)),
-                    action="pass another up",
-                )
+                "camera up",
+                expected="a vector that is not parallel to forward",
+                got=str(tuple(up)),
+                action="pass another up",
             )
         for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):
             if angle is not None and not 0.0 < angle < np.pi:
                 raise InputError(
-                    describe_problem(
-                        f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
-                    )
+                    f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
                 )
         forward = forward / np.linalg.norm(forward)
         up = np.cross(right / np.linalg.norm(right), forward)

@@ -27,8 +27,8 @@ class LobewiseError(Exception):
 
     @classmethod
     def about(cls: type[ErrorT], what: str, *, expected: str, got: str, action: str) -> ErrorT:
-        """Return the error whose one sentence is that of `describe_problem`."""
-        return cls(describe_problem(what, expected=expected, got=got, action=action))
+        """Return the error itself."""
+        return cls(what, expected=expected, got=got, action=action)
 
 
 class InputError(LobewiseError, ValueError):
@@ -97,5 +97,5 @@ def require_integer(what: str, got: Any, lowest: int, highest: int) -> int:
     whole = isinstance(got, Integral) and not isinstance(got, bool)
     if not whole or not lowest <= got <= highest:
         expected = f"an integer from {lowest} to {highest}"
-        raise InputError(describe_problem(what, expected=expected, got=repr(got), action="pass another"))
+        raise InputError(what, expected=expected, got=repr(got), action="pass another")
     return int(got)

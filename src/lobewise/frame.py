@@ -72,7 +72,7 @@ class Radiance(Images):
 
     def __post_init__(self) -> None:
         if self.color is None:
-            raise InputError.about("color", expected="an image", got="nothing", action="pass the noisy radiance")
+            raise InputError("color", expected="an image", got="nothing", action="pass the noisy radiance")
         self.check_images(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
 
     @property
@@ -171,7 +171,7 @@ class GBuffer(Images):
         """
         image: FloatArray | None = getattr(self, name)
         if image is None:
-            raise MissingChannelError.about(
+            raise MissingChannelError(
                 f"channel {name}",
                 expected=f"one for {whose}",
                 got="none",
@@ -215,7 +215,7 @@ class Guided(ABC):
             If there is none.
         """
         if self.camera is None:
-            raise MissingChannelError.about(
+            raise MissingChannelError(
                 "camera",
                 expected=f"one for {whose}",
                 got="none in the frame",
@@ -267,11 +267,11 @@ class Frame(Guided):
             if shape is not None and shape != self.shape:
                 raise refuse_size(name, "the radiance", self.shape, shape)
         if self.spp is not None and self.spp < 1:
-            raise InputError.about("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
+            raise InputError("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
         material = self.gbuffer.material
         if material is not None and not (material.min() >= 0.0 and material.max() <= len(self.lobe_tables)):
-            raise InputError.about(
+            raise InputError(
                 "material",
                 expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
                 got=f"{material.min():g} to {material.max():g}",

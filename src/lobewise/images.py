@@ -38,14 +38,14 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
     shape = "(height, width)" if channels is None else f"(height, width, {channels})"
     good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
     if not good or array.dtype.kind not in "fiub":
-        raise InputError.about(
+        raise InputError(
             name,
             expected=f"a real array of shape {shape}",
             got=f"{array.dtype} of shape {array.shape}",
             action="reshape it or leave it out",
         )
     if 0 in array.shape:
-        raise InputError.about(
+        raise InputError(
             name, expected="at least one pixel", got=f"an image of shape {array.shape}", action="give it pixels"
         )
     out = np.ascontiguousarray(array, dtype=np.float32)
@@ -57,7 +57,7 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
 
 def refuse_size(name: str, whose: str, expected: tuple[int, int], got: tuple[int, int]) -> InputError:
     """Return the error that an image has another size than those beside it, each (height, width)."""
-    return InputError.about(
+    return InputError(
         name,
         expected=f"the size of {whose}, {expected[1]}x{expected[0]} pixels",
         got=f"{got[1]}x{got[0]}",

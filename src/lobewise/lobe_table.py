@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.settings import MAX_LOBES
 
 KINDS = ("sg", "asg")
@@ -183,6 +183,4 @@ def _say_range(values: NDArray[np.floating]) -> str:
 
 
 def _complain(name: str, expected: str, got: str) -> InputError:
-    return InputError(
-        describe_problem(f"lobe table: {name}", expected=expected, got=got, action="correct the table or fit it again")
-    )
+    return InputError(f"lobe table: {name}", expected=expected, got=got, action="correct the table or fit it again")

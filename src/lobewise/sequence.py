@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.sequence import FramePattern
 
@@ -126,16 +126,12 @@ def filter_sequence(
     source, output = _parse(source), _parse(output)
     if not checkpoint_seconds >= 0.0:
         raise InputError(
-            describe_problem(
-                "checkpoint_seconds", expected="a time >= 0", got=str(checkpoint_seconds), action="20 is usual"
-            )
+            "checkpoint_seconds", expected="a time >= 0", got=str(checkpoint_seconds), action="20 is usual"
         )
     kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
     if kept.suffix != ".npz":
         raise InputError(
-            describe_problem(
-                "checkpoint", expected="a name that ends in .npz", got=repr(str(kept)), action="add the ending"
-            )
+            "checkpoint", expected="a name that ends in .npz", got=repr(str(kept)), action="add the ending"
         )
     frames = source.find()
     require_writable(output.name(frames[0][0]))
@@ -143,12 +139,10 @@ def filter_sequence(
     sources = {path.resolve() for _, path in frames}
     if any(output.name(number).resolve() in sources for number, _ in frames):
         raise InputError(
-            describe_problem(
-                f"output {str(output)!r}",
-                expected="files other than the sources",
-                got="the name of a source",
-                action="choose another name",
-            )
+            f"output {str(output)!r}",
+            expected="files other than the sources",
+            got="the name of a source",
+            action="choose another name",
         )
 
     # Not the folders: the sources prove themselves by size and time, and a project that was moved is the same one.
@@ -224,9 +218,7 @@ class _Run:
         arrays: dict[str, Any] = {_STATE + name: np.asarray(value) for name, value in state.items()}
         if any(array.dtype.hasobject for array in arrays.values()):
             raise InputError(
-                describe_problem(
-                    "state of the filter", expected="plain arrays", got="Python objects", action="give numbers or text"
-                )
+                "state of the filter", expected="plain arrays", got="Python objects", action="give numbers or text"
             )
         with open_atomic(path, what="checkpoint") as stream:
             np.savez(stream, done=np.int64(self._done), proof=np.array(self._proof.hexdigest()), **arrays)

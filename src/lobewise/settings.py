@@ -85,7 +85,7 @@ class Knob:
             if self.choices:
                 require_choice(self.name, value, self.choices)
         elif not (value is None and self.optional) and not self._takes(value):
-            raise InputError.about(self.name, expected=self.expected, got=repr(value), action=self.usual)
+            raise InputError(self.name, expected=self.expected, got=repr(value), action=self.usual)
 
     def _takes(self, value: Any) -> bool:
         if isinstance(value, str):
@@ -261,14 +261,14 @@ class DenoiseSettings(Declared):
         super().__post_init__()
         quality = "high" if self.with_oidn else self.quality
         if quality in ("balanced", "high") and self.form != "full":
-            raise InputError.about(
+            raise InputError(
                 "form",
                 expected=f"'full' with quality {quality!r}",
                 got=repr(self.form),
                 action="use quality 'fast' for the other forms",
             )
         if self.with_oidn and self.quality not in ("auto", "high"):
-            raise InputError.about(
+            raise InputError(
                 "quality",
                 expected="'high' with Open Image Denoise",
                 got=repr(self.quality),

@@ -15,11 +15,11 @@ MOST_SCALE = 16
 def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
     """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
     if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MOST_SCALE:
-        raise InputError.about(
+        raise InputError(
             "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=repr(scale), action="2 or 4 is usual"
         )
     if not (0 <= place[0] < min(scale, size[0]) and 0 <= place[1] < min(scale, size[1])):
-        raise InputError.about(
+        raise InputError(
             "place",
             expected=f"row and column from 0 to {scale - 1}",
             got=repr(place),
@@ -69,7 +69,7 @@ class SparseFrame(Guided):
     def __post_init__(self) -> None:
         size = self.gbuffer.shape
         if size is None:
-            raise InputError.about(
+            raise InputError(
                 "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
             )
         _check_blocks(size, self.scale, self.place)
@@ -78,7 +78,7 @@ class SparseFrame(Guided):
         samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
         grid = -(-(size[0] - row) // self.scale), -(-(size[1] - column) // self.scale)
         if samples.shape != grid:
-            raise InputError.about(
+            raise InputError(
                 "radiance",
                 expected=f"{grid[1]}x{grid[0]} samples, one for each block of {self.scale}x{self.scale} pixels",
                 got=f"{samples.width}x{samples.height}",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import parse_size, show_progress
-from lobewise.errors import InputError, MissingDependencyError, describe_problem
+from lobewise.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,12 +44,10 @@ def filters(
     if context.invoked_subcommand is not None:
         if output is not None or quick or device:
             raise InputError(
-                describe_problem(
-                    "bench",
-                    expected=f"its options behind `{context.invoked_subcommand}`",
-                    got="some before it",
-                    action="move or remove them",
-                )
+                "bench",
+                expected=f"its options behind `{context.invoked_subcommand}`",
+                got="some before it",
+                action="move or remove them",
             )
         return
     from lobewise.bench.filters import measure_filters

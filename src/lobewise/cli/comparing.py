@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import show_progress
-from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError, describe_problem
+from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError
 
 if TYPE_CHECKING:
     from lobewise.camera import Camera
@@ -64,12 +64,10 @@ def compare(
     sequences = any(patterns)
     if sequences != all(patterns) or (guides is not None and not sequences):
         raise InputError(
-            describe_problem(
-                "sequences",
-                expected="names such as a.####.exr for all that is compared",
-                got="single files among them" if sequences else "--guides with single files",
-                action="compare sequences with sequences",
-            )
+            "sequences",
+            expected="names such as a.####.exr for all that is compared",
+            got="single files among them" if sequences else "--guides with single files",
+            action="compare sequences with sequences",
         )
     metrics, missing = list(METRICS), ""
     try:
@@ -197,12 +195,10 @@ def _require_numbers(pattern: FramePattern, numbers: list[int], *, others: bool)
     missing, more = sorted(set(numbers) - here), sorted(here - set(numbers))
     if missing or (more and not others):
         raise InputError(
-            describe_problem(
-                f"sequence {str(pattern)!r}",
-                expected="the frame numbers of the reference",
-                got=f"no {pattern.name(missing[0]).name!r}" if missing else f"{pattern.name(more[0]).name!r} as well",
-                action="compare the same frames of both",
-            )
+            f"sequence {str(pattern)!r}",
+            expected="the frame numbers of the reference",
+            got=f"no {pattern.name(missing[0]).name!r}" if missing else f"{pattern.name(more[0]).name!r} as well",
+            action="compare the same frames of both",
         )
 
 
@@ -228,12 +224,10 @@ def _read_targets(
                 if now[0].shape != target.shape[:2]:
                     height, width = now[0].shape or (0, 0)
                     raise InputError(
-                        describe_problem(
-                            "guides",
-                            expected=f"the size of the reference, {target.shape[1]}x{target.shape[0]} pixels",
-                            got=f"{width}x{height}",
-                            action="give those of the same frames",
-                        )
+                        "guides",
+                        expected=f"the size of the reference, {target.shape[1]}x{target.shape[0]} pixels",
+                        got=f"{width}x{height}",
+                        action="give those of the same frames",
                     )
             except LobewiseError as problem:
                 raise type(problem)(f"{holder}: {problem}") from None
@@ -259,12 +253,10 @@ def _read_guides(path: Path) -> Guides:
     lacking = _find_lacking(path)
     if lacking is not None:
         raise MissingChannelError(
-            describe_problem(
-                f"guides {str(path)!r}",
-                expected="position or depth, and a camera in the header",
-                got=lacking,
-                action="render them with the frames",
-            )
+            f"guides {str(path)!r}",
+            expected="position or depth, and a camera in the header",
+            got=lacking,
+            action="render them with the frames",
         )
     frame = read_whole(path, read_container(path))
     assert frame.camera is not None

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.denoising import denoise
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.io.files import PathLike, make_folder, write_text
@@ -108,12 +108,10 @@ def make_demo(
     say = progress or (lambda _what, _done, _total: None)
     if not live and (scene, spp, reference_spp, size) != ("showroom", 4, 1024, 512):
         raise InputError(
-            describe_problem(
-                "demo",
-                expected="--live beside the options of rendering",
-                got="none",
-                action="add --live, which needs Mitsuba",
-            )
+            "demo",
+            expected="--live beside the options of rendering",
+            got="none",
+            action="add --live, which needs Mitsuba",
         )
     page = make_folder(folder) / "report.html"
     if live:

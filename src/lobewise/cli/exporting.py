@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.exporting.names import SHADER_LANGUAGES, TARGETS
 
 
@@ -75,12 +75,10 @@ def export(
         unused = [*given, *(["name"] if name is not None else [])]
         if unused:
             raise InputError(
-                describe_problem(
-                    f"--{unused[0]}",
-                    expected="a processor or device as target beside it",
-                    got=f"the shader language {target}, whose file has all weights",
-                    action="leave one of them out",
-                )
+                f"--{unused[0]}",
+                expected="a processor or device as target beside it",
+                got=f"the shader language {target}, whose file has all weights",
+                action="leave one of them out",
             )
         export_shader(output, target, force=force)
         print_line(f"Wrote {output}: lobewise.{target}, README.md.")

@@ -10,7 +10,7 @@ import typer
 
 from lobewise.cli.shared import Output, parse_beta, parse_place, show_progress
 from lobewise.cli.streaming import Bands, FileInBands, choose_bands
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
@@ -178,9 +178,7 @@ def upsample(
     from lobewise.upsampling import upsample as run_upsample
 
     if bilinear and temporal:
-        raise InputError(
-            describe_problem("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
-        )
+        raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
     settings: dict[str, Any] = {
         "similarity": similarity,
@@ -212,9 +210,7 @@ def _make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) ->
     if budget == 0.0:
         return lambda result, frame: result
     if scene is None:
-        raise InputError(
-            describe_problem("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
-        )
+        raise InputError("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
     loaded: list[Any] = []
 
     def improve(result: Result, frame: AnyFrame) -> Result:
@@ -282,12 +278,10 @@ def _run(
     if not is_pattern(source):
         if temporal is not None:
             raise InputError(
-                describe_problem(
-                    "--temporal",
-                    expected="a sequence such as 'in.####.exr'",
-                    got=repr(str(source)),
-                    action="put # in place of the digits of the number, and quote the name",
-                )
+                "--temporal",
+                expected="a sequence such as 'in.####.exr'",
+                got=repr(str(source)),
+                action="put # in place of the digits of the number, and quote the name",
             )
         require_writable(output)
         frame = read_one(source)
@@ -341,4 +335,4 @@ def _parse_percent(text: str) -> float:
         percent = -1.0
     if 0.0 <= percent <= 100.0:
         return percent / 100.0
-    raise InputError(describe_problem("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual"))
+    raise InputError("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from lobewise.fitting.fit import Evaluate
@@ -46,12 +46,10 @@ def fit(
     """Turn a measured material, or one of a Mitsuba scene, into lobes, and say how near they are."""
     if (material is None) == (mitsuba is None):
         raise InputError(
-            describe_problem(
-                "material",
-                expected="either MATERIAL.binary or --mitsuba SCENE#ID",
-                got="neither" if material is None else "both",
-                action="name one material",
-            )
+            "material",
+            expected="either MATERIAL.binary or --mitsuba SCENE#ID",
+            got="neither" if material is None else "both",
+            action="name one material",
         )
     picture = choose_plot(output, plot, wanted=not no_plot)
     if material is not None:
@@ -85,18 +83,12 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
     target = require_writable(output)
     if not wanted:
         if plot is not None:
-            raise InputError(
-                describe_problem(
-                    "--no-plot", expected="no --plot beside it", got="both", action="leave one of them out"
-                )
-            )
+            raise InputError("--no-plot", expected="no --plot beside it", got="both", action="leave one of them out")
         return None
     picture = output.with_suffix(".png") if plot is None else plot
     if require_writable(picture, what="plot") == target:
         raise InputError(
-            describe_problem(
-                "--plot", expected="another file than the output", got=f"{str(picture)!r}", action="rename one of them"
-            )
+            "--plot", expected="another file than the output", got=f"{str(picture)!r}", action="rename one of them"
         )
     require_matplotlib("the plot of a fit")
     return picture

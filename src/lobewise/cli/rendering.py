@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import Output, parse_place, show_progress
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 
 if TYPE_CHECKING:
@@ -187,12 +187,10 @@ def _plan_cameras(scene: Any, path: str, count: int, speed: float | None) -> lis
     cameras = read_camera_path(path, camera)
     if len(cameras) < count:
         raise InputError(
-            describe_problem(
-                f"camera path {path!r}",
-                expected=f"at least {count} cameras, one for each frame",
-                got=str(len(cameras)),
-                action="ask for fewer frames",
-            )
+            f"camera path {path!r}",
+            expected=f"at least {count} cameras, one for each frame",
+            got=str(len(cameras)),
+            action="ask for fewer frames",
         )
     return cameras[:count]
 
@@ -201,13 +199,11 @@ def _refuse_beside(name: str, others: Iterable[tuple[str, bool]]) -> None:
     """Raise InputError if another option is given that makes no sense beside this one."""
     for other, given in others:
         if given:
-            raise InputError(
-                describe_problem(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
-            )
+            raise InputError(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
 
 
 def _require_beside(name: str, others: Iterable[tuple[str, bool]], action: str) -> None:
     """Raise InputError if another option is given that needs this one, which is not."""
     for other, given in others:
         if given:
-            raise InputError(describe_problem(other, expected=f"{name} beside it", got="none", action=action))
+            raise InputError(other, expected=f"{name} beside it", got="none", action=action)

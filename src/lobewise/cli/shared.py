@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
@@ -42,9 +42,7 @@ def parse_place(text: str) -> tuple[int, int]:
     words = text.split(",")
     if len(words) == 2 and all(word.strip().isdecimal() for word in words):
         return int(words[0]), int(words[1])
-    raise InputError(
-        describe_problem("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
-    )
+    raise InputError("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
 
 
 def parse_beta(text: str) -> str | float:
@@ -54,7 +52,7 @@ def parse_beta(text: str) -> str | float:
         return float(text)
     except ValueError:
         raise InputError(
-            describe_problem("beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto")
+            "beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto"
         ) from None
 
 
@@ -70,10 +68,8 @@ def parse_size(text: str) -> tuple[int, int]:
     if found and min(map(int, found.groups())) >= 8 and max(map(int, found.groups())) <= 8192:
         return int(found[1]), int(found[2])
     raise InputError(
-        describe_problem(
-            "--size",
-            expected="columns x rows from 8 to 8192, such as 512x512",
-            got=repr(text),
-            action="write two numbers",
-        )
+        "--size",
+        expected="columns x rows from 8 to 8192, such as 512x512",
+        got=repr(text),
+        action="write two numbers",
     )

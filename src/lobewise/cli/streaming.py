@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import show_progress
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
     from lobewise.lobe_table import LobeTable
@@ -32,9 +32,7 @@ def parse_bands(text: str) -> str | int:
         return text
     if text.isdecimal() and int(text) > 0:
         return int(text)
-    raise InputError(
-        describe_problem("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
-    )
+    raise InputError("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
 
 
 def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
@@ -48,12 +46,10 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
     bands = parse_bands(text)
     if isinstance(bands, int) and whole:
         raise InputError(
-            describe_problem(
-                "--bands",
-                expected=f"auto or off with {whole}, which takes whole frames",
-                got=text,
-                action="drop one of them",
-            )
+            "--bands",
+            expected=f"auto or off with {whole}, which takes whole frames",
+            got=text,
+            action="drop one of them",
         )
     if bands == "off" or whole:
         return False

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lobewise.cli.shared import parse_beta, parse_size
-from lobewise.errors import InputError, describe_problem, require_choice
+from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 
 
@@ -64,9 +64,7 @@ def view(
     if is_frame:
         for name, given in (("--method", method), ("--scale", scale), ("--size", size), ("--fixed-size", fixed_size)):
             if given not in (None, False):
-                raise InputError(
-                    describe_problem(name, expected="a scene beside it", got="a finished frame", action="leave it out")
-                )
+                raise InputError(name, expected="a scene beside it", got="a finished frame", action="leave it out")
     from lobewise.cli.output import print_line
     from lobewise.viewer import Viewer
     from lobewise.viewer.looks import FRAME_SIMILARITIES, METHODS, SCENE_SIMILARITIES

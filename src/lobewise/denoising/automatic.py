@@ -57,7 +57,7 @@ def choose_quality(settings: DenoiseSettings) -> Quality:
 def require_plain(settings: DenoiseSettings, what: str) -> None:
     """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
     if settings.quality not in ("auto", "fast") or settings.with_oidn:
-        raise InputError.about(
+        raise InputError(
             "quality",
             expected=f"'fast' for {what}",
             got="with_oidn" if settings.with_oidn else repr(settings.quality),
@@ -68,9 +68,7 @@ def require_plain(settings: DenoiseSettings, what: str) -> None:
 def require_full(settings: DenoiseSettings) -> None:
     """Raise InputError if ``settings`` ask for a form that upsampling does not have."""
     if settings.form != "full":
-        raise InputError.about(
-            "form", expected="'full'", got=repr(settings.form), action="upsampling has no other form"
-        )
+        raise InputError("form", expected="'full'", got=repr(settings.form), action="upsampling has no other form")
 
 
 def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:

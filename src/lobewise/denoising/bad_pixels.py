@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame
 
 
@@ -39,10 +39,8 @@ def require_some_good(bad: int, count: int, what: str) -> None:
     """Raise InputError if all of ``count`` are bad; ``what`` they are is a pixel or a sample."""
     if bad == count:
         raise InputError(
-            describe_problem(
-                "radiance",
-                expected=f"at least one {what} that is finite and not negative",
-                got=f"{bad} bad {what}s of {count}",
-                action="check the render or the channel mapping",
-            )
+            "radiance",
+            expected=f"at least one {what} that is finite and not negative",
+            got=f"{bad} bad {what}s of {count}",
+            action="check the render or the channel mapping",
         )

@@ -8,7 +8,7 @@ import halide as hl
 
 from lobewise.backend.buffers import Image, take_dense
 from lobewise.backend.signature import Signature
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.features.base import Feature
 
 
@@ -78,11 +78,9 @@ def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:
     """Return an input of a feature as the kernels take it; raise InputError where it is no image of this size."""
     if array.ndim not in (2, 3) or array.shape[:2] != size or array.dtype.kind not in "fiub":
         raise InputError(
-            describe_problem(
-                f"an array of feature {feature.name!r}",
-                expected=f"real numbers of shape {size} or {(*size, 'channels')}",
-                got=f"{array.dtype} of shape {array.shape}",
-                action="give one value, or one row of channels, for every pixel of the frame",
-            )
+            f"an array of feature {feature.name!r}",
+            expected=f"real numbers of shape {size} or {(*size, 'channels')}",
+            got=f"{array.dtype} of shape {array.shape}",
+            action="give one value, or one row of channels, for every pixel of the frame",
         )
     return take_dense(array)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import halide as hl
 
 from lobewise.backend.buffers import Image
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 Vector = Sequence[hl.Expr]
 Pixel = Any
@@ -100,7 +100,7 @@ class DeclaredFeature(Feature):
                 number = float(value)
                 if not (number > 0.0 and math.isfinite(number)):
                     what, expected = f"{self.name} {name}".replace("_", " "), "a finite number above 0"
-                    raise InputError(describe_problem(what, expected=expected, got=str(value), action="raise it"))
+                    raise InputError(what, expected=expected, got=str(value), action="raise it")
                 object.__setattr__(self, name, number)
 
     def _list_fields(self) -> list[tuple[str, Any]]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import halide as hl
 
 from lobewise.backend.expressions import LOG2_E, dot, exp2, log2, subtract
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
 from lobewise.settings import MAX_LOBES
@@ -64,12 +64,10 @@ class SgMixtureFeature(DeclaredFeature):
         fits = sharpness.shape == amplitude.shape and axis.ndim == 3 and axis.shape[2] in (3, 3 * lobes)
         if not fits or not 1 <= lobes <= MAX_LOBES:
             raise InputError(
-                describe_problem(
-                    "lobes of a mixture",
-                    expected="sharpness and amplitude (height, width, 1 to 4) and an axis of 3 channels, or 3 a lobe",
-                    got=f"axis {axis.shape}, sharpness {sharpness.shape}, amplitude {amplitude.shape}",
-                    action="stack the lobes of a pixel along the last axis",
-                )
+                "lobes of a mixture",
+                expected="sharpness and amplitude (height, width, 1 to 4) and an axis of 3 channels, or 3 a lobe",
+                got=f"axis {axis.shape}, sharpness {sharpness.shape}, amplitude {amplitude.shape}",
+                action="stack the lobes of a pixel along the last axis",
             )
 
     @property

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, MissingDependencyError, describe_problem, require_choice
+from lobewise.errors import InputError, MissingDependencyError, require_choice
 from lobewise.fitting.fit_shapes import LobeFamily
 from lobewise.lobe_table import KINDS, LobeTable
 from lobewise.lobes.brdf import ggx_brdf
@@ -143,9 +143,7 @@ def fit_lobes(
     require_choice("kind of lobes", kind, KINDS)
     if isinstance(lobes, bool) or not isinstance(lobes, int | np.integer) or not 1 <= lobes <= MAX_LOBES:
         raise InputError(
-            describe_problem(
-                "lobes", expected=f"a whole number from 1 to {MAX_LOBES}", got=repr(lobes), action="pass lobes=3"
-            )
+            "lobes", expected=f"a whole number from 1 to {MAX_LOBES}", got=repr(lobes), action="pass lobes=3"
         )
     grid = _check_grid("cosines", cosines, "numbers above 0 and at most 1", lambda c: (c > 0.0) & (c <= 1.0))
     turns = np.zeros(1)
@@ -235,12 +233,10 @@ def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> 
     values: Array = np.asarray(evaluate(np.tile(view, (light.shape[0], 1)), light), dtype=np.float64)
     if values.shape not in (light.shape, light.shape[:1]):
         raise InputError(
-            describe_problem(
-                "evaluate",
-                expected=f"an array of shape {light.shape} or {light.shape[:1]}",
-                got=f"shape {values.shape}",
-                action="return three numbers or one per direction",
-            )
+            "evaluate",
+            expected=f"an array of shape {light.shape} or {light.shape[:1]}",
+            got=f"shape {values.shape}",
+            action="return three numbers or one per direction",
         )
     if values.ndim == 1:
         values = np.repeat(values[:, None], 3, axis=1)
@@ -258,12 +254,10 @@ def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | N
     if neighbour is None:
         if not data.target.any():
             raise InputError(
-                describe_problem(
-                    f"reflection at n.v = {data.cosine:g}",
-                    expected="values above 0",
-                    got="none",
-                    action="leave out the cosines without data",
-                )
+                f"reflection at n.v = {data.cosine:g}",
+                expected="values above 0",
+                got="none",
+                action="leave out the cosines without data",
             )
         start = None
     else:
@@ -429,9 +423,7 @@ def _check_grid(
     except (TypeError, ValueError):
         grid = np.empty(0)
     if grid.ndim != 1 or grid.size == 0 or not np.all(test(grid)) or not np.all(np.diff(grid) > 0.0):
-        raise InputError(
-            describe_problem(name, expected=f"ascending {words}", got=repr(value), action="correct the list")
-        )
+        raise InputError(name, expected=f"ascending {words}", got=repr(value), action="correct the list")
     return grid
 
 
@@ -440,10 +432,8 @@ def _require_scipy() -> None:
         import scipy.optimize  # noqa: F401 - only to see whether it is there
     except ImportError as problem:
         raise MissingDependencyError(
-            describe_problem(
-                "fitting lobes",
-                expected="the package scipy",
-                got=str(problem),
-                action="install it with `pip install 'lobewise[fit]'`",
-            )
+            "fitting lobes",
+            expected="the package scipy",
+            got=str(problem),
+            action="install it with `pip install 'lobewise[fit]'`",
         ) from problem

@@ -165,12 +165,10 @@ def make_merl(brdf: Callable[[Array, Array], Any], name: str = "") -> MerlBrdf:
         count = int(above.sum())
         if values.shape not in ((count,), (count, 3)):
             raise InputError(
-                describe_problem(
-                    "brdf",
-                    expected=f"an array of shape ({count},) or ({count}, 3)",
-                    got=f"shape {values.shape}",
-                    action="return one number or three per direction",
-                )
+                "brdf",
+                expected=f"an array of shape ({count},) or ({count}, 3)",
+                got=f"shape {values.shape}",
+                action="return one number or three per direction",
             )
         rows = samples[index]
         rows[above, :3] = values if values.ndim == 2 else values[:, None]
@@ -197,21 +195,17 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
     counts = tuple(np.frombuffer(data, "<i4", 3).tolist()) if size >= HEADER_BYTES else None
     if counts != BINS:
         raise FileError(
-            describe_problem(
-                what,
-                expected=f"a MERL header of {THETA_H}, {THETA_D}, {PHI_D} bins",
-                got=f"{size} bytes" if counts is None else ", ".join(map(str, counts)),
-                action="pass a .binary file of the MERL database's layout",
-            )
+            what,
+            expected=f"a MERL header of {THETA_H}, {THETA_D}, {PHI_D} bins",
+            got=f"{size} bytes" if counts is None else ", ".join(map(str, counts)),
+            action="pass a .binary file of the MERL database's layout",
         )
     if size != FILE_BYTES:
         raise FileError(
-            describe_problem(
-                what,
-                expected=f"{FILE_BYTES} bytes",
-                got=f"{size}, so {'the end is missing' if size < FILE_BYTES else 'something follows the table'}",
-                action="copy or download it again",
-            )
+            what,
+            expected=f"{FILE_BYTES} bytes",
+            got=f"{size}, so {'the end is missing' if size < FILE_BYTES else 'something follows the table'}",
+            action="copy or download it again",
         )
     planes = np.frombuffer(data, "<f8", offset=HEADER_BYTES).reshape(3, *BINS)
     samples = np.empty((*BINS, 4), dtype=np.float32)
@@ -221,11 +215,7 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
             np.multiply(planes[channel], scale, out=samples[..., channel], casting="unsafe")
     bad = int(np.count_nonzero(~np.isfinite(samples[..., :3])))
     if bad:
-        raise FileError(
-            describe_problem(
-                what, expected="finite values", got=f"{bad} that are not", action="copy or download it again"
-            )
-        )
+        raise FileError(what, expected="finite values", got=f"{bad} that are not", action="copy or download it again")
     return MerlBrdf(name, _drop_invalid(samples, what=what, error=FileError))
 
 

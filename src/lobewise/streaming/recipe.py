@@ -17,7 +17,7 @@ from lobewise.denoising.guided import make_bounded_layers, measure_layer
 from lobewise.denoising.noise import judge_noise, list_relative_variances
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, find_mean_color, refill, sum_colors
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
@@ -155,23 +155,15 @@ def denoise_file(
 def _check(asked: DenoiseSettings, rows: int | None, memory: float) -> None:
     if asked.with_oidn:
         raise InputError(
-            describe_problem(
-                "with_oidn",
-                expected="False for bands, because Open Image Denoise sees whole images",
-                got="True",
-                action="leave it out, or denoise the frame as a whole",
-            )
+            "with_oidn",
+            expected="False for bands, because Open Image Denoise sees whole images",
+            got="True",
+            action="leave it out, or denoise the frame as a whole",
         )
     if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
-        raise InputError(
-            describe_problem("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
-        )
+        raise InputError("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
     if not 0.0 < memory < float("inf"):
-        raise InputError(
-            describe_problem(
-                "memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out"
-            )
-        )
+        raise InputError("memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out")
 
 
 @dataclass(frozen=True)

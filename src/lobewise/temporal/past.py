@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, LobewiseError, describe_problem
+from lobewise.errors import InputError, LobewiseError
 from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS
 from lobewise.filters.runs import run_reprojection
 from lobewise.frame import FloatArray, GBuffer
@@ -189,12 +189,10 @@ def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
         return Past(guides, str(packed["similarity"]), sums, allowance=allowance)
     except (AssertionError, KeyError, TypeError, ValueError, LobewiseError):
         raise InputError(
-            describe_problem(
-                "state",
-                expected="what get_state returned",
-                got=f"{len(packed)} arrays that do not belong together",
-                action="start the sequence again",
-            )
+            "state",
+            expected="what get_state returned",
+            got=f"{len(packed)} arrays that do not belong together",
+            action="start the sequence again",
         ) from None
 
 
