@@ -16,8 +16,10 @@ from lobewise.features import (
     PlaneFeature,
     PositionFeature,
     ScreenFeature,
+    SeenFeature,
     SgFeature,
     SgMixtureFeature,
+    TentFeature,
 )
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
@@ -26,6 +28,7 @@ SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41), (3, 277)]
 FORMS = ["full", "separable", "atrous"]
 KINDS = [
     "screen",
+    "tent",
     "position",
     "depth",
     "plane",
@@ -33,6 +36,7 @@ KINDS = [
     "band_limit",
     "diffuse",
     "hit_distance",
+    "seen",
     "sg",
     "ggx",
     "asg",
@@ -78,6 +82,8 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
     sharpness = np.exp(rng.uniform(np.log(2.0), np.log(500.0), shape)).astype(np.float32)
     if kind == "screen":
         return ScreenFeature(3.0)
+    if kind == "tent":
+        return TentFeature(4.0)
     if kind == "position":
         return PositionFeature(place, depth, pixel_angle=0.002, sigma=9.0)
     if kind == "depth":
@@ -96,6 +102,9 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
     inverse[inverse < 1.0] = 0.0
     if kind == "hit_distance":
         return HitDistanceFeature(inverse, rng.uniform(0.2, 0.6, shape).astype(np.float32))
+    if kind == "seen":
+        albedo = rng.random((*shape, 3)).astype(np.float32)
+        return SeenFeature(albedo, normal, albedo_sharpness=1.5, normal_sharpness=4.0)
     hits = None
     if kind.endswith("_hits"):
         # Steps of some hundredths, seen at some tenths: as much as the axes differ.

@@ -1,6 +1,6 @@
 """The oracle: cross filter and reprojection as slow float64 loops over taps, from the definition, without Halide.
 
-It shares nothing with the kernels; the similarities are written a second time in `tests.kernels.oracles`.
+It shares nothing with the kernels; the similarities are written a second time in `tests.features.oracles`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lobewise.features import Feature
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
-from tests.kernels.oracles import get_similarity
+from tests.features.oracles import get_similarity
 
 FloatImage = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from lobewise.features.base import Pixel, Stage
 from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.frame import FloatArray
+from tests.features.oracles import Pixels, get_similarity
 from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
-from tests.kernels.oracles import Pixels, get_similarity
 
 FloatImage = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from lobewise.filters.runs import JoinedOutput, SampleGrid
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.temporal.sums import summarize
+from tests.features.oracles import get_similarity
 from tests.kernels.frames import make_feature, make_mask, make_radiance
-from tests.kernels.oracles import get_similarity
 
 FloatImage = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.runs import run_upsampling
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
+from tests.features.oracles import get_similarity
 from tests.kernels.frames import make_feature, make_mask, make_radiance
-from tests.kernels.oracles import get_similarity
 
 RADIUS = 2
 SHAPES = [(1, 1), (3, 17), (21, 26)]

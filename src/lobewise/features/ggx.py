@@ -13,7 +13,7 @@ from lobewise.features.lobe import HitPlanes, find_step
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
 # eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves
-# all. It is within 3.7e-3 of the exact autocorrelation (tests/kernels/test_lobe_features.py).
+# all. It is within 3.7e-3 of the exact autocorrelation (tests/features/test_constants.py).
 GGX_UNIT = 0.3
 TAIL_SQUARINGS = 3
 
