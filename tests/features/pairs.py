@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import halide as hl
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.expressions import exp2
 from lobewise.features import Feature
+from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.planes import neutralize, prepare_planes
 from lobewise.frame import FloatArray
 from tests.features.oracles import Pixels
@@ -18,11 +20,6 @@ from tests.features.oracles import Pixels
 Pairs = tuple[Pixels, Pixels]
 MARGIN = 8
 """Rows and columns by which two pixels of a pair differ, at most."""
-
-
-def _read(side: hl.Func, count: int, x: hl.Var, k: int) -> hl.Expr:
-    """Return the k-th of some planes."""
-    return side[x][k] if count > 1 else side[x]
 
 
 def draw_pairs(rng: np.random.Generator, shape: tuple[int, int], count: int) -> Pairs:
@@ -34,36 +31,61 @@ def draw_pairs(rng: np.random.Generator, shape: tuple[int, int], count: int) -> 
     return (first[0], first[1]), (second[0], second[1])
 
 
+class _Kernel(NamedTuple):
+    """A compiled similarity and what it reads of both pixels: channels, whether they are known; offsets, scalars."""
+
+    result: hl.Func
+    channels: list[hl.ImageParam]
+    known: list[hl.ImageParam]
+    offset: hl.ImageParam
+    scalars: hl.ImageParam
+
+
+_kernels: dict[Hashable, _Kernel] = {}
+
+
 def weigh(feature: Feature, pairs: Pairs, known: Sequence[NDArray[np.bool_]] | None = None) -> FloatArray:
     """Return the weight of every pair; where a pixel is not ``known`` its channels are neutral."""
-    x = hl.Var("x")
+    structure = describe_structure(feature)
+    if structure not in _kernels:
+        _kernels[structure] = _compile(feature)
+    kernel = _kernels[structure]
     count = pairs[0][0].size
-    # Every argument is held in a local name until the call has returned: Halide keeps no reference.
-    held = [np.concatenate([array[p].reshape(count, -1).T for array in feature.get_arrays()] or [[]]) for p in pairs]
-    held = [np.ascontiguousarray(each, np.float32) for each in held]
+    channels = [[array[p].reshape(count, -1).T for array in feature.get_arrays()] for p in pairs]
     flags = [np.ones(count, np.uint8)] * 2 if known is None else [each.astype(np.uint8) for each in known]
-    steps = [np.ascontiguousarray(pairs[1][axis] - pairs[0][axis], np.float32) for axis in (1, 0)]
+    # Every argument is held in a local name until the call has returned: Halide keeps no reference.
+    held = [np.ascontiguousarray(np.concatenate(each), np.float32) if each else None for each in channels]
+    steps = np.array([pairs[1][axis] - pairs[0][axis] for axis in (1, 0)], np.float32)
     numbers = np.array([*feature.get_parameters(), 0.0], np.float32)
-    buffers = [hl.Buffer(each) for each in held]
-    told, offsets, scalars = (
-        [hl.Buffer(each) for each in flags],
-        [hl.Buffer(each) for each in steps],
-        hl.Buffer(numbers),
-    )
-    parameters = [scalars[k] for k in range(numbers.size - 1)]
+    given = [*zip(kernel.channels, held, strict=True), *zip(kernel.known, flags, strict=True)]
+    for param, array in (*given, (kernel.offset, steps), (kernel.scalars, numbers)):
+        if array is not None:
+            param.set(hl.Buffer(array))
+    out = np.empty(count, np.float32)
+    kernel.result.realize(hl.Buffer(out))
+    return out
+
+
+def _compile(feature: Feature) -> _Kernel:
+    """Return the kernel of a feature, for arrays and parameters of any values."""
+    x = hl.Var("x")
+    inputs = [hl.ImageParam(hl.Float(32), 2, f"channels{number}") for number in range(2)]
+    known = [hl.ImageParam(hl.UInt(8), 1, f"known{number}") for number in range(2)]
+    offset, scalars = hl.ImageParam(hl.Float(32), 2, "offset"), hl.ImageParam(hl.Float(32), 1, "scalars")
+    parameters = [scalars[k] for k in range(len(feature.get_parameters()))]
     sides = []
-    for number, (buffer, usable) in enumerate(zip(buffers, told, strict=True)):
-        channels = [buffer[x, k] for k in range(held[number].shape[0])]
-        planes, (layout,) = prepare_planes(
-            [feature], [parameters], neutralize([feature], channels, usable[x] != 0) if channels else []
-        )
-        side = hl.Func(f"side{number}")
+    for channels, usable in zip(inputs, known, strict=True):
+        values = neutralize([feature], [channels[x, k] for k in range(len(feature.neutral))], usable[x] != 0)
+        planes, (layout,) = prepare_planes([feature], [parameters], values)
+        side = hl.Func("side")
         side[x] = hl.Tuple(planes) if len(planes) > 1 else planes[0] if planes else hl.f32(0.0)
         side.compute_root()
         sides.append(layout.read(partial(_read, side, len(planes), x)))
     result = hl.Func("weight")
-    offset = offsets[0][x], offsets[1][x]
-    result[x] = exp2(feature.log2_similarity(*sides, parameters, offset, lambda value: value))
-    out = np.empty(count, np.float32)
-    result.realize(hl.Buffer(out))
-    return out
+    result[x] = exp2(feature.log2_similarity(*sides, parameters, (offset[x, 0], offset[x, 1]), lambda value: value))
+    return _Kernel(result, inputs, known, offset, scalars)
+
+
+def _read(side: hl.Func, count: int, x: hl.Var, k: int) -> hl.Expr:
+    """Return the k-th of some planes."""
+    return side[x][k] if count > 1 else side[x]
