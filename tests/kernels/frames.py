@@ -25,7 +25,6 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 
 SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41), (3, 277)]
-FORMS = ["full", "separable", "atrous"]
 KINDS = [
     "screen",
     "tent",
