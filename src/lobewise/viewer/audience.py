@@ -1,0 +1,296 @@
+"""The browsers of a page: what each is given, what it asks for, and what it is shown and told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from lobewise.errors import LobewiseError
+from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
+from lobewise.viewer.guest import Guest, has_moved
+from lobewise.viewer.link import Link
+from lobewise.viewer.looks import Look
+from lobewise.viewer.messages import Description, Opened, Picture, Progress, Report, SavedFile, Target
+from lobewise.viewer.panel import Actions, Panel
+from lobewise.viewer.pictures import BARS
+from lobewise.viewer.status import write_figures, write_message
+
+_QUALITY = 90
+"""Of a picture that others follow; one that stays is sent again without loss."""
+_TICK = 0.05
+_STATUS_EVERY = 0.2
+_SLOW_AFTER = 0.8
+
+
+class Audience:
+    """All browsers, between the page and the process that renders.
+
+    Parameters
+    ----------
+    target : Target
+        What is looked at.
+    fixed_size : bool
+        Render at the target's size whatever the window's aspect, and never fewer pixels.
+    changes : dict
+        Settings to begin with: fields of `SceneLook` or `FrameLook`.
+    """
+
+    def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any]) -> None:
+        self.link = Link(target, self.receive, self.remark)
+        self.found: Description | None = None
+        self.cameras: CameraMap | None = None
+        self.failure: Exception | None = None
+        self.over = threading.Event()
+        self._fixed_size, self._changes = fixed_size, changes
+        self._lock = threading.RLock()
+        self._guests: dict[int, Guest] = {}
+        self._notice = f"Opening {target.name} \u2026"
+        self._doing = ""
+        self._memory = self._frames = self._restarts = 0
+        self._page: Any = None
+
+    def join(self, page: Any) -> None:
+        """Take in the browsers of a page of viser's from now on."""
+        self._page = page
+        page.on_client_connect(self.welcome)
+        page.on_client_disconnect(self.dismiss)
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """Figures for tests and benchmarks.
+
+        ``frames``: pictures shown; ``browsers``; ``process``, ``memory`` and ``restarts`` of the process that renders:
+        its id, bytes, and how often it died. Lists with an entry for each browser: ``fps`` of the last 20 pictures;
+        ``size``, ``accumulated`` and ``seconds`` of the last one; ``eyes``: where the camera is, in its own unit;
+        ``resting``: whether the last picture was sent without loss and no other is asked for.
+        """
+        with self._lock:
+            guests = list(self._guests.values())
+            pictures = [guest.picture for guest in guests if guest.picture is not None]
+            return {
+                "frames": self._frames,
+                "fps": [guest.get_rate(20) for guest in guests],
+                "browsers": len(guests),
+                "memory": self._memory,
+                "restarts": self._restarts,
+                "process": self.link.process_id,
+                "size": [picture.size for picture in pictures],
+                "accumulated": [picture.accumulated for picture in pictures],
+                "seconds": [picture.seconds for picture in pictures],
+                "eyes": [tuple(map(float, guest.pose.position)) for guest in guests],
+                "resting": [guest.is_resting and not self.link.is_waiting(guest.client.client_id) for guest in guests],
+            }
+
+    async def welcome(self, client: Any) -> None:
+        """Take a browser in; it gets its controls as soon as there is something to control.
+
+        In the server's own thread, so that nobody is taken in who has already gone.
+        """
+        guest = Guest(client, read_pose(client.camera), self._fixed_size)
+        client.scene.set_background_image(_make_blank(), format="jpeg")
+        with self._lock:
+            self._guests[client.client_id] = guest
+            self._furnish(guest)
+
+        async def follow(camera: Any) -> None:
+            self._follow(guest, camera)
+
+        client.camera.on_update(follow)
+        self._ask(guest)
+
+    async def dismiss(self, client: Any) -> None:
+        """Forget a browser that has gone."""
+        with self._lock:
+            self._guests.pop(client.client_id, None)
+        self.link.forget(client.client_id)
+
+    def _furnish(self, guest: Guest) -> None:
+        """Give a browser its controls, or until the target is open a line that says what is being done."""
+        found, gui = self.found, guest.client.gui
+        if found is None or self.cameras is None:
+            guest.status = gui.add_html(write_message(self._notice))
+            return
+        if guest.status is not None:
+            guest.status.remove()
+
+        def render() -> None:
+            self._ask(guest)
+
+        def redraw() -> None:
+            self._ask(guest, fresh=False)
+
+        def expose() -> None:
+            guest.expose = True
+            redraw()
+
+        def reset() -> None:
+            assert self.cameras is not None
+            place_camera(guest.client.camera, self.cameras.start)
+            guest.pose = self.cameras.start
+            render()
+
+        actions = Actions(render, redraw, reset, expose, lambda kind: self.link.save(guest.client.client_id, kind))
+        look = replace(found.look, **self._changes)
+        panel = Panel(gui, found, look, choose_other(found, look), actions, fixed_size=self._fixed_size)
+        guest.panel, guest.status = panel, panel.status
+        place_camera(guest.client.camera, self.cameras.start)
+        guest.pose = self.cameras.start
+
+    def _follow(self, guest: Guest, camera: Any) -> None:
+        """Take notice of a browser's camera, or of a window that changed its size."""
+        pose = read_pose(camera)
+        # A finished frame hangs still; only a scene is rendered at fewer pixels in motion.
+        if has_moved(guest.pose, pose):
+            guest.pose = pose
+            guest.moved_at = time.monotonic()
+        self._ask(guest)
+
+    def _ask(self, guest: Guest, *, fresh: bool = True) -> None:
+        """Ask for the next picture of a browser."""
+        if self.found is None or self.cameras is None or self.over.is_set():
+            return
+        with self._lock:
+            if guest.client.client_id not in self._guests:
+                return
+            request = guest.make_request(self.found, self.cameras, fresh=fresh)
+        if request is not None:
+            self.link.submit(request)
+
+    def receive(self, report: Report) -> None:
+        """Do what a report of the other process says."""
+        if isinstance(report, Picture):
+            self._doing = ""
+            self._show(report)
+        elif isinstance(report, Progress):
+            self._doing = report.text
+            if self.found is None:
+                self._announce(f"{report.text} \u2026")
+        elif isinstance(report, Opened):
+            self._open(report.description)
+        elif isinstance(report, SavedFile):
+            guest = self._guests.get(report.client)
+            if guest is not None:
+                guest.client.send_file_download(report.name, report.data, save_immediately=True)
+        elif report.client is None:
+            self.failure = RuntimeError(report.text) if report.ours else LobewiseError(report.text)
+            self._announce(report.text, bad=True)
+            self.over.set()
+        else:
+            guest = self._guests.get(report.client)
+            if guest is not None:
+                guest.note = report.text
+                guest.status.content = write_message(report.text, bad=True)
+
+    def _open(self, found: Description) -> None:
+        """Give every browser its controls and ask for its first picture; once more after the process died."""
+        with self._lock:
+            first = self.found is None
+            self.found, self.cameras = found, CameraMap(found)
+            if not first:
+                return
+            start = self.cameras.start
+            initial = self._page.initial_camera
+            initial.position, initial.look_at, initial.fov = start.position, start.look_at, start.fov
+            self._page.scene.set_up_direction(start.up)
+            guests = list(self._guests.values())
+            for guest in guests:
+                self._furnish(guest)
+        for guest in guests:
+            self._ask(guest)
+
+    def _show(self, picture: Picture) -> None:
+        with self._lock:
+            guest = self._guests.get(picture.client)
+            self._memory = picture.memory
+            if guest is None or guest.panel is None:
+                return
+            self._frames += 1
+            guest.add_picture(picture)
+        if guest.expose and picture.final:
+            guest.expose = False
+            guest.panel.set_stops(picture.stops)
+        assert self.found is not None
+        more = picture.final and guest.needs_more(self.found) and not self.link.is_waiting(picture.client)
+        if more:
+            self._ask(guest)
+        guest.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_QUALITY)
+        self._tell_figures(guest, now=not more)
+
+    def _tell_figures(self, guest: Guest, *, now: bool = False) -> None:
+        """Bring a browser's figures up to date, a few times a second."""
+        moment = time.monotonic()
+        picture = guest.picture
+        if picture is None or guest.status is None or not (now or moment - guest.told_at > _STATUS_EVERY):
+            return
+        guest.told_at = moment
+        rendered = self.found is not None and self.found.camera is not None
+        rate = guest.get_rate() if rendered else None
+        note = guest.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
+        guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered)
+
+    def _announce(self, text: str, *, bad: bool = False) -> None:
+        """Show one line to every browser; those that come later see it too until the target is open."""
+        self._notice = text
+        with self._lock:
+            for guest in self._guests.values():
+                if guest.picture is None and guest.status is not None:
+                    guest.status.content = write_message(text, bad=bad)
+                else:
+                    guest.note = text
+                    self._tell_figures(guest, now=True)
+
+    def remark(self, text: str, again: bool) -> None:
+        """Tell every browser that the process died."""
+        self._restarts += again
+        with self._lock:
+            guests = list(self._guests.values())
+        for guest in guests:
+            guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
+        self._announce(text, bad=True)
+        if not again and self.found is None:
+            self.failure = RuntimeError(text)
+            self.over.set()
+
+    def watch(self) -> None:
+        """Look after what no event tells: cameras that came to rest, pictures that take long."""
+        told = 0.0
+        while not self.over.wait(_TICK):
+            with self._lock:
+                guests, found = list(self._guests.values()), self.found
+            if found is None:
+                continue
+            for guest in guests:
+                if self.link.is_waiting(guest.client.client_id):
+                    continue
+                if guest.needs_more(found):
+                    self._ask(guest)
+                elif (picture := guest.get_last()) is not None:
+                    guest.client.scene.set_background_image(picture.pixels, format="png")
+                    guest.keep(picture)
+            order, busy = self.link.get_busy()
+            if order is not None and busy > _SLOW_AFTER and time.monotonic() - told > 0.5:
+                told = time.monotonic()
+                with self._lock:
+                    slow = self._guests.get(order.client)
+                if slow is not None and slow.status is not None:
+                    doing = self._doing or "Working on the next picture"
+                    slow.note = f"{doing}: {busy:.0f} s \u2026"
+                    if slow.picture is None:
+                        slow.status.content = write_message(slow.note)
+                    else:
+                        self._tell_figures(slow, now=True)
+
+
+def choose_other(found: Description, look: Look) -> Look:
+    """Return what the right side of the wipe begins with: the usual filter, or nothing where that is on the left."""
+    names = found.similarities
+    other = "normal" if "normal" in names and look.similarity != "normal" else names[-1]
+    return replace(look, similarity=other)
+
+
+def _make_blank() -> Any:
+    return np.full((8, 8, 3), BARS, np.uint8)
