@@ -40,7 +40,7 @@ def run_chunks(work: Callable[[Chunk], None], height: int, width: int, threads: 
     """
     todo = list(cut_rows(height, width))
     if threads is None:
-        threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        threads = count_cores()
     threads = min(threads, len(todo))
     if threads == 1:
         for chunk in todo:
@@ -75,3 +75,8 @@ def map_chunks(function: Callable[..., Any], *images: NDArray[Any]) -> Any:
 def _run_all(work: Callable[[Chunk], None], chunks: list[Chunk]) -> None:
     for chunk in chunks:
         work(chunk)
+
+
+def count_cores() -> int:
+    """Return how many processors this process may use, which can be fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -5,9 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from numbers import Integral
-from typing import Any, TypeVar
-
-ErrorT = TypeVar("ErrorT", bound="LobewiseError")
+from typing import Any
 
 
 class LobewiseError(Exception):
@@ -24,11 +22,6 @@ class LobewiseError(Exception):
     def __init__(self, what: str, *, expected: str = "", got: str = "", action: str = "") -> None:
         told = describe_problem(what, expected=expected, got=got, action=action) if expected else what
         super().__init__(told)
-
-    @classmethod
-    def about(cls: type[ErrorT], what: str, *, expected: str, got: str, action: str) -> ErrorT:
-        """Return the error itself."""
-        return cls(what, expected=expected, got=got, action=action)
 
 
 class InputError(LobewiseError, ValueError):

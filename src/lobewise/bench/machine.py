@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import lobewise
+from lobewise.chunks import count_cores
 
 
 def describe_machine() -> dict[str, Any]:
     """Return processor, cores, threads used by Halide, Python, version, and in a checkout the commit."""
     found = {
-        "processor": _find_processor(),
+        "processor": find_processor(),
         "cores": count_cores(),
         "threads": count_threads(),
         "python": platform.python_version(),
@@ -24,17 +25,13 @@ def describe_machine() -> dict[str, Any]:
     return {**found, "commit": commit} if commit else found
 
 
-def count_cores() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def count_threads() -> int:
     """Return how many threads kernels use: one for each core, unless HL_NUM_THREADS says otherwise."""
     return int(os.environ.get("HL_NUM_THREADS", count_cores()))
 
 
-def _find_processor() -> str:
+def find_processor() -> str:
+    """Return the name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         for line in cpuinfo.read_text().splitlines():

@@ -8,19 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lobewise.bench.summary import Section, describe_machine_in_words, make_sections
-
-STYLE = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin: 2.5rem 0 0; }
-p { margin: .3rem 0 .8rem; max-width: 45rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .8rem .2rem 0; text-align: right; font-weight: normal; white-space: nowrap; }
-th:first-child { text-align: left; }
-thead th { border-bottom: 1px solid; opacity: .75; }
-img { max-width: 100%; background: white; margin-top: 1rem; }
-"""
+from lobewise.reporting.report import fill_page
 
 
 def make_bench_page(data: Mapping[str, Any], plots: Mapping[str, bytes], command: str) -> str:
@@ -38,22 +26,16 @@ def make_bench_page(data: Mapping[str, Any], plots: Mapping[str, bytes], command
     remarks = "".join(f"<p>Left out: {html.escape(sentence)}</p>\n" for sentence in data["skipped"])
     body = "\n".join(_make_section(section, plots) for section in make_sections(data))
     title = f"lobewise on {data['machine']['processor']}"
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title>
-<style>{STYLE}</style>
-</head>
-<body>
-<h1>{html.escape(title)}</h1>
-<p>{html.escape(describe_machine_in_words(data))}</p>
-<p>Each time is the best of several, taken in turn with its neighbours. Made by <code>{html.escape(command)}</code>.</p>
-{remarks}{body}
-</body>
-</html>
-"""
+    return fill_page(
+        "bench.html",
+        {
+            "title": html.escape(title),
+            "machine": html.escape(describe_machine_in_words(data)),
+            "command": html.escape(command),
+            "remarks": remarks,
+            "sections": body,
+        },
+    )
 
 
 def _make_section(section: Section, plots: Mapping[str, bytes]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shlex
 import time
@@ -13,9 +12,10 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from lobewise.bench.machine import find_processor
+from lobewise.chunks import count_cores
 from lobewise.denoising import denoise
+from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
@@ -121,17 +121,8 @@ def make_demo(
     pictures, remarks = _filter(frame, device, say)
     command = ["lobewise", "demo"]
     if live:
-        command += [
-            "--live",
-            "--scene",
-            scene,
-            "--spp",
-            f"{spp}",
-            "--reference-spp",
-            f"{reference_spp}",
-            "--size",
-            f"{size}",
-        ]
+        options = {"--scene": scene, "--spp": spp, "--reference-spp": reference_spp, "--size": size}
+        command += ["--live", *(str(word) for option in options.items() for word in option)]
     if device != "auto":
         command += ["--device", device]
     mask = find_specular_pixels(frame.gbuffer)
@@ -180,8 +171,15 @@ def restore_positions(frame: Frame) -> Frame:
 
 
 def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], list[str]]:
+    # So that it can be measured and shown.
+    noisy = blacken_bad(frame.radiance.color)
     pictures = [
-        Picture("noisy", "noisy", _clean(frame.radiance.color), f"Path traced with {frame.spp} samples per pixel.")
+        Picture(
+            "noisy",
+            "noisy",
+            noisy,
+            f"Path traced with {frame.spp} samples per pixel.",
+        )
     ]
     total = len(METHODS) + 1
     for done, (key, title, note, settings) in enumerate(METHODS):
@@ -220,12 +218,6 @@ def _choose_settings(settings: dict[str, Any]) -> list[str]:
     return [*names, "beta", "diffuse_beta", "tau"]
 
 
-def _clean(image: FloatArray) -> FloatArray:
-    """Return an image whose bad pixels are black, so that it can be measured and shown."""
-    good = (np.isfinite(image) & (image >= 0.0)).all(axis=-1, keepdims=True)
-    return np.where(good, image, np.float32(0.0))
-
-
 def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) -> tuple[Frame, FloatArray, int]:
     from lobewise.render import load_scene, render_frame, render_reference
 
@@ -243,7 +235,7 @@ def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) 
 def _list_facts() -> dict[str, str]:
     versions = {name: _find_version(name) for name in ("lobewise", "halide", "numpy")}
     return {
-        "machine": f"{_find_processor()}, {_count_cores()} threads, {platform.system()} {platform.machine()}",
+        "machine": f"{find_processor()}, {count_cores()} threads, {platform.system()} {platform.machine()}",
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "Python": platform.python_version(),
         "made": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
@@ -255,23 +247,6 @@ def _find_version(name: str) -> str:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return "unknown"
-
-
-def _find_processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown processor"
-
-
-def _count_cores() -> int:
-    """Return how many threads this process may use, which can be fewer than the machine has."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1
 
 
 def _count(number: int) -> str:

@@ -74,7 +74,7 @@ class InteractiveSettings:
         for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
             require_integer(name, getattr(self, name), 1, highest)
         if not 0.0 <= self.adaptive <= 1.0:
-            raise InputError.about(
+            raise InputError(
                 "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
             )
         self.make_filter_settings()

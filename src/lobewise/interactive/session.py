@@ -146,7 +146,7 @@ class Session:
         """
         for name, value in (("width", width), ("height", height)):
             if value < 1:
-                raise InputError.about(name, expected="at least 1", got=repr(value), action="pass another")
+                raise InputError(name, expected="at least 1", got=repr(value), action="pass another")
         self._size = width, height
 
     def reset(self) -> None:

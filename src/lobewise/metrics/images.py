@@ -50,17 +50,7 @@ def rel_mse(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = Non
     The 0.01 is added to the square, so that it equals a radiance of 0.1. Other programs use other epsilons, or divide
     by the squared luminance: figures compare only within one definition.
 
-    Parameters
-    ----------
-    image, reference : array_like, shape (height, width, 3)
-        Linear radiance, finite.
-    mask : array_like of bool, shape (height, width), optional
-        Pixels that count; all by default.
-
-    Raises
-    ------
-    InputError
-        If the sizes differ, a pixel is not finite, or the mask chooses no pixel.
+    Parameters and errors are those of `mse`.
 
     Notes
     -----
@@ -73,17 +63,7 @@ def rel_mse(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = Non
 def smape(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Return the symmetric mean absolute relative error, ``mean(|a - r| / (|a| + |r| + 0.01))``, in [0, 1).
 
-    Parameters
-    ----------
-    image, reference : array_like, shape (height, width, 3)
-        Linear radiance, finite.
-    mask : array_like of bool, shape (height, width), optional
-        Pixels that count; all by default.
-
-    Raises
-    ------
-    InputError
-        If the sizes differ, a pixel is not finite, or the mask chooses no pixel.
+    Parameters and errors are those of `mse`.
 
     Notes
     -----

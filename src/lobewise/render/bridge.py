@@ -15,7 +15,7 @@ try:
     import drjit
     import mitsuba
 except ImportError as error:
-    raise MissingDependencyError.about(
+    raise MissingDependencyError(
         "rendering",
         expected="the packages mitsuba and drjit",
         got=f"no module {error.name!r}",

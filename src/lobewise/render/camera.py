@@ -16,7 +16,7 @@ RAY_TOLERANCE = 1e-4
 
 def _get_sensor(scene: Any) -> Any:
     if not scene.sensors():
-        raise InputError.about(
+        raise InputError(
             "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
         )
     return scene.sensors()[0]
@@ -37,7 +37,7 @@ def get_image_size(scene: Any) -> tuple[int, int]:
 def _get_perspective_sensor(scene: Any) -> Any:
     sensor = _get_sensor(scene)
     if sensor.class_name() != "PerspectiveCamera":
-        raise InputError.about(
+        raise InputError(
             "sensor",
             expected="type 'perspective'",
             got=str(sensor.class_name()),
@@ -69,7 +69,7 @@ def get_camera(scene: Any) -> Camera:
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
     error = float(np.abs(np.array(rays.d).T - expected).max())
     if not error < RAY_TOLERANCE:
-        raise InputError.about(
+        raise InputError(
             "sensor",
             expected="a pinhole whose film is centred and not mirrored",
             got=f"rays that differ by {error:.2g} from it",
@@ -92,7 +92,7 @@ def set_camera(scene: Any, camera: Camera) -> None:
     width, height = get_image_size(scene)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
-        raise InputError.about(
+        raise InputError(
             "camera fov_x",
             expected=f"square pixels on an image of {width}x{height}",
             got=f"pixels {half_width * height / (half_height * width):.4g} times as wide as high",

@@ -60,7 +60,7 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
     ):
         if not good:
             got = {"frames": frames, "centre": centre, "degrees_per_frame": degrees_per_frame}[name]
-            raise InputError.about(name, expected=expected, got=str(got), action="pass another")
+            raise InputError(name, expected=expected, got=str(got), action="pass another")
 
     def turn(vector: Vector, angle: float) -> Vector:
         """Rodrigues' rotation about the camera's up."""
@@ -100,11 +100,11 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
     try:
         entries = json.loads(Path(file).read_text(encoding="utf-8"))
     except ValueError as problem:
-        raise InputError.about(
+        raise InputError(
             name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file"
         ) from None
     if not isinstance(entries, list) or not entries:
-        raise InputError.about(
+        raise InputError(
             name,
             expected="a JSON list of cameras, one for each frame",
             got="an empty list" if entries == [] else f"a {type(entries).__name__}",
@@ -115,13 +115,13 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
 
 def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     if not isinstance(entry, dict):
-        raise InputError.about(
+        raise InputError(
             name, expected="an object", got=f"a {type(entry).__name__}", action="write position and target"
         )
     for key in entry:
         require_choice(f"{name}, key", key, _KEYS)
     if "position" not in entry or ("target" in entry) == ("forward" in entry):
-        raise InputError.about(
+        raise InputError(
             name,
             expected="position, and either target or forward",
             got=", ".join(entry) or "nothing",
@@ -133,15 +133,13 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     else:
         forward = _read_vector(name, entry, "forward")
     if not forward.any():
-        raise InputError.about(
-            name, expected="a direction of view", got="a length of 0", action="look at another point"
-        )
+        raise InputError(name, expected="a direction of view", got="a length of 0", action="look at another point")
     up = _read_vector(name, entry, "up") if "up" in entry else np.array([0.0, 1.0, 0.0])
     fov_y = default.fov_y
     if "fov_y" in entry:
         angle = entry["fov_y"]
         if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle < 180.0:
-            raise InputError.about(
+            raise InputError(
                 f"{name}, fov_y", expected="degrees between 0 and 180", got=repr(angle), action="40 is usual"
             )
         fov_y = float(np.deg2rad(angle))
@@ -155,7 +153,7 @@ def _read_vector(name: str, entry: dict[str, Any], key: str) -> Vector:
     value = entry[key]
     numbers = isinstance(value, list) and len(value) == 3
     if not numbers or any(isinstance(each, bool) or not isinstance(each, (int, float)) for each in value):
-        raise InputError.about(
+        raise InputError(
             f"{name}, {key}", expected="a list of three numbers", got=json.dumps(value), action="write [x, y, z]"
         )
     return np.array(value, dtype=np.float64)

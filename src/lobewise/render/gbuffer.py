@@ -128,7 +128,7 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
         require_choice("moves", name, numbers)
         matrix = np.asarray(move, dtype=np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError.about(
+            raise InputError(
                 f"moves[{name!r}]",
                 expected="a finite matrix of shape (4, 4)",
                 got=f"an array of shape {matrix.shape}",

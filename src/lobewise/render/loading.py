@@ -116,7 +116,7 @@ class MovingScene:
 
 def _require_moving(name: str) -> None:
     if name not in MOVING:
-        raise InputError.about(
+        raise InputError(
             "scene",
             expected=f"one whose objects move: {' or '.join(MOVING)}",
             got=repr(name),
@@ -191,19 +191,19 @@ def _make_mesh(
 def _load_file(path: Path, width: int | None, height: int | None) -> Any:
     if not path.is_file():
         got = "a folder" if path.is_dir() else "nothing there"
-        raise FileError.about(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
+        raise FileError(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
     mi = load_mitsuba()
     try:
         scene = mi.load_file(str(path))
     except (RuntimeError, OSError) as error:
-        raise InputError.about(
+        raise InputError(
             str(path),
             expected="a scene that Mitsuba understands",
             got=" ".join(str(error).split()),
             action="mend the file",
         ) from error
     if not isinstance(scene, mi.Scene):
-        raise InputError.about(
+        raise InputError(
             str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"
         )
     if (width or height) and scene.sensors():

@@ -38,7 +38,7 @@ LIGHTS = {"all": 0, "indirect": 2}
 def _check_scene(scene: Any) -> None:
     variant = mi.variant()
     if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
-        raise InputError.about(
+        raise InputError(
             "scene",
             expected="a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values()),
             got=f"a {type(scene).__name__} under the variant {variant}",
@@ -338,11 +338,9 @@ def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, i
     whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
     if not whole or rows.size != columns.size:
         shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
-        raise InputError.about(
-            "rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero"
-        )
+        raise InputError("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
     if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
-        raise InputError.about(
+        raise InputError(
             "rows and columns",
             expected=f"pixels of an image of {width}x{height}",
             got=f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}",

@@ -68,14 +68,14 @@ def render_sequence(
         See `render_frame`.
     """
     if not 0 <= first < len(cameras):
-        raise InputError.about(
+        raise InputError(
             "first",
             expected=f"the index of one of the {len(cameras)} cameras",
             got=repr(first),
             action="pass a longer path",
         )
     if reference and scale != 1:
-        raise InputError.about("reference", expected="scale 1", got=str(scale), action="references are whole frames")
+        raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
     places = list_places(scale)
     common: dict[str, Any] = {"spp": spp, "max_depth": max_depth, "light": light}
 

@@ -120,7 +120,7 @@ def find_llvm() -> str:
     if chosen:
         version = query_llvm_version(chosen)
         if version is None or version < OLDEST_LLVM:
-            raise MissingDependencyError.about(
+            raise MissingDependencyError(
                 LIBRARY_VARIABLE,
                 expected=f"the path of a libLLVM of version {OLDEST_LLVM} or newer",
                 got=chosen,
@@ -131,7 +131,7 @@ def find_llvm() -> str:
     for path in rank_llvm_libraries(candidates):
         if (query_llvm_version(path) or 0) >= OLDEST_LLVM:
             return path
-    raise MissingDependencyError.about(
+    raise MissingDependencyError(
         "libLLVM",
         expected=f"version {OLDEST_LLVM} or newer, which Mitsuba needs to render on the CPU",
         got=", ".join(candidates) if candidates else "none on this machine",
@@ -164,7 +164,7 @@ def load_mitsuba(device: str = "auto") -> Any:
     current = mi.variant()
     if current in VARIANTS.values():
         if device != "auto" and VARIANTS[device] != current:
-            raise DeviceError.about(
+            raise DeviceError(
                 "device",
                 expected=f"the one in use, {current}",
                 got=repr(device),
@@ -174,7 +174,7 @@ def load_mitsuba(device: str = "auto") -> Any:
 
     has_cuda = bool(dr.has_backend(dr.JitBackend.CUDA)) if device != "cpu" else False
     if device == "cuda" and not has_cuda:
-        raise DeviceError.about(
+        raise DeviceError(
             "device 'cuda'",
             expected="an NVIDIA GPU and its driver",
             got="none that Dr.Jit can use",

@@ -126,7 +126,8 @@ def make_page(report: Report, *, progress: Callable[[int, int], None] | None = N
         "pictures": [{"key": one.key, "title": one.title, "error": one is not report.reference} for one in everything],
     }
     metrics, tables = _make_tables(report, progress or (lambda _done, _total: None))
-    return _fill(
+    return fill_page(
+        "report.html",
         {
             "title": html.escape(report.title),
             "subtitle": html.escape(report.subtitle),
@@ -150,7 +151,7 @@ def make_page(report: Report, *, progress: Callable[[int, int], None] | None = N
                 f"<figcaption>{html.escape(one.title)}</figcaption></figure>"
                 for one in everything
             ),
-        }
+        },
     )
 
 
@@ -169,10 +170,10 @@ def _check(report: Report, everything: Sequence[Picture]) -> None:
             raise InputError("picture", expected="one of " + ", ".join(keys), got=repr(name), action="add it")
 
 
-def _fill(parts: Mapping[str, str]) -> str:
-    """Return the template with every ``{{name}}`` replaced, in one pass, so that content is never searched again."""
-    template = files("lobewise").joinpath("data/report.html").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], template)
+def fill_page(template: str, parts: Mapping[str, str]) -> str:
+    """Return a file of the package's data with every ``{{name}}`` replaced, so that content is never searched again."""
+    text = (files("lobewise") / "data" / template).read_text(encoding="utf-8")
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], text)
 
 
 def _make_style(name: str, png: bytes) -> str:

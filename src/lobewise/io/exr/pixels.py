@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.chunks import count_cores
 from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, show_name
 from lobewise.io.exr.parsing import parse_bytes
@@ -140,7 +141,7 @@ def _load_library() -> Any:
     import OpenEXR
 
     if hasattr(OpenEXR, "set_global_thread_count"):
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        cores = count_cores()
         OpenEXR.set_global_thread_count(cores if cores > 1 else 0)
     return OpenEXR
 

@@ -68,7 +68,7 @@ def open_scene_material(reference: str) -> SceneMaterial:
     """
     scene, mark, name = reference.rpartition("#")
     if not (mark and scene and name):
-        raise InputError.about(
+        raise InputError(
             "Mitsuba material",
             expected="SCENE#ID, a scene and the id of a BSDF or shape in it",
             got=repr(reference),
@@ -77,7 +77,7 @@ def open_scene_material(reference: str) -> SceneMaterial:
     bsdf = _find_bsdf(load_scene(scene), scene, name)
     evaluate = make_specular_evaluate(bsdf, find_parts(bsdf))
     if evaluate is None:
-        raise InputError.about(
+        raise InputError(
             f"BSDF {name!r}",
             expected="a glossy lobe",
             got="mirrors or diffuse lobes alone",
@@ -99,14 +99,14 @@ def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
     found.pop("", None)
     if name not in found:
         near = difflib.get_close_matches(name, found, n=_MOST_SHOWN, cutoff=0.0)
-        raise InputError.about(
+        raise InputError(
             f"scene {scene_name!r}",
             expected=f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs",
             got=repr(name),
             action="correct the id" if near else "give the BSDF an id in the scene",
         )
     if len(found[name]) > 1:
-        raise InputError.about(
+        raise InputError(
             f"scene {scene_name!r}",
             expected=f"one BSDF with the id {name!r}",
             got=str(len(found[name])),

@@ -248,7 +248,7 @@ def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
         dr.eval(out)
     except Exception as error:  # what a BSDF of the user's raises can be anything
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise UnsupportedBsdfError.about(
+        raise UnsupportedBsdfError(
             _name(bsdf),
             expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
             got=f"{bsdf.class_name()}: {reason}",

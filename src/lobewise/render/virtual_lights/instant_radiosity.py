@@ -347,12 +347,12 @@ def find_sharpness_limit(lights: float) -> float:
         If it is not above 0.
     """
     if not (math.isfinite(lights) and lights > 0.0):
-        raise InputError.about("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
+        raise InputError("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
     return min(1.0 / math.sqrt(2.0 * lights), 1.0)
 
 
 def _require_part(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
-        raise InputError.about(
+        raise InputError(
             name, expected="a part of the scene's diagonal, 0 to 1", got=repr(value), action="0.05 is usual"
         )

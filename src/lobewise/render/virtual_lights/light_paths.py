@@ -175,7 +175,7 @@ class LightPaths:
         ray, power, emitter = scene.sample_emitter_ray(0.0, first[0], place, aim, True)
         power = power * share * self._widen(ray, emitter)
         if not dr.any((dr.max(power) > 0) & dr.isfinite(dr.max(power))):
-            raise InputError.about(
+            raise InputError(
                 "scene",
                 expected="an emitter that sends light out",
                 got=f"{len(scene.emitters())} emitters and no light from them",

@@ -90,7 +90,7 @@ class VoxelCones:
         progress: Progress | None = None,
     ) -> None:
         if resolution not in RESOLUTIONS:
-            raise InputError.about(
+            raise InputError(
                 "resolution",
                 expected="one of " + ", ".join(map(str, RESOLUTIONS)),
                 got=repr(resolution),

@@ -89,7 +89,7 @@ def find_bounds(scene: Any, resolution: int) -> Bounds:
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
     if not extent > 0.0:
-        raise InputError.about(
+        raise InputError(
             "scene",
             expected="surfaces of finite size",
             got=f"{len(boxes)} of them, {extent:g} wide",
