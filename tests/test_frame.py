@@ -9,7 +9,8 @@ import pytest
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance, Result
+from lobewise.sparse_frame import make_sparse
 
 
 def make_camera(**changes: Any) -> Camera:
@@ -103,3 +104,19 @@ def test_a_band_is_seen_as_the_rows_of_the_whole_image(fov_x: float | None) -> N
         # The vectors are not normalised once more, which would change bits.
         np.testing.assert_array_equal(band.forward, camera.forward)
         np.testing.assert_array_equal(band.up, camera.up)
+
+
+def test_short_words_stand_for_images() -> None:
+    image, number = np.zeros((40, 50, 3)), np.zeros((40, 50))
+    radiance, guides = Radiance(image, diffuse=image), GBuffer(normal=image, depth=number)
+    frame = Frame(radiance, guides, make_camera(), half_a=radiance, spp=4)
+    assert repr(radiance) == "Radiance(50x40: color, diffuse)"
+    assert repr(guides) == "GBuffer(50x40: depth, normal)"
+    assert repr(GBuffer()) == "GBuffer()"
+    content = "radiance (color, diffuse), gbuffer (depth, normal)"
+    assert repr(frame) == f"Frame(50x40: {content}, half_a, camera, 4 spp)"
+    where = "SparseFrame(50x40, one of 4x4 pixels at (1, 0)"
+    assert repr(make_sparse(frame, 4, (1, 0))) == f"{where}: {content}, camera, 4 spp)"
+    result = Result(image, number, number, number > 0.0, {"quality": "fast", "similarity": "ggx"}, 0.25, diffuse=image)
+    told = "image, diffuse, quality fast, similarity ggx, 0 bad pixels, 0.25 s"
+    assert repr(result) == f"Result(50x40: {told})"

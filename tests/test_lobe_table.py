@@ -53,6 +53,10 @@ def test_it_keeps_read_only_float32_of_its_own(arrays):
     assert table.amplitude.max() < 7.0
 
 
+def test_a_few_words_stand_for_it(arrays):
+    assert repr(LobeTable(**arrays)) == "LobeTable('brushed': 2 asg lobes, 3 views, 2 azimuths)"
+
+
 def test_one_azimuth_is_isotropic(arrays):
     one = {
         name: value[:, :1] if isinstance(value, np.ndarray) else [0.0] if name == "azimuth" else value

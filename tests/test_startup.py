@@ -83,9 +83,9 @@ def test_every_public_name_is_listed_and_loads_alone() -> None:
 
 
 def test_a_type_checker_sees_the_names_where_they_come_from() -> None:
-    tree = ast.parse(Path(lobewise.__file__).read_text())
-    block = next(node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-    seen = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert seen.keys() == set(lobewise.__all__) - {"LobewiseError", "__version__"}
+    tree = ast.parse(Path(lobewise.__file__).with_suffix(".pyi").read_text())
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    seen = {alias.name: node.module for node in imports for alias in node.names if alias.asname == alias.name}
+    assert seen.keys() == set(lobewise.__all__) - {"__version__"}
     for name, module in seen.items():
-        assert getattr(importlib.import_module(str(module)), name) is getattr(lobewise, name), name
+        assert getattr(importlib.import_module(f"lobewise.{module}"), name) is getattr(lobewise, name), name

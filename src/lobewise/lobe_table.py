@@ -30,7 +30,7 @@ _SHAPES: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LobeTable:
     """What a material reflects, times the cosine, as a sum of at most four lobes for each of some views.
 
@@ -128,30 +128,25 @@ class LobeTable:
         length = np.linalg.norm(self.axis.astype(np.float64), axis=-1)
         if not np.all(np.abs(length - 1.0) <= UNIT_TOLERANCE):
             raise _complain("axis", "unit vectors", f"lengths {_say_range(length)}")
-        ranges = {
-            "sharpness": (self.sharpness > 0.0) & (self.sharpness < np.inf),
-            "twist": np.isfinite(self.twist),
-            "amplitude": (self.amplitude >= 0.0) & (self.amplitude < np.inf),
-            "alpha": (self.alpha > 0.0) & (self.alpha <= 1.0),
-            "albedo": (self.albedo >= 0.0) & (self.albedo < np.inf),
-            "cosine_l2": (self.cosine_l2 >= 0.0) & (self.cosine_l2 <= 1.0),
-        }
-        words = {
-            "sharpness": "finite numbers above 0",
-            "twist": "finite angles",
-            "amplitude": "finite numbers >= 0",
-            "alpha": "numbers above 0 and at most 1",
-            "albedo": "finite numbers >= 0",
-            "cosine_l2": "numbers from 0 to 1",
-        }
-        for name, good in ranges.items():
+        for name, (good, words) in {
+            "sharpness": ((self.sharpness > 0.0) & (self.sharpness < np.inf), "finite numbers above 0"),
+            "twist": (np.isfinite(self.twist), "finite angles"),
+            "amplitude": ((self.amplitude >= 0.0) & (self.amplitude < np.inf), "finite numbers >= 0"),
+            "alpha": ((self.alpha > 0.0) & (self.alpha <= 1.0), "numbers above 0 and at most 1"),
+            "albedo": ((self.albedo >= 0.0) & (self.albedo < np.inf), "finite numbers >= 0"),
+            "cosine_l2": ((self.cosine_l2 >= 0.0) & (self.cosine_l2 <= 1.0), "numbers from 0 to 1"),
+        }.items():
             if not np.all(good):
-                raise _complain(name, words[name], _say_range(getattr(self, name)))
+                raise _complain(name, words, _say_range(getattr(self, name)))
         if not np.all(self.amplitude.max(axis=-1) > 0.0):
             raise _complain("amplitude", "a lobe above 0 at every view", "a view whose lobes are all 0")
         across, along = self.sharpness[..., 0], self.sharpness[..., 1]
         if self.kind == "sg" and not np.all(np.abs(across - along) <= SG_TOLERANCE * along):
             raise _complain("sharpness", "equal sharpnesses in a table of kind sg", "lobes with two different ones")
+
+    def __repr__(self) -> str:
+        counts = f"{self.lobe_count} {self.kind} lobes, {self.cosine.size} views, {self.azimuth.size} azimuths"
+        return f"LobeTable({self.name!r}: {counts})"
 
     @property
     def lobe_count(self) -> int:

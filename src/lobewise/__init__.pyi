@@ -1,0 +1,29 @@
+"""The public names; each module is imported when one of its names is first used."""
+
+from .adaptive import find_unsupported as find_unsupported
+from .adaptive import recompute as recompute
+from .camera import Camera as Camera
+from .denoising import denoise as denoise
+from .errors import LobewiseError as LobewiseError
+from .features.base import Feature as Feature
+from .frame import Frame as Frame
+from .frame import GBuffer as GBuffer
+from .frame import LobeKind as LobeKind
+from .frame import Radiance as Radiance
+from .frame import Result as Result
+from .io.exr import read_frame as read_frame
+from .io.exr import write_frame as write_frame
+from .io.exr import write_result as write_result
+from .io.exr.sparse import read_sparse_frame as read_sparse_frame
+from .io.exr.sparse import write_sparse_frame as write_sparse_frame
+from .lobe_table import LobeTable as LobeTable
+from .settings import DenoiseSettings as DenoiseSettings
+from .settings import TemporalSettings as TemporalSettings
+from .sparse_frame import SparseFrame as SparseFrame
+from .sparse_frame import make_sparse as make_sparse
+from .streaming import DenoisedFile as DenoisedFile
+from .streaming import denoise_file as denoise_file
+from .temporal import TemporalFilter as TemporalFilter
+from .upsampling import upsample as upsample
+
+__version__: str
