@@ -12,7 +12,6 @@ import numpy as np
 from lobewise.errors import MissingChannelError, MissingDependencyError, require_choice
 from lobewise.frame import FloatArray, Frame
 
-OIDN_QUALITIES = ("fast", "balanced", "high")
 OIDN_GUIDES = ("prefiltered", "mean", "centre")
 
 

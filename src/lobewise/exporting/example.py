@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from lobewise.exporting.arguments import Argument
+from lobewise.exporting.contents import Contents, Function
 from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import Sample
 from lobewise.exporting.targets import get_gpu_api
@@ -19,16 +18,6 @@ LARGEST_DEVICE_DIFFERENCE = 1e-3
 """The same where the filter runs on a graphics processor, whose arithmetic is its own."""
 
 
-def list_frame_images(filter_arguments: Sequence[Argument], lobe_arguments: Sequence[Argument]) -> list[Argument]:
-    """Return the images that frame.raw holds, in order: those that neither function makes."""
-    made = {argument.name for argument in lobe_arguments if argument.role == "output"}
-    given: dict[str, Argument] = {}
-    for argument in (*filter_arguments, *lobe_arguments):
-        if argument.role == "input" and argument.name not in made:
-            given.setdefault(argument.name, argument)
-    return list(given.values())
-
-
 def choose_bound(plan: FilterPlan, target: str) -> float:
     """Return the largest relative difference to Python with which the program is content."""
     if get_gpu_api(target) is not None:
@@ -39,18 +28,13 @@ def choose_bound(plan: FilterPlan, target: str) -> float:
     return LARGEST_DIFFERENCE if fused and not is_long else LARGEST_PLAIN_DIFFERENCE
 
 
-def make_example(
-    name: str,
-    sample: Sample,
-    filter_arguments: Sequence[Argument],
-    lobe_arguments: Sequence[Argument],
-    bound: float,
-) -> str:
+def make_example(contents: Contents) -> str:
     """Return the program, in C99."""
+    name, sample, given = contents.name, contents.sample, contents.frame
     height, width = sample.size
-    given = list_frame_images(filter_arguments, lobe_arguments)
-    made = [argument for argument in lobe_arguments if argument.role == "output"]
-    images = [*given, *made, filter_arguments[-1]]
+    main, *others = contents.functions
+    made = [each for function in others for each in function.arguments if each.role == "output"]
+    images = [*given, *made, main.arguments[-1]]
     declarations = [f"    halide_dimension_t dims[{len(images)}][3];"]
     declarations += [f"    halide_buffer_t {', '.join(argument.name for argument in images)};"]
     lines = [_describe(name, place, argument, given=True) for place, argument in enumerate(given)]
@@ -59,22 +43,21 @@ def make_example(
     ]
     making = ["    /* Room for what is computed. */", *rooms, ""]
     calls = []
-    if lobe_arguments:
-        calls += ["    /* Lobes from normal, roughness and position: once per frame. */"]
-        calls += _call(f"{name}_lobes", lobe_arguments, sample)
-    calls += _call(f"{name}_filter", filter_arguments, sample)
+    for function in others:
+        calls += ["    /* Lobes from normal, roughness and position: once per frame. */", *_call(function, sample)]
+    calls += _call(main, sample)
     calls += ["    /* From the device, if it ran on one. */", '    check(halide_copy_to_host(0, &output), "copying");']
     return fill_template(
         "example.c",
         name=name,
         width=width,
         height=height,
-        channels=filter_arguments[-1].channels,
+        channels=main.arguments[-1].channels,
         declarations="\n".join(declarations),
         reading="\n".join(lines),
         making="\n".join(making) + "\n",
         calls="\n".join(calls) + "\n",
-        bound=f"{bound:g}",
+        bound=f"{choose_bound(contents.plan, contents.target):g}",
     )
 
 
@@ -90,15 +73,15 @@ def _describe(name: str, place: int, argument: Argument, *, given: bool) -> str:
     return f"    {argument.name} = {name}_{function}(dims[{place}], ({kind} *){source}, {extra}WIDTH, HEIGHT);"
 
 
-def _call(function: str, arguments: Sequence[Argument], sample: Sample) -> list[str]:
+def _call(function: Function, sample: Sample) -> list[str]:
     """Return a call, one argument in a line, constants with their names."""
-    lines = [f"    check({function}("]
-    for place, argument in enumerate(arguments):
-        comma = "" if place == len(arguments) - 1 else ","
+    lines = [f"    check({function.name}("]
+    for place, argument in enumerate(function.arguments):
+        comma = "" if place == len(function.arguments) - 1 else ","
         if argument.role == "number":
             value = f"{sample.numbers[argument.name]:.9g}"
             value += "" if any(mark in value for mark in ".e") else ".0"
             lines.append(f"        {value}f{comma} /* {argument.name} */")
         else:
             lines.append(f"        &{argument.name}{comma}")
-    return [*lines, f'    ), "{function}");']
+    return [*lines, f'    ), "{function.name}");']

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
-from lobewise.exporting.arguments import Argument
+from lobewise.exporting.contents import Contents, Function
 from lobewise.exporting.templating import fill_template
 
 
@@ -16,38 +15,32 @@ def find_prototype(header: str, function: str) -> list[str]:
     return ["halide_buffer_t *" if "halide_buffer_t" in part else part.split()[0] for part in found[1].split(", ")]
 
 
-def _declare(function: str, title: str, arguments: Sequence[Argument]) -> str:
+def _declare(function: Function) -> str:
     lines = []
-    for place, argument in enumerate(arguments):
+    for place, argument in enumerate(function.arguments):
         if argument.role == "number":
             word, kind = f"float {argument.name}", ""
         else:
             word = f"halide_buffer_t *{argument.name}"
             kind = f"{argument.role}, {argument.type} {argument.extents}: "
         unit = f" ({argument.unit})" if argument.unit else ""
-        end = ");" if place == len(arguments) - 1 else ","
+        end = ");" if place == len(function.arguments) - 1 else ","
         lines.append(f"    {word}{end} /* {kind}{argument.text}{unit} */")
-    return "\n".join([f"/* {title} Returns 0, or an error code of Halide's. */", f"int {function}(", *lines])
+    return "\n".join(
+        [f"/* {function.title} Returns 0, or an error code of Halide's. */", f"int {function.name}(", *lines]
+    )
 
 
-def make_header(
-    name: str, title: str, target: str, originals: str, functions: Sequence[tuple[str, str, Sequence[Argument]]]
-) -> str:
-    """Return the header of a library.
-
-    Parameters
-    ----------
-    name, title, target : str
-        Prefix of the functions; what they are, in a line; what they were compiled for.
-    originals : str
-        The headers that Halide wrote, whose types count.
-    functions : sequence
-        Name, description and arguments of each.
-    """
-    for function, _, arguments in functions:
-        expected = ["float" if argument.role == "number" else "halide_buffer_t *" for argument in arguments]
-        assert find_prototype(originals, function) == expected, f"{function} is declared otherwise"
-    declared = "\n\n".join(_declare(*function) for function in functions)
+def make_header(contents: Contents, originals: str) -> str:
+    """Return the header of a library; ``originals`` are those that Halide wrote, whose types count."""
+    for function in contents.functions:
+        expected = ["float" if each.role == "number" else "halide_buffer_t *" for each in function.arguments]
+        assert find_prototype(originals, function.name) == expected, f"{function.name} is declared otherwise"
     return fill_template(
-        "header.h", name=name, title=title, target=target, guard=f"{name.upper()}_H", declared=declared
+        "header.h",
+        name=contents.name,
+        title=contents.title,
+        target=contents.target,
+        guard=f"{contents.name.upper()}_H",
+        declared="\n\n".join(map(_declare, contents.functions)),
     )

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,16 +13,15 @@ import lobewise
 from lobewise.errors import InputError
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.compiling import compile_filter, compile_lobes
-from lobewise.exporting.example import choose_bound, list_frame_images, make_example
+from lobewise.exporting.contents import Contents
+from lobewise.exporting.example import make_example
 from lobewise.exporting.folder import MARK, open_folder, require_folder
 from lobewise.exporting.header import make_header
 from lobewise.exporting.plan import FilterPlan
-from lobewise.exporting.readme import describe_build, describe_plan, make_readme
+from lobewise.exporting.readme import describe_build, make_readme
 from lobewise.exporting.sample import make_sample
 from lobewise.exporting.targets import get_runtime_headers, parse_target
 from lobewise.io.files import PathLike
-
-Function = tuple[str, str, Sequence[Argument]]
 
 
 def export_library(
@@ -54,41 +52,32 @@ def export_library(
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
         raise InputError("--name", expected="an identifier of C", got=repr(name), action="such as my_filter")
     require_folder(output, force=force)
-    chosen = parse_target(target).to_string()
-    filter_arguments, lobe_arguments = plan.filter_arguments, plan.lobe_arguments
-    functions: list[Function] = [(f"{name}_filter", "Filters a frame.", filter_arguments)]
-    if lobe_arguments:
-        made = "Makes the lobes that the filter compares, and its mask, from what a G-buffer holds."
-        functions.append((f"{name}_lobes", made, lobe_arguments))
-    windows = "windows" in chosen
-    binaries = [f"{name}.lib" if windows else f"lib{name}.a"]
-    binaries += [f"{name}_lobes.{'obj' if windows else 'o'}"] if lobe_arguments else []
-    sample = make_sample(plan)
+    contents = Contents(plan, name, parse_target(target).to_string(), make_sample(plan))
+    sample = contents.sample
     with open_folder(output, force=force) as place:
         with tempfile.TemporaryDirectory() as aside:
-            headers = [Path(aside) / f"{function}.h" for function, _, _ in functions]
-            parts = zip((compile_filter, compile_lobes), functions, binaries, headers, strict=False)
-            for compile_part, (function, _, _), binary, header in parts:
-                compile_part(plan, target, name=function, library=place(binary), header=header)
-            originals = "".join(header.read_text() for header in headers)
-            text = make_header(name, describe_plan(plan), chosen, originals, functions)
-        place(f"{name}.h").write_text(text, encoding="utf-8")
-        for header in get_runtime_headers(chosen):
+            originals = ""
+            compilers = (compile_filter, compile_lobes)
+            for compile_part, function, binary in zip(compilers, contents.functions, contents.binaries, strict=False):
+                header = Path(aside) / f"{function.name}.h"
+                compile_part(plan, target, name=function.name, library=place(binary), header=header)
+                originals += header.read_text()
+        for header in get_runtime_headers(contents.target):
             shutil.copyfile(header, place(header.name))
-        bound = choose_bound(plan, chosen)
-        program = make_example(name, sample, filter_arguments, lobe_arguments, bound)
-        place("example.c").write_text(program, encoding="utf-8")
-        held = list_frame_images(filter_arguments, lobe_arguments)
-        place("frame.raw").write_bytes(b"".join(sample.images[argument.name].tobytes() for argument in held))
+        place("frame.raw").write_bytes(b"".join(sample.images[each.name].tobytes() for each in contents.frame))
         place("expected.raw").write_bytes(sample.expected.tobytes())
-        version = lobewise.__version__
-        readme = make_readme(plan, name, binaries, chosen, version, sample, functions, bound)
-        place("README.md").write_text(readme, encoding="utf-8")
-        place(MARK).write_text(_describe(plan, binaries, chosen, functions), encoding="utf-8")
-    return describe_build(name, binaries, chosen)
+        texts = {
+            f"{name}.h": make_header(contents, originals),
+            "example.c": make_example(contents),
+            "README.md": make_readme(contents),
+            MARK: _describe(contents),
+        }
+        for file, text in texts.items():
+            place(file).write_text(text, encoding="utf-8")
+    return describe_build(contents)
 
 
-def _describe(plan: FilterPlan, binaries: Sequence[str], target: str, functions: Sequence[Function]) -> str:
+def _describe(contents: Contents) -> str:
     """Return the JSON that says what is in the folder."""
 
     def describe(argument: Argument) -> dict[str, object]:
@@ -98,9 +87,9 @@ def _describe(plan: FilterPlan, binaries: Sequence[str], target: str, functions:
 
     content = {
         "lobewise": lobewise.__version__,
-        "target": target,
-        "binaries": list(binaries),
-        "filter": asdict(plan),
-        "functions": {function: [describe(argument) for argument in given] for function, _, given in functions},
+        "target": contents.target,
+        "binaries": contents.binaries,
+        "filter": asdict(contents.plan),
+        "functions": {each.name: list(map(describe, each.arguments)) for each in contents.functions},
     }
     return json.dumps(content, indent=2) + "\n"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import lobewise
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.exporting.arguments import Argument
-from lobewise.exporting.example import list_frame_images
-from lobewise.exporting.plan import FilterPlan
+from lobewise.exporting.contents import Contents
+from lobewise.exporting.example import choose_bound
 from lobewise.exporting.sample import Sample
 from lobewise.exporting.targets import get_gpu_api
 from lobewise.exporting.templating import fill_template
@@ -23,18 +24,11 @@ _FORMS = {
 _ALLOCATION = ":".join(("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE)))
 
 
-def describe_plan(plan: FilterPlan) -> str:
-    """Return what a filter is, in half a line."""
-    lobes = f" of {plan.lobes}" if plan.similarity == "sg_mixture" else ""
-    reach = "" if plan.form == "atrous" else f", radius {plan.radius}"
-    return f"lobewise filter, {plan.similarity}{lobes}, {plan.form}{reach}"
-
-
-def describe_build(name: str, binaries: Sequence[str], target: str) -> str:
+def describe_build(contents: Contents) -> str:
     """Return the command that builds and runs the example, or what to do where there is none."""
-    words = target.split("-")
+    words = contents.target.split("-")
     # The library comes last: it has the runtime that the object file asks for.
-    library = " ".join(reversed(binaries))
+    library = " ".join(reversed(contents.binaries))
     if "webgpu" in words and "wasm" in words:
         files = " ".join(f"--preload-file {name}.raw" for name in ("frame", "expected"))
         return f"emcc example.c {library} -o example.html -sUSE_WEBGPU -sASYNCIFY {files}"
@@ -43,7 +37,7 @@ def describe_build(name: str, binaries: Sequence[str], target: str) -> str:
     if "windows" in words:
         return f"cl example.c {library} && example"
     if "ios" in words or "android" in words:
-        return f"# {library} and {name}.h belong into an app; example.c shows the calls"
+        return f"# {library} and {contents.name}.h belong into an app; example.c shows the calls"
     frameworks = " -framework Metal -framework Foundation" if "metal" in words else ""
     libraries = frameworks if "osx" in words else " -lpthread -ldl -lm"
     setting = f"HL_VK_ALLOC_CONFIG={_ALLOCATION} " if "vulkan" in words else ""
@@ -73,51 +67,43 @@ def _list_numbers(arguments: Sequence[Argument], sample: Sample) -> str:
     return _make_table(["constant", "unit", "meaning", "what Python takes", "in the example"], rows)
 
 
-def make_readme(
-    plan: FilterPlan,
-    name: str,
-    binaries: Sequence[str],
-    target: str,
-    version: str,
-    sample: Sample,
-    functions: Sequence[tuple[str, str, Sequence[Argument]]],
-    bound: float,
-) -> str:
+def make_readme(contents: Contents) -> str:
     """Return the text, in Markdown."""
+    plan, name, sample = contents.plan, contents.name, contents.sample
     height, width = sample.size
     tables = []
-    for function, title, arguments in functions:
-        call = f"`int {function}({', '.join(argument.name for argument in arguments)})`"
-        parts = [f"## `{function}`", title, call, _list_images(arguments), _list_numbers(arguments, sample)]
-        tables.append("\n\n".join(parts) + "\n")
-    of_both = [arguments for _, _, arguments in functions]
-    held = list_frame_images(of_both[0], of_both[1] if len(of_both) > 1 else [])
+    for function in contents.functions:
+        arguments = function.arguments
+        call = f"`int {function.name}({', '.join(argument.name for argument in arguments)})`"
+        parts = [f"## `{function.name}`", function.title, call]
+        tables.append("\n\n".join([*parts, _list_images(arguments), _list_numbers(arguments, sample)]) + "\n")
+    library, *objects = contents.binaries
     rows = [
         [f"`{name}.h`", "the functions, with helpers that describe images"],
-        [f"`{binaries[0]}`", f"`{name}_filter` and Halide's runtime"],
-        *([f"`{binary}`", f"`{name}_lobes`"] for binary in binaries[1:]),
+        [f"`{library}`", f"`{name}_filter` and Halide's runtime"],
+        *([f"`{binary}`", f"`{name}_lobes`"] for binary in objects),
         ["`HalideRuntime*.h`", "`halide_buffer_t` and the runtime (threads, errors, devices)"],
         ["`example.c`", "a program that filters the frame and compares with Python"],
         ["`frame.raw`, `expected.raw`", f"that frame, {width} x {height}, and what Python makes of it"],
         ["`lobewise-export.json`", "the same as this file, for programs"],
     ]
-    api = get_gpu_api(target)
+    api = get_gpu_api(contents.target)
     device = fill_template("device.md", api=api) if api else ""
     if api == "vulkan":
         device += fill_template("vulkan.md", allocation=_ALLOCATION, block=VULKAN_BLOCK, multiple=VULKAN_MULTIPLE)
     return fill_template(
         "readme.md",
-        title=describe_plan(plan),
-        target=target,
-        version=version,
+        title=contents.title,
+        target=contents.target,
+        version=lobewise.__version__,
         docs=DOCS,
         files=_make_table(["file", "what it is"], rows),
-        build=describe_build(name, binaries, target),
-        bound=f"{bound:g}",
+        build=describe_build(contents),
+        bound=f"{choose_bound(plan, contents.target):g}",
         reach=_FORMS[plan.form].format(radius=plan.radius),
         tables="\n".join(tables),
         name=name,
         least=fill_template("least_width.md", name=name) if plan.makes_lobes else "",
         device=device,
-        held=", ".join(f"`{argument.name}`" for argument in held),
+        held=", ".join(f"`{argument.name}`" for argument in contents.frame),
     )
