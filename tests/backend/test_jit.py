@@ -214,10 +214,12 @@ def parameters() -> list[Parameter]:
     signature = Signature("mean")
     signature.image("colour", "height", "width", 3)
     signature.image("mask", "height", "width", type=hl.UInt(8))
+    # Whenever it is declared, what is written comes last.
+    signature.output("image", "height", "width", 3)
     signature.image("guide", "height", "width", 3)
     signature.number("radius", hl.Int(32))
     signature.number("rows", hl.Int(32), size="height")
-    signature.output("image", "height", "width", 3)
+    assert [each.name for each in signature.parameters][-1] == "image"
     return signature.parameters
 
 

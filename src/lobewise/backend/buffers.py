@@ -305,12 +305,14 @@ def _get_scope() -> _Scope:
     return _current.scope
 
 
-def make_output(shape: tuple[int, ...], device: str, memory: FloatArray | None = None) -> tuple[Buffer, Image]:
+def make_output(
+    shape: tuple[int, ...], device: str, memory: FloatArray | None = None, type: str = "float32"
+) -> tuple[Buffer, Image]:
     """Return a buffer for a kernel of ``device`` to write, and the image that it then is (`DeviceImage` elsewhere).
 
     ``memory`` of that shape is where the image lies, or comes down to.
     """
-    host = np.empty(shape, dtype=np.float32) if memory is None else memory
+    host = np.empty(shape, dtype=type) if memory is None else memory
     buffer = Buffer(host)
     if device == "cpu":
         return buffer, host

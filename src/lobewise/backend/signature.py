@@ -62,9 +62,15 @@ class Signature:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.parameters: list[Parameter] = []
+        self._given: list[Parameter] = []
+        self._written: list[Parameter] = []
         self.arguments: list[Any] = []
         """Of the compiled function, without outputs: Halide's parameters, in the order of their declaration."""
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """In the order of the compiled function: what is written comes last, whenever it was declared."""
+        return [*self._given, *self._written]
 
     def image(
         self, name: str, *axes: Axis, type: hl.Type | None = None, strides: Sequence[int | None] | None = None
@@ -96,7 +102,7 @@ class Signature:
                 param.dim(place).set_stride(hl.Expr())
             elif stride is not None and (place > 0 or not dense):
                 param.dim(place).set_stride(stride)
-        self.parameters.append(Parameter(name, "input", _name_type(kind), tuple(axes), tuple(strides)))
+        self._given.append(Parameter(name, "input", _name_type(kind), tuple(axes), tuple(strides)))
         self.arguments.append(param)
         return param
 
@@ -105,7 +111,7 @@ class Signature:
         kind = hl.Float(32) if type is None else type
         param = hl.Param(kind, name)
         axes = () if size is None else (size,)
-        self.parameters.append(Parameter(name, "number", _name_type(kind), axes))
+        self._given.append(Parameter(name, "number", _name_type(kind), axes))
         self.arguments.append(param)
         return param
 
@@ -115,7 +121,7 @@ class Signature:
         """Declare an image that is written, in the order in which the kernel's functions give them."""
         kind = _name_type(hl.Float(32) if type is None else type)
         found = _find_strides(axes) if strides is None else strides
-        self.parameters.append(Parameter(name, "output", kind, tuple(axes), tuple(found)))
+        self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(found)))
 
 
 def _find_strides(axes: Sequence[Axis]) -> list[int | None]:

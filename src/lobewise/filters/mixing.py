@@ -10,20 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import halide as hl
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.buffers import Image, lend, make_output, returns_host_images, take_image
-from lobewise.backend.jit import get_kernel
+from lobewise.backend.buffers import Image, returns_host_images, take_image
+from lobewise.backend.calls import run_kernel
+from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.cross_pass import find_luminance
-from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.blocks import keep_planes, spread_channels
+from lobewise.filters.planes import C, X, Y
+from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
 
 COLORS = 3
@@ -58,156 +61,232 @@ class Network(NamedTuple):
     weights: tuple[FloatArray, FloatArray, FloatArray]
     biases: tuple[FloatArray, FloatArray, FloatArray]
 
+    def name_arrays(self) -> dict[str, FloatArray]:
+        """Return its arrays by the names that the kernel knows them by."""
+        named = {"centre": self.mean, "scale": self.scale}
+        named |= {f"weights{number}": each for number, each in enumerate(self.weights)}
+        return named | {f"biases{number}": each for number, each in enumerate(self.biases)}
+
 
 def count_features(candidates: int, extras: int) -> int:
     """Return how many inputs a network has for so many candidates and extras."""
     return len(STEPS) * (2 * candidates + 1) + extras
 
 
-class _Funcs:
-    """The scheduled functions: features alone, or what the network makes of them."""
+@dataclass(frozen=True)
+class MixingKey:
+    """Everything that changes the code of a mixing."""
 
-    def __init__(self, target: hl.Target, candidates: int, middle: int, extras: int, units: tuple[int, ...]) -> None:
-        x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
-        lanes = target.natural_vector_size(hl.Float(32))
-        images = [hl.ImageParam(hl.Float(32), 3, f"image{k}") for k in range(2 * candidates)]
-        more = hl.ImageParam(hl.Float(32), 3, "more")
-        for image, count in [*((image, COLORS) for image in images), (more, extras)]:
-            image.dim(1).set_stride(count)
-            begin_at_zero(image)
-        floor, mean = hl.Param(hl.Float(32), "floor"), hl.Param(hl.Float(32), "mean")
-        width, height = more.dim(1).extent(), more.dim(2).extent()
-        at = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
+    candidates: int
+    middle: int
+    extras: int
+    units: tuple[int, ...]
+    """Of the hidden layers; none where features alone are asked for."""
 
-        # Luminance of every candidate's mean, and the squared difference of its halves, a quarter: its variance.
-        light, spread = hl.Func("light"), hl.Func("spread")
+    @property
+    def squares(self) -> int:
+        """Channels that are averaged: squares, and last the middle candidate's luminance."""
+        return 2 * self.candidates + 1
 
-        def read_pairs(column: hl.Expr, row: hl.Expr) -> list[list[list[hl.Expr]]]:
-            found = [[image[i, column, row] for i in range(COLORS)] for image in images]
-            return [found[2 * k : 2 * k + 2] for k in range(candidates)]
+    @property
+    def features(self) -> int:
+        """Inputs of the network."""
+        return count_features(self.candidates, self.extras)
 
-        pairs = read_pairs(*at)
-        copies: list[hl.Func] = []
-        if target.has_gpu_feature():
-            # More images than a graphics card lets one kernel read: the halves of each candidate are put together.
-            copies = [hl.Func(f"pair{k}") for k in range(candidates)]
-            for k, copied in enumerate(copies):
-                copied[x, c, y] = hl.mux(c, [*pairs[k][0], *pairs[k][1]])
-                pairs[k] = [[copied[x, half * COLORS + i, y] for i in range(COLORS)] for half in range(2)]
-        light[x, c, y] = hl.mux(
-            c, [hl.f32(0.5) * find_luminance([p + q for p, q in zip(a, b, strict=True)]) for a, b in pairs]
-        )
-        spread[x, c, y] = hl.mux(
-            c, [hl.f32(0.25) * find_luminance([(p - q) * (p - q) for p, q in zip(a, b, strict=True)]) for a, b in pairs]
-        )
-        others = [k for k in range(candidates) if k != middle]
-        half = hl.f32(0.5)
-        steps = [light[x, k, y] - light[x, middle, y] for k in others]
-        slopes = (
-            half * (light[x + 1, middle, y] - light[x - 1, middle, y]),
-            half * (light[x, middle, y + 1] - light[x, middle, y - 1]),
-        )
-        squares = [spread[x, k, y] for k in range(candidates)]
-        squares += [step * step for step in steps]
-        squares += [slopes[0] * slopes[0] + slopes[1] * slopes[1], light[x, middle, y]]
-        sharp = hl.Func("sharp")
-        sharp[x, c, y] = hl.mux(c, squares)
-        blurs: list[tuple[hl.Func, hl.Func]] = []
-        source = sharp
-        for step in STEPS:
-            taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
-            rows, soft = hl.Func(f"rows{step}"), hl.Func(f"soft{step}")
-            rows[x, c, y] = sum((weight * source[x + k, c, y] for k, weight in taps), hl.f32(0.0))
-            soft[x, c, y] = sum((weight * rows[x, c, y + k] for k, weight in taps), hl.f32(0.0))
-            blurs.append((rows, soft))
-            source = soft
-        values: list[hl.Expr] = []
-        for _, soft in blurs:
-            level = soft[x, len(squares) - 1, y]
-            unit = hl.f32(1.0) / (level * level + floor)
-            relative = [soft[x, k, y] * unit for k in range(len(squares) - 1)]
-            values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
-            values.append(expressions.log2(hl.max(level / mean, hl.f32(LEAST_LIGHT))))
-        values += [more[k, x, y] for k in range(extras)]
-        features = hl.Func("features")
-        features[x, c, y] = hl.mux(c, values)
+    @property
+    def channels(self) -> int:
+        """Of the output."""
+        return COLORS if self.units else self.features
 
-        self.arguments: list[Any] = [*images, more, floor, mean]
-        out = hl.Func("out")
-        deep: list[tuple[hl.Func, int, hl.RDom | None]] = []
-        if units:
-            layer, width_before = features, len(values)
-            vectors = [hl.ImageParam(hl.Float(32), 1, name) for name in ("centre", "scale")]
-            self.arguments += vectors
-            scaled = hl.Func("scaled")
-            scaled[x, c, y] = (features[x, c, y] - vectors[0][c]) * vectors[1][c]
-            layer = scaled
-            deep.append((scaled, width_before, None))
-            for number, count in enumerate((*units, candidates)):
-                weights, bias = (
-                    hl.ImageParam(hl.Float(32), 2, f"w{number}"),
-                    hl.ImageParam(hl.Float(32), 1, f"b{number}"),
-                )
-                weights.dim(0).set_stride(1)
-                self.arguments += [weights, bias]
-                inputs = hl.RDom([(0, width_before)], f"r{number}")
-                total, active = hl.Func(f"total{number}"), hl.Func(f"active{number}")
-                total[x, c, y] = bias[c]
-                total[x, c, y] = total[x, c, y] + weights[c, inputs.x] * layer[x, inputs.x, y]
-                last = number == len(units)
-                value = total[x, c, y]
-                active[x, c, y] = value if last else hl.max(value, hl.f32(LEAK) * value)
-                deep += [(total, count, inputs), (active, count, None)]
-                layer, width_before = active, count
-            scores = [layer[x, k, y] for k in range(candidates)]
-            highest = scores[0]
-            for score in scores[1:]:
-                highest = hl.max(highest, score)
-            share = hl.Func("share")
-            share[x, c, y] = expressions.exp2(hl.f32(math.log2(math.e)) * (layer[x, c, y] - highest))
-            deep.append((share, candidates, None))
-            total_share = sum((share[x, k, y] for k in range(candidates)), hl.f32(0.0))
-            mixed = []
-            for i in range(COLORS):
-                doubled = [a[i] + b[i] for a, b in (pairs if copies else read_pairs(x, y))]
-                weighted = sum((share[x, k, y] * value for k, value in enumerate(doubled)), hl.f32(0.0))
-                mixed.append(half * weighted / total_share)
-            out[c, x, y] = hl.mux(c, mixed)
-            channels = COLORS
-        else:
-            out[c, x, y] = features[x, c, y]
-            channels = len(values)
 
-        self.out = out
-        if target.has_gpu_feature():
-            thread = spread_channels(out, channels, (x, y, c))
-            counts = [*((copied, 2 * COLORS) for copied in copies), (light, candidates), (spread, candidates)]
-            counts.append((sharp, len(squares)))
-            for func, count in (*counts, *((each, len(squares)) for pair in blurs for each in pair)):
-                keep_planes(func, count, (x, y, c))
-            keep_planes(features, len(values), (x, y, c))
-            for func, count, _ in deep[1:]:
-                func.compute_at(out, thread).bound(c, 0, count)
-            return
-        ys, yi, xo, xi, tail = hl.Var("ys"), hl.Var("yi"), hl.Var("xo"), hl.Var("xi"), hl.TailStrategy.GuardWithIf
-        out.bound(c, 0, channels).reorder(c, x, y).unroll(c).split(y, ys, yi, 16, tail)
-        out.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, yi, ys).vectorize(xi).parallel(ys).never_partition_all()
-        for func, count in ((light, candidates), (spread, candidates)):
-            func.compute_at(out, ys).bound(c, 0, count).reorder_storage(x, c, y).reorder(c, x, y)
-            func.vectorize(x, lanes).unroll(c).never_partition_all()
-        for number, (rows, soft) in enumerate(blurs):
-            rows.compute_at(out, ys).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-            # What is averaged again is needed some rows away.
-            soft.compute_at(out, yi if number == len(blurs) - 1 else ys)
-            soft.reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-        sharp.compute_at(blurs[0][0], y).bound(c, 0, len(squares)).reorder_storage(x, c, y).reorder(c, x, y)
-        sharp.vectorize(x, lanes).unroll(c)
-        features.compute_at(out, xo).bound(c, 0, len(values)).reorder_storage(x, c, y).reorder(c, x, y)
-        features.vectorize(x, lanes).unroll(c)
-        for func, count, inputs in deep:
-            func.compute_at(out, xo).bound(c, 0, count).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-            if inputs is not None:
-                func.update().reorder(x, inputs.x, c, y).vectorize(x, lanes)
+Pair = tuple[Sequence[hl.Expr], Sequence[hl.Expr]]
+"""The colours of both halves of a candidate."""
+
+
+class MixingInputs(NamedTuple):
+    """What the kernel reads beside its network."""
+
+    pairs: list[tuple[hl.ImageParam, hl.ImageParam]]
+    extras: hl.ImageParam
+    floor: hl.Param
+    """Least square of a local mean."""
+    level: hl.Param
+
+    def read_pairs(self, x: hl.Expr, y: hl.Expr) -> list[Pair]:
+        """Return all candidates' colours at a pixel."""
+        return [([a[i, x, y] for i in range(COLORS)], [b[i, x, y] for i in range(COLORS)]) for a, b in self.pairs]
+
+
+class Blur(NamedTuple):
+    """An average: along rows, and of these along columns."""
+
+    rows: hl.Func
+    soft: hl.Func
+
+
+class Stage(NamedTuple):
+    """A step of the network at one pixel."""
+
+    func: hl.Func
+    channels: int
+    inputs: hl.RDom | None = None
+    """What it sums over, if it does."""
+
+
+class MixingFuncs(NamedTuple):
+    """The functions of the kernel, for its schedule."""
+
+    key: MixingKey
+    copies: list[hl.Func]
+    """Both halves of each candidate put together, for graphics cards."""
+    light: hl.Func
+    spread: hl.Func
+    sharp: hl.Func
+    blurs: list[Blur]
+    features: hl.Func
+    network: list[Stage]
+    out: hl.Func
+
+
+def declare_mixing(signature: Signature, key: MixingKey) -> MixingInputs:
+    """Declare all that the kernel reads and writes but the network."""
+    size = "height", "width"
+    pairs = [
+        (signature.image(f"candidate{k}_a", *size, COLORS), signature.image(f"candidate{k}_b", *size, COLORS))
+        for k in range(key.candidates)
+    ]
+    signature.output("mixed", *size, key.channels)
+    return MixingInputs(
+        pairs, signature.image("extras", *size, key.extras), signature.number("floor"), signature.number("level")
+    )
+
+
+def define_mixing(signature: Signature, key: MixingKey, together: bool) -> MixingFuncs:
+    """Define features alone, or what the network makes of them; ``together`` puts both halves of candidates so."""
+    inputs = declare_mixing(signature, key)
+    width, height = inputs.extras.dim(1).extent(), inputs.extras.dim(2).extent()
+    pairs = inputs.read_pairs(hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1))
+    copies: list[hl.Func] = []
+    if together:
+        # More images than a graphics card lets one kernel read.
+        copies = [hl.Func(f"pair{k}") for k in range(key.candidates)]
+        for copied, (a, b) in zip(copies, pairs, strict=True):
+            copied[X, C, Y] = hl.mux(C, [*a, *b])
+        pairs = [_read_copy(copied) for copied in copies]
+    light, spread = _define_light(pairs)
+    sharp = _define_squares(key, light, spread)
+    blurs = _define_blurs(sharp)
+    features = _define_features(key, inputs, [soft for _, soft in blurs])
+    out = hl.Func("out")
+    network: list[Stage] = []
+    if key.units:
+        network = _define_network(signature, key, features)
+        mixed = _mix(network[-1].func, pairs if together else inputs.read_pairs(X, Y))
+        out[C, X, Y] = hl.mux(C, mixed)
+    else:
+        out[C, X, Y] = features[X, C, Y]
+    return MixingFuncs(key, copies, light, spread, sharp, blurs, features, network, out)
+
+
+def _read_copy(copied: hl.Func) -> Pair:
+    colors = [copied[X, i, Y] for i in range(2 * COLORS)]
+    return colors[:COLORS], colors[COLORS:]
+
+
+def _define_light(pairs: Sequence[Pair]) -> tuple[hl.Func, hl.Func]:
+    """Return the luminance of every candidate's mean, and the squared difference of its halves, a quarter."""
+    light, spread = hl.Func("light"), hl.Func("spread")
+    sums = [[p + q for p, q in zip(a, b, strict=True)] for a, b in pairs]
+    squares = [[(p - q) * (p - q) for p, q in zip(a, b, strict=True)] for a, b in pairs]
+    light[X, C, Y] = hl.mux(C, [hl.f32(0.5) * find_luminance(each) for each in sums])
+    spread[X, C, Y] = hl.mux(C, [hl.f32(0.25) * find_luminance(each) for each in squares])
+    return light, spread
+
+
+def _define_squares(key: MixingKey, light: hl.Func, spread: hl.Func) -> hl.Func:
+    """Return what is averaged: variances, squares of differences and of the slope, and the middle's luminance."""
+    middle, half = key.middle, hl.f32(0.5)
+    steps = [light[X, k, Y] - light[X, middle, Y] for k in range(key.candidates) if k != middle]
+    across = half * (light[X + 1, middle, Y] - light[X - 1, middle, Y])
+    down = half * (light[X, middle, Y + 1] - light[X, middle, Y - 1])
+    squares = [spread[X, k, Y] for k in range(key.candidates)]
+    squares += [step * step for step in steps]
+    squares += [across * across + down * down, light[X, middle, Y]]
+    sharp = hl.Func("sharp")
+    sharp[X, C, Y] = hl.mux(C, squares)
+    return sharp
+
+
+def _define_blurs(source: hl.Func) -> list[Blur]:
+    """Return averages, and averages of averages."""
+    blurs: list[Blur] = []
+    for step in STEPS:
+        taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
+        rows, soft = hl.Func(f"rows{step}"), hl.Func(f"soft{step}")
+        rows[X, C, Y] = sum((weight * source[X + k, C, Y] for k, weight in taps), hl.f32(0.0))
+        soft[X, C, Y] = sum((weight * rows[X, C, Y + k] for k, weight in taps), hl.f32(0.0))
+        blurs.append(Blur(rows, soft))
+        source = soft
+    return blurs
+
+
+def _define_features(key: MixingKey, inputs: MixingInputs, averages: Sequence[hl.Func]) -> hl.Func:
+    """Return what the network sees; see `find_features`."""
+    values: list[hl.Expr] = []
+    for soft in averages:
+        mean = soft[X, key.squares - 1, Y]
+        unit = hl.f32(1.0) / (mean * mean + inputs.floor)
+        relative = [soft[X, k, Y] * unit for k in range(key.squares - 1)]
+        values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
+        values.append(expressions.log2(hl.max(mean / inputs.level, hl.f32(LEAST_LIGHT))))
+    values += [inputs.extras[k, X, Y] for k in range(key.extras)]
+    features = hl.Func("features")
+    features[X, C, Y] = hl.mux(C, values)
+    return features
+
+
+def _define_network(signature: Signature, key: MixingKey, features: hl.Func) -> list[Stage]:
+    """Return the steps of the network, the last of which gives shares, not yet divided by their sum."""
+    centre, scale = (signature.image(name, key.features) for name in ("centre", "scale"))
+    layer = hl.Func("scaled")
+    layer[X, C, Y] = (features[X, C, Y] - centre[C]) * scale[C]
+    stages = [Stage(layer, key.features)]
+    before = key.features
+    for number, count in enumerate((*key.units, key.candidates)):
+        weights, bias = signature.image(f"weights{number}", before, count), signature.image(f"biases{number}", count)
+        inputs = hl.RDom([(0, before)], f"r{number}")
+        total, active = hl.Func(f"total{number}"), hl.Func(f"active{number}")
+        total[X, C, Y] = bias[C]
+        total[X, C, Y] = total[X, C, Y] + weights[C, inputs.x] * layer[X, inputs.x, Y]
+        value = total[X, C, Y]
+        active[X, C, Y] = value if number == len(key.units) else hl.max(value, hl.f32(LEAK) * value)
+        stages += [Stage(total, count, inputs), Stage(active, count)]
+        layer, before = active, count
+    scores = [layer[X, k, Y] for k in range(key.candidates)]
+    highest = scores[0]
+    for score in scores[1:]:
+        highest = hl.max(highest, score)
+    share = hl.Func("share")
+    share[X, C, Y] = expressions.exp2(hl.f32(math.log2(math.e)) * (layer[X, C, Y] - highest))
+    return [*stages, Stage(share, key.candidates)]
+
+
+def _mix(share: hl.Func, pairs: Sequence[Pair]) -> list[hl.Expr]:
+    """Return the colours of the mixture."""
+    total = sum((share[X, k, Y] for k in range(len(pairs))), hl.f32(0.0))
+    mixed = []
+    for i in range(COLORS):
+        doubled = [a[i] + b[i] for a, b in pairs]
+        weighted = sum((share[X, k, Y] * value for k, value in enumerate(doubled)), hl.f32(0.0))
+        mixed.append(hl.f32(0.5) * weighted / total)
+    return mixed
+
+
+def _make_mixing(key: MixingKey, target: hl.Target) -> Scheduled:
+    signature = Signature("mixing")
+    funcs = define_mixing(signature, key, together=target.has_gpu_feature())
+    schedule_mixing(funcs, target)
+    return Scheduled([funcs.out], signature)
 
 
 def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
@@ -236,7 +315,7 @@ def _require_fit(network: Network, inputs: int, candidates: int) -> None:
     """Raise InputError unless a network's arrays fit each other: the kernels read and write where shapes tell them."""
     sizes = [inputs, *(bias.size for bias in network.biases[:-1]), candidates]
     expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
-    arrays = (network.mean, network.scale, *network.weights, *network.biases)
+    arrays = network.name_arrays().values()
     if len(sizes) != LAYERS + 1 or 0 in sizes or [array.shape for array in arrays] != expected:
         raise InputError(
             describe_problem(
@@ -258,28 +337,21 @@ def _run(
     device: str,
 ) -> Image:
     _require_whole(len(candidates), middle, extras)
-    height, width, count = extras.shape
-    channels = count_features(len(candidates), count)
+    units = () if network is None else tuple(len(bias) for bias in network.biases[:-1])
+    key = MixingKey(len(candidates), middle, extras.shape[2], units)
+    shape = (*extras.shape[:2], COLORS)
+    images = {
+        f"candidate{k}_{name}": take_image("candidate", half, shape)
+        for k, pair in enumerate(candidates)
+        for name, half in zip("ab", pair, strict=True)
+    }
+    images["extras"] = take_image("extras", extras, extras.shape)
     if network is not None:
-        _require_fit(network, channels, len(candidates))
-        channels = COLORS
-    images = [take_image("candidate", half, (height, width, COLORS)) for pair in candidates for half in pair]
-    units = tuple(len(bias) for bias in network.biases[:-1]) if network is not None else ()
-    key = ("mixing", len(candidates), middle, count, units)
-    kernel = get_kernel(device, key, lambda target: _Funcs(target, len(candidates), middle, count, units))
-    held: list[Image] = [*images, take_image("extras", extras, extras.shape)]
-    tail: list[NDArray[Any]] = []
-    if network is not None:
-        tail += [network.mean, network.scale]
-        for weights, bias in zip(network.weights, network.biases, strict=True):
-            tail += [weights, bias]
-        tail = [np.ascontiguousarray(each, dtype=np.float32) for each in tail]
+        _require_fit(network, key.features, key.candidates)
+        images |= {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in network.name_arrays().items()}
     level = max(level, 1e-30)
-    buffer, mixed = make_output((height, width, channels), device)
-    buffers = [lend(image, device) for image in held]
-    numbers = [lend(each, device) for each in tail]
-    kernel(*buffers, max((DARKEST * level) ** 2, 1e-37), level, *numbers, buffer)
-    return mixed
+    kernel = get_kernel(device, key, partial(_make_mixing, key))
+    return run_kernel(kernel, device, images, floor=max((DARKEST * level) ** 2, 1e-37), level=level)["mixed"]
 
 
 def find_features(

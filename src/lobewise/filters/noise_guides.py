@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import partial
+from typing import NamedTuple
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.buffers import (
-    Image,
-    device_scope,
-    download,
-    lend,
-    make_output,
-    returns_host_images,
-    take_image,
-    take_mask,
-)
-from lobewise.backend.jit import get_kernel
+from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image, take_mask
+from lobewise.backend.calls import run_kernel
+from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
+from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
-from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
+from lobewise.filters.planes import C, X, Y
+from lobewise.filters.schedules.noise_guides import schedule_light_sums, schedule_noise_guide
 from lobewise.frame import FloatArray
 
 BLUR_RADIUS = 3
@@ -38,95 +32,75 @@ DARKEST = 0.04
 """What is added under the logarithm, as a share of the whole image's mean light."""
 
 
-class _Funcs:
-    """The scheduled functions of the guide's kernel."""
+class NoiseGuideFuncs(NamedTuple):
+    """The functions of the guide's kernel, for its schedule."""
 
-    def __init__(self, target: hl.Target) -> None:
-        x, y, c = hl.Var("x"), hl.Var("y"), hl.Var("c")
-        halves = [hl.ImageParam(hl.Float(32), 3, f"half{number}") for number in range(2)]
-        offset = hl.Param(hl.Float(32), "offset")
-        for half in halves:
-            half.dim(1).set_stride(COLORS)
-            begin_at_zero(half)
-        width, height = halves[0].dim(1).extent(), halves[0].dim(2).extent()
-        at = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
-        logs = hl.Func("logs")
-        values: list[hl.Expr] = [
-            expressions.log2(half[k, at[0], at[1]] + offset) * hl.f32(math.log(2.0))
-            for half in halves
-            for k in range(COLORS)
-        ]
-        logs[x, c, y] = hl.mux(c, values)
-        spread, rows = hl.Func("spread"), hl.Func("rows")
-        steps = [logs[x, k, y] - logs[x, k + COLORS, y] for k in range(COLORS)]
-        spread[x, y] = sum((step * step for step in steps), hl.f32(0.0)) * hl.f32(0.25 / COLORS)
-        taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), BLUR, strict=True))
-        rows[x, y] = sum((hl.f32(weight) * spread[x + k, y] for k, weight in taps), hl.f32(0.0))
-        variance = sum((hl.f32(weight) * rows[x, y + k] for k, weight in taps), hl.f32(VARIANCE_FLOOR))
-        out = hl.Func("out")
-        half = hl.f32(0.5)
-        means = [half * (logs[x, k, y] + logs[x, k + COLORS, y]) for k in range(COLORS)]
-        out[c, x, y] = hl.mux(c, [*means, variance])
-
-        self.out = out
-        self.arguments: list[Any] = [*halves, offset]
-        out.output_buffer().dim(1).set_stride(GUIDE_CHANNELS)
-        if target.has_gpu_feature():
-            spread_channels(out, GUIDE_CHANNELS, (x, y, c))
-            keep_planes(logs, 2 * COLORS, (x, y, c))
-            spread_pixels(rows.compute_root().align_bounds(x, ALIGNMENT), x, y)
-            return
-        lanes = target.natural_vector_size(hl.Float(32))
-        ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
-        out.bound(c, 0, GUIDE_CHANNELS).reorder(c, x, y).unroll(c)
-        out.split(y, ys, yi, 32, tail).reorder(c, x, yi, ys).vectorize(x, lanes, tail).parallel(ys)
-        out.never_partition_all()
-        logs.compute_at(out, ys).bound(c, 0, 2 * COLORS).reorder_storage(x, c, y).reorder(c, x, y)
-        logs.vectorize(x, lanes).unroll(c).never_partition_all()
-        rows.compute_at(out, ys).vectorize(x, lanes)
-        spread.compute_at(rows, y).vectorize(x, lanes)
+    logs: hl.Func
+    """Of (x, c, y): logarithms of the three colours of one half, and then of the other."""
+    spread: hl.Func
+    """A quarter of their squared difference."""
+    rows: hl.Func
+    """The same, averaged along rows."""
+    out: hl.Func
 
 
-class _Sums:
-    """The scheduled functions of `measure_light`, row by row in so many parts as a vector has."""
+def define_noise_guide(signature: Signature) -> NoiseGuideFuncs:
+    """Define the guide."""
+    halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
+    offset = signature.number("offset")
+    signature.output("guide", "height", "width", GUIDE_CHANNELS)
+    width, height = halves[0].dim(1).extent(), halves[0].dim(2).extent()
+    at = hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1)
+    logs, spread, rows, out = (hl.Func(name) for name in ("logs", "spread", "rows", "out"))
+    values: list[hl.Expr] = [
+        expressions.log2(half[k, at[0], at[1]] + offset) * hl.f32(math.log(2.0))
+        for half in halves
+        for k in range(COLORS)
+    ]
+    logs[X, C, Y] = hl.mux(C, values)
+    steps = [logs[X, k, Y] - logs[X, k + COLORS, Y] for k in range(COLORS)]
+    spread[X, Y] = sum((step * step for step in steps), hl.f32(0.0)) * hl.f32(0.25 / COLORS)
+    taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), BLUR, strict=True))
+    rows[X, Y] = sum((hl.f32(weight) * spread[X + k, Y] for k, weight in taps), hl.f32(0.0))
+    variance = sum((hl.f32(weight) * rows[X, Y + k] for k, weight in taps), hl.f32(VARIANCE_FLOOR))
+    half = hl.f32(0.5)
+    means = [half * (logs[X, k, Y] + logs[X, k + COLORS, Y]) for k in range(COLORS)]
+    out[C, X, Y] = hl.mux(C, [*means, variance])
+    return NoiseGuideFuncs(logs, spread, rows, out)
 
-    def __init__(self, target: hl.Target, tinted: bool) -> None:
-        lane, y = hl.Var("lane"), hl.Var("y")
-        lanes = target.natural_vector_size(hl.Float(32))
-        halves = [hl.ImageParam(hl.Float(32), 3, f"half{number}") for number in range(2)]
-        albedo = hl.ImageParam(hl.Float(32), 3, "albedo")
-        mask = hl.ImageParam(hl.UInt(8), 2, "mask")
-        for image in (*halves, albedo):
-            image.dim(1).set_stride(COLORS)
-        for image in (*halves, albedo, mask):
-            begin_at_zero(image)
-        width = mask.width()
-        steps = hl.RDom([(0, (width + lanes - 1) // lanes)], "steps")
-        x = steps.x * lanes + lane
-        at = hl.min(x, width - 1), y
-        total, count = hl.f32(0.0), hl.f32(0.0)
-        for half in halves:
-            radiance, good = demodulate(half, albedo if tinted else None, at, hl.f32(ALBEDO_FLOOR))
-            light = find_luminance(radiance)
-            # Three large channels may add up to infinity.
-            good = good & (light < hl.f32(LARGEST_FLOAT))
-            total = total + hl.select(good, light, hl.f32(0.0))
-            count = count + hl.select(good, hl.f32(1.0), hl.f32(0.0))
-        mean = total / hl.max(count, hl.f32(1.0))
-        out = hl.Func("out")
-        out[lane, y] = hl.f32(0.0)
-        out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
-        self.out = out
-        self.arguments: list[Any] = [*halves, *([albedo] if tinted else []), mask]
-        out.bound(lane, 0, lanes)
-        if target.has_gpu_feature():
-            # A processor of narrow vectors has fewer lanes than a tile has columns: what is beyond is not written.
-            names = [hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")]
-            for stage in (out, out.update()):
-                stage.gpu_tile(lane, y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)
-            return
-        out.vectorize(lane).parallel(y)
-        out.update().reorder(lane, steps.x, y).vectorize(lane).parallel(y)
+
+class LightSumFuncs(NamedTuple):
+    """The function of the kernel of `measure_light`, for its schedule."""
+
+    out: hl.Func
+    """Of (lane, y): each row in as many parts as a vector has."""
+    lane: hl.Var
+    steps: hl.RDom
+
+
+def define_light_sums(signature: Signature, tinted: bool, lanes: int) -> LightSumFuncs:
+    """Define the sums."""
+    lane, y = hl.Var("lane"), Y
+    images = [signature.image(name, "height", "width", COLORS) for name in ("a", "b", *["albedo"] * tinted)]
+    mask = signature.image("mask", "height", "width", type=hl.UInt(8))
+    signature.output("sums", "height", lanes)
+    width = mask.width()
+    steps = hl.RDom([(0, (width + lanes - 1) // lanes)], "steps")
+    x = steps.x * lanes + lane
+    at = hl.min(x, width - 1), y
+    total, count = hl.f32(0.0), hl.f32(0.0)
+    for half in images[:2]:
+        radiance, good = demodulate(half, images[2] if tinted else None, at, hl.f32(ALBEDO_FLOOR))
+        light = find_luminance(radiance)
+        # Three large channels may add up to infinity.
+        good = good & (light < hl.f32(LARGEST_FLOAT))
+        total = total + hl.select(good, light, hl.f32(0.0))
+        count = count + hl.select(good, hl.f32(1.0), hl.f32(0.0))
+    mean = total / hl.max(count, hl.f32(1.0))
+    out = hl.Func("out")
+    out[lane, y] = hl.f32(0.0)
+    out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
+    return LightSumFuncs(out, lane, steps)
 
 
 @device_scope()
@@ -150,16 +124,25 @@ def measure_light(
         A name from `list_devices`.
     """
     height, width = mask.shape
-    # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held: list[Image] = [take_image("half", half, (height, width, COLORS)) for half in halves]
-    held += [] if albedo is None else [take_image("albedo", albedo, (height, width, COLORS))]
-    held.append(take_mask(mask))
-    lanes = hl.get_host_target().natural_vector_size(hl.Float(32))
+    images: dict[str, Image] = {
+        name: take_image("half", half, (height, width, COLORS)) for name, half in zip("ab", halves, strict=True)
+    }
+    if albedo is not None:
+        images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
+    images["mask"] = take_mask(mask)
+    tinted = albedo is not None
+    kernel = get_kernel(device, (measure_light, tinted), partial(_make_light_sums, tinted))
+    sums = download(run_kernel(kernel, device, images)["sums"])
+    return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+
+
+def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
+    signature = Signature("light sums")
     # Rows in a fixed number of parts, so that the order in which they are added never changes.
-    buffer, sums = make_output((height, lanes), device)
-    kernel = get_kernel(device, (measure_light, albedo is not None), lambda target: _Sums(target, albedo is not None))
-    kernel(*(lend(image, device) for image in held), buffer)
-    return np.stack([download(sums).sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+    lanes = target.natural_vector_size(hl.Float(32))
+    funcs = define_light_sums(signature, tinted, lanes)
+    schedule_light_sums(funcs, lanes, target)
+    return Scheduled([funcs.out], signature)
 
 
 def find_level(rows: NDArray[np.float64]) -> float:
@@ -185,9 +168,14 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu") -> I
     device : str
         A name from `list_devices`.
     """
-    height, width = a.shape[0], a.shape[1]
-    images = [take_image("half", image, (height, width, COLORS)) for image in (a, b)]
-    kernel = get_kernel(device, "noise guide", _Funcs)
-    buffer, guide = make_output((height, width, GUIDE_CHANNELS), device)
-    kernel(*(lend(image, device) for image in images), max(DARKEST * level, 1e-30), buffer)
-    return guide
+    shape = (*a.shape[:2], COLORS)
+    images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
+    kernel = get_kernel(device, (make_noise_guide,), _make_noise_guide)
+    return run_kernel(kernel, device, images, offset=max(DARKEST * level, 1e-30))["guide"]
+
+
+def _make_noise_guide(target: hl.Target) -> Scheduled:
+    signature = Signature("noise guide")
+    funcs = define_noise_guide(signature)
+    schedule_noise_guide(funcs, target)
+    return Scheduled([funcs.out], signature)

@@ -1,0 +1,51 @@
+"""How guides of the dual-buffer passes, and the sums of light, are computed on processors and on graphics cards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import halide as hl
+
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
+from lobewise.filters.planes import PIXEL
+from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
+from lobewise.filters.schedules.rows import STRIP_ROWS
+
+if TYPE_CHECKING:
+    from lobewise.filters.noise_guides import LightSumFuncs, NoiseGuideFuncs
+
+
+def schedule_noise_guide(funcs: NoiseGuideFuncs, target: hl.Target) -> None:
+    """Strips of rows in parallel, logarithms of a strip in cache; on cards in memory."""
+    x, y, c = PIXEL
+    out, rows = funcs.out, funcs.rows
+    out.output_buffer().dim(1).set_stride(GUIDE_CHANNELS)
+    if target.has_gpu_feature():
+        spread_channels(out, GUIDE_CHANNELS, PIXEL)
+        keep_planes(funcs.logs, 2 * COLORS, PIXEL)
+        spread_pixels(rows.compute_root().align_bounds(x, ALIGNMENT), x, y)
+        return
+    lanes = target.natural_vector_size(hl.Float(32))
+    ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
+    out.bound(c, 0, GUIDE_CHANNELS).reorder(c, x, y).unroll(c)
+    out.split(y, ys, yi, STRIP_ROWS, tail).reorder(c, x, yi, ys).vectorize(x, lanes, tail).parallel(ys)
+    out.never_partition_all()
+    funcs.logs.compute_at(out, ys).bound(c, 0, 2 * COLORS).reorder_storage(x, c, y).reorder(c, x, y)
+    funcs.logs.vectorize(x, lanes).unroll(c).never_partition_all()
+    rows.compute_at(out, ys).vectorize(x, lanes)
+    funcs.spread.compute_at(rows, y).vectorize(x, lanes)
+
+
+def schedule_light_sums(funcs: LightSumFuncs, lanes: int, target: hl.Target) -> None:
+    """Rows in parallel, the parts of one in a vector."""
+    out, lane, y = funcs.out, funcs.lane, PIXEL[1]
+    out.bound(lane, 0, lanes)
+    if target.has_gpu_feature():
+        # A processor of narrow vectors has fewer lanes than a tile has columns: what is beyond is not written.
+        names = [hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")]
+        for stage in (out, out.update()):
+            stage.gpu_tile(lane, y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)
+        return
+    out.vectorize(lane).parallel(y)
+    out.update().reorder(lane, funcs.steps.x, y).vectorize(lane).parallel(y)
