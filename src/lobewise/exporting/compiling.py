@@ -23,8 +23,8 @@ from lobewise.exporting.lobes import define_guides
 from lobewise.exporting.plan import FilterPlan, Term
 from lobewise.exporting.targets import parse_target, refuse_target
 from lobewise.features import Feature
-from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, describe_structure, make_pass
-from lobewise.filters.forms import can_mirror, list_passes
+from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chain_passes, describe_structure, make_pass
+from lobewise.filters.forms import list_passes
 from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import count_lanes
@@ -157,8 +157,10 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
     scalars = [[_make_scalar(*each, params, target)] for each in zip(terms, features, strict=True)]
     source: Any = params["radiance"]
     passes = list_passes(plan.form, plan.radius)
-    for number, (taps, reach, step) in enumerate(passes):
-        first, last = number == 0, number == len(passes) - 1
+    reads = Reads.DEMODULATED if plan.albedo else Reads.RADIANCE
+    whole = PassKey(*passes[0][:2], structure, reads, Writes.PIXELS, modulate=plan.albedo)
+    keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=not target.has_gpu_feature())
+    for key, (_, _, step) in zip(keys, passes, strict=True):
         given = PassInputs(
             source=source,
             albedo=params.get("albedo"),
@@ -167,17 +169,8 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
             step=hl.i32(step),
             scalars=scalars,
         )
-        key = PassKey(
-            taps,
-            reach,
-            structure,
-            (Reads.DEMODULATED if plan.albedo else Reads.RADIANCE) if first else Reads.SUMS,
-            Writes.PIXELS if last else Writes.SUMS,
-            modulate=plan.albedo and last,
-            mirrored=not target.has_gpu_feature() and can_mirror(taps, reach),
-        )
         funcs = make_pass(key, features, given, lanes=count_lanes(target))
-        if not last:
+        if key.writes is Writes.SUMS:
             funcs.out.compute_root()
         schedule_pass(funcs, target)
         source = funcs.out

@@ -18,8 +18,8 @@ from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, describe_structure, make_pass
-from lobewise.filters.forms import can_mirror, list_passes
+from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, describe_structure, make_pass
+from lobewise.filters.forms import list_passes
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
@@ -126,79 +126,96 @@ def run_filter(
     """
     require_choice("form", form, FORMS)
     passes = list_passes(form, radius)
-    reads = Reads.RADIANCE if albedo is None else Reads.DEMODULATED
-    # Several images from one kernel would be computed several times elsewhere.
-    writes = Writes.IMAGES if device == "cpu" else Writes.PIXELS
-    structure = tuple(describe_structure(feature) for feature in features)
-    keys = [
-        PassKey(
-            taps,
-            reach,
-            structure,
-            reads=reads if number == 0 else Reads.SUMS,
-            writes=writes if number == len(passes) - 1 else Writes.SUMS,
-            modulate=albedo is not None and number == len(passes) - 1 and modulate,
-            moment=moment,
-            strict=strictness is not None,
-            mirrored=device == "cpu" and strictness is None and can_mirror(taps, reach),
-        )
-        for number, (taps, reach, _) in enumerate(passes)
-    ]
     size = mask.shape[0], mask.shape[1]
     # Every array is held in a local name until the last call has returned: Halide keeps no reference.
-    images: dict[str, Image] = {"mask": take_mask(mask), **give_features("tap", features, size)}
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, (*size, COLORS))
-    if strictness is not None:
-        images["strictness"] = take_image("strictness", strictness, size)
-    given = _Given(images, give_scalars(features))
     image = take_image("radiance", radiance, (*size, COLORS))
+    beside: dict[str, Image] = {"mask": take_mask(mask), **give_features("tap", features, size)}
+    if albedo is not None:
+        beside["albedo"] = take_image("albedo", albedo, (*size, COLORS))
+    if strictness is not None:
+        beside["strictness"] = take_image("strictness", strictness, size)
+    whole = PassKey(
+        *passes[0][:2],
+        tuple(describe_structure(feature) for feature in features),
+        reads=Reads.RADIANCE if albedo is None else Reads.DEMODULATED,
+        # Several images from one kernel would be computed several times elsewhere.
+        writes=Writes.IMAGES if device == "cpu" else Writes.PIXELS,
+        modulate=albedo is not None and modulate,
+        moment=moment,
+        strict=strictness is not None,
+    )
+    keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=device == "cpu")
     kernels = [get_kernel(device, key, partial(_make_scheduled, key, features)) for key in keys]
+    run = _Run(kernels, beside, give_scalars(features), device)
     shapes = kernels[-1].list_shapes(height=size[0], width=size[1])
     outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
     if form == "separable" and device == "cpu":
-        whole = {name: buffer.array for name, (buffer, _) in outputs.items()}
+        arrays = {name: buffer.array for name, (buffer, _) in outputs.items()}
         for rows, columns in _list_tiles(*size):
-            _run_tile(kernels, radius, given, image, whole, rows, columns)
+            run.filter_tile(image, arrays, radius, rows, columns)
     else:
-        source: Image = image
-        for number, (kernel, (_, _, step)) in enumerate(zip(kernels[:-1], passes, strict=False)):
-            shape = kernel.list_shapes(height=size[0], width=size[1])["sums"]
-            memory = _scratch.lend(number % 2, shape) if device == "cpu" else None
-            written, sums = make_output(shape, device, memory)
-            given.call(kernel, lend(source, device), {"sums": written}, step=step, device=device)
-            source = sums
         buffers = {name: buffer for name, (buffer, _) in outputs.items()}
-        given.call(kernels[-1], lend(source, device), buffers, step=passes[-1][2], device=device)
+        run.filter_whole(image, buffers, [step for _, _, step in passes])
     results = {name: download(each) for name, (_, each) in outputs.items()}
-    return FilterOutput(**results) if writes is Writes.IMAGES else _split_output(results["pixels"])
+    return FilterOutput(**results) if device == "cpu" else _split_output(results["pixels"])
 
 
 @dataclass(frozen=True)
-class _Given:
-    """What the passes of a run read beside the image; not every pass reads all."""
+class _Run:
+    """The kernels of a form, and what they read beside the image; not every pass reads all."""
 
-    images: Mapping[str, Image]
+    kernels: Sequence[Kernel]
+    beside: Mapping[str, Image]
     scalars: Mapping[str, float]
+    device: str
 
-    def call(
+    def _call(
         self,
         kernel: Kernel,
         source: Buffer,
         outputs: Mapping[str, Buffer],
         *,
         step: int = 1,
-        device: str = "cpu",
         part: tuple[slice, ...] = (),
     ) -> None:
         """Run a pass over the pixels ``part``, which ``source`` has already; over all without it."""
         read = {each.name for each in kernel.parameters}
         lent = {
-            name: lend(download(image)[part] if part else image, device)
-            for name, image in self.images.items()
+            name: lend(download(image)[part] if part else image, self.device)
+            for name, image in self.beside.items()
             if name in read
         }
         kernel(source=source, step=step, **lent, **self.scalars, **outputs)
+
+    def filter_whole(self, image: Image, outputs: Mapping[str, Buffer], steps: Sequence[int]) -> None:
+        """Filter all pixels, pass by pass."""
+        height, width = image.shape[:2]
+        for number, (kernel, step) in enumerate(zip(self.kernels[:-1], steps, strict=False)):
+            shape = kernel.list_shapes(height=height, width=width)["sums"]
+            memory = _scratch.lend(number % 2, shape) if self.device == "cpu" else None
+            written, sums = make_output(shape, self.device, memory)
+            self._call(kernel, lend(image, self.device), {"sums": written}, step=step)
+            image = sums
+        self._call(self.kernels[-1], lend(image, self.device), outputs, step=steps[-1])
+
+    def filter_tile(
+        self, image: Image, results: Mapping[str, FloatArray], radius: int, rows: slice, columns: slice
+    ) -> None:
+        """Filter a tile: along its rows and those that columns reach above and below, and then along its columns."""
+        # Vectors begin and end where they do in the image, so that every pixel is computed as it is there.
+        beside = -(-radius // WIDEST_VECTOR) * WIDEST_VECTOR
+        tall = slice(max(rows.start - radius, 0), min(rows.stop + radius, image.shape[0]))
+        wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
+        along, down = self.kernels
+        shape = along.list_shapes(height=tall.stop - tall.start, width=columns.stop - columns.start)["sums"]
+        between = _scratch.lend(0, shape)
+        if between is None:
+            between = np.empty(shape, np.float32)
+        sums = Buffer(between, (0, 0, columns.start - wide.start))
+        self._call(along, Buffer(download(image)[tall, wide]), {"sums": sums}, part=(tall, wide))
+        window = rows.start - tall.start, 0
+        written = {name: Buffer(whole[rows, columns], window) for name, whole in results.items()}
+        self._call(down, Buffer(between), written, part=(tall, columns))
 
 
 def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
@@ -215,31 +232,6 @@ def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
         for top in range(0, height, rows)
         for left in range(0, width, columns)
     ]
-
-
-def _run_tile(
-    kernels: Sequence[Kernel],
-    radius: int,
-    given: _Given,
-    image: FloatArray,
-    results: Mapping[str, FloatArray],
-    rows: slice,
-    columns: slice,
-) -> None:
-    """Filter a tile: along its rows and those that columns reach above and below, and then along its columns."""
-    # Vectors begin and end where they do in the image, so that every pixel is computed as it is there.
-    beside = -(-radius // WIDEST_VECTOR) * WIDEST_VECTOR
-    tall = slice(max(rows.start - radius, 0), min(rows.stop + radius, image.shape[0]))
-    wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
-    shape = kernels[0].list_shapes(height=tall.stop - tall.start, width=columns.stop - columns.start)["sums"]
-    between = _scratch.lend(0, shape)
-    if between is None:
-        between = np.empty(shape, np.float32)
-    sums = Buffer(between, (0, 0, columns.start - wide.start))
-    given.call(kernels[0], Buffer(image[tall, wide]), {"sums": sums}, part=(tall, wide))
-    window = rows.start - tall.start, 0
-    written = {name: Buffer(whole[rows, columns], window) for name, whole in results.items()}
-    given.call(kernels[1], Buffer(between), written, part=(tall, columns))
 
 
 def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from lobewise.backend.expressions import dot
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
-from lobewise.filters.forms import ATROUS_PROFILE, Taps, find_reach
+from lobewise.filters.forms import ATROUS_PROFILE, Taps, can_mirror, find_reach
 from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, clamp_likely, make_guide_planes, make_image
 from lobewise.lobes.vectors import LUMINANCE
 
@@ -86,6 +86,25 @@ class PassKey:
     def reads_albedo(self) -> bool:
         """Whether there is an albedo."""
         return self.modulate or self.reads is Reads.DEMODULATED
+
+
+def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[PassKey]:
+    """Return the keys of passes over ``taps`` that hand on sums and do together what ``whole`` says.
+
+    ``mirror`` where the device gains from `PassKey.mirrored`.
+    """
+    last = len(taps) - 1
+    return [
+        replace(
+            whole,
+            taps=each,
+            reads=whole.reads if number == 0 else Reads.SUMS,
+            writes=whole.writes if number == last else Writes.SUMS,
+            modulate=whole.modulate and number == last,
+            mirrored=mirror and not whole.strict and can_mirror(each, whole.radius),
+        )
+        for number, each in enumerate(taps)
+    ]
 
 
 @dataclass(frozen=True)
