@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.devices import VULKAN_MULTIPLE
 from lobewise.backend.runtime import get_runtime
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 
 transfers: Counter[str] = Counter()
@@ -329,12 +329,10 @@ def take_image(name: str, image: Image, shape: tuple[int, ...]) -> Image:
     """Return an image as the kernels take it; raise InputError where it is none of this shape."""
     if image.shape != shape or image.dtype.kind not in "fiub":
         raise InputError(
-            describe_problem(
-                name,
-                expected=f"real numbers of shape {shape}",
-                got=f"{image.dtype} of shape {image.shape}",
-                action="give one value, or one row of channels, for every pixel",
-            )
+            name,
+            expected=f"real numbers of shape {shape}",
+            got=f"{image.dtype} of shape {image.shape}",
+            action="give one value, or one row of channels, for every pixel",
         )
     return take_dense(image)
 

@@ -15,7 +15,7 @@ from functools import cache
 
 import halide as hl
 
-from lobewise.errors import DeviceError, describe_problem, require_choice
+from lobewise.errors import DeviceError, require_choice
 
 DEVICES = ("cpu", "vulkan", "cuda", "metal")
 SOFTWARE_TYPE = 4
@@ -93,9 +93,7 @@ def choose_device(name: str) -> str:
         return next((each for each in cards if not devices[each].is_software), "cpu")
     if not devices[name].available:
         raise DeviceError(
-            describe_problem(
-                "device", expected="one that runs here", got=name, action=f"{devices[name].reason}; use --device cpu"
-            )
+            "device", expected="one that runs here", got=name, action=f"{devices[name].reason}; use --device cpu"
         )
     return name
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lobewise.backend.buffers import Buffer, take_mask
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.signature import Signature
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 
 Vector = Sequence[hl.Expr]
 """The channels of one pixel, or the components of a number."""
@@ -212,9 +212,7 @@ def run_pointwise(
     sizes = {image.shape[:2] for image in held.values()}
     if len(sizes) != 1:
         raise InputError(
-            describe_problem(
-                "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
-            )
+            "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
         )
     ((height, width),) = sizes
     vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}

@@ -18,7 +18,7 @@ import llvmlite.binding as llvm
 
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
-from lobewise.errors import DeviceError, describe_problem
+from lobewise.errors import DeviceError
 
 _CONSTRUCTORS = {
     "vulkan": ("register_vulkan_allocation_pool", "_GLOBAL__sub_I_vulkan.cpp"),
@@ -97,12 +97,10 @@ class Runtime:
         code = function(*arguments)
         if code != 0 or self._problems.text:
             raise DeviceError(
-                describe_problem(
-                    "device",
-                    expected=f"{self.device} to run a kernel",
-                    got=self._problems.text or f"code {code}",
-                    action="try a smaller image" + ("" if self.device == "cpu" else ", or --device cpu"),
-                )
+                "device",
+                expected=f"{self.device} to run a kernel",
+                got=self._problems.text or f"code {code}",
+                action="try a smaller image" + ("" if self.device == "cpu" else ", or --device cpu"),
             )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope, download, lend, make_output, take_image, take_mask
 from lobewise.backend.jit import get_kernel
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.features.arrays import take_arrays, take_parameters
 from lobewise.features.base import Feature
 from lobewise.filters.accumulation import PLANES, SUMMARY, make_joining
@@ -184,13 +184,11 @@ class SampleGrid:
         if samples.shape != (*self.size, 3):
             height, width = self.shape
             raise InputError(
-                describe_problem(
-                    "shaded radiance",
-                    expected=f"shape {(*self.size, 3)}, every {self._scale}th of {width}x{height} pixels from row "
-                    f"{self._place[0]}, column {self._place[1]}",
-                    got=f"shape {samples.shape}",
-                    action="check scale and place",
-                )
+                "shaded radiance",
+                expected=f"shape {(*self.size, 3)}, every {self._scale}th of {width}x{height} pixels from row "
+                f"{self._place[0]}, column {self._place[1]}",
+                got=f"shape {samples.shape}",
+                action="check scale and place",
             )
         size = self.size if shaded_only else self.shape
 
@@ -229,12 +227,10 @@ def _split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Return the channels of sums one after the other, each wide enough; nothing is copied if they lie so already."""
     if history.shape[:2] != size or history.ndim != 3 or history.shape[2] < HISTORY_CHANNELS:
         raise InputError(
-            describe_problem(
-                "history",
-                expected=f"sums of shape {(*size, HISTORY_CHANNELS)}",
-                got=f"shape {history.shape}",
-                action="give those of this image",
-            )
+            "history",
+            expected=f"sums of shape {(*size, HISTORY_CHANNELS)}",
+            got=f"shape {history.shape}",
+            action="give those of this image",
         )
     planes = np.moveaxis(_widen(history[..., :HISTORY_CHANNELS]), -1, 0)
     if planes.dtype == np.float32 and planes.strides[2] == planes.itemsize:

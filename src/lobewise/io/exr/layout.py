@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, LobewiseError, MissingChannelError, describe_problem
+from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.pixels import Pixels
@@ -147,12 +147,11 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
                 break
             best = max(best, have, key=len)
         if best:
-            raise MissingChannelError(_say_incomplete(container.path, slot.label, "only " + ", ".join(best)))
+            raise _refuse_incomplete(container.path, slot.label, "only " + ", ".join(best))
     found = {(slot.owner, slot.field) for slots in plan.values() for slot in slots}
     for owner in ("half_a", "half_b", "variance"):
         if (owner, "color") not in found and any(who == owner for who, _ in found):
-            got = "none of them beside its other images"
-            raise MissingChannelError(_say_incomplete(container.path, f"{owner}.R/G/B", got))
+            raise _refuse_incomplete(container.path, f"{owner}.R/G/B", "none of them beside its other images")
     return [(container.parts[index], slots) for index, slots in sorted(plan.items())]
 
 
@@ -180,8 +179,8 @@ def _list_readable(container: Container, beauty: Part) -> Iterable[Part]:
             yield part
 
 
-def _say_incomplete(path: PathLike, label: str, got: str) -> str:
-    return describe_problem(
+def _refuse_incomplete(path: PathLike, label: str, got: str) -> MissingChannelError:
+    return MissingChannelError(
         f"input {str(path)!r}", expected=f"all of {label}, or none", got=got, action="add or remove them"
     )
 
