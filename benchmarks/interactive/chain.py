@@ -61,8 +61,8 @@ def render_last(session: Session, cameras: list[Camera], settings: InteractiveSe
 
 def measure(frame: InteractiveFrame, reference: FloatArray) -> dict[str, float]:
     """Return the errors of indirect light, of all pixels and of those with a specular lobe."""
-    indirect, before = frame.get_view("indirect"), frame.parts["before"].image
-    shiny = find_specular_pixels(frame.parts["hits"].gbuffer)
+    indirect, before = frame.get_view("indirect"), frame.parts.before.image
+    shiny = find_specular_pixels(frame.parts.hits.gbuffer)
     return {
         "rel_mse": float(rel_mse(indirect, reference)),
         "rel_mse_specular": float(rel_mse(indirect[shiny][None], reference[shiny][None])),
@@ -135,8 +135,8 @@ def write_pictures(folder: Path, name: str, size: int, rows: dict[str, Any]) -> 
         for chain in ("normal, tuned", "ggx")
     }
     ours = frames["ggx"]
-    direct = ours.parts["noisy_direct"]
-    samples = ours.get_view("noisy") - (direct.emitted + direct.diffuse + direct.specular)
+    direct = ours.parts.noisy_direct.total
+    samples = ours.get_view("noisy") - direct
     part = slice(size * 3 // 10, size * 3 // 10 + size // 2), slice(size * 3 // 8, size * 3 // 8 + size // 2)
     exposure = choose_exposure(reference)
 
@@ -148,7 +148,7 @@ def write_pictures(folder: Path, name: str, size: int, rows: dict[str, Any]) -> 
     mask = np.repeat((255.0 * ours.get_view("recomputed")[part]).astype(np.uint8)[..., None], 3, axis=-1)
     write_row(
         folder / f"interactive-{name}-adaptive.png",
-        [show(ours.parts["before"].image), mask, show(ours.get_view("indirect")), show(reference)],
+        [show(ours.parts.before.image), mask, show(ours.get_view("indirect")), show(reference)],
     )
 
 

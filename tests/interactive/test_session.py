@@ -213,7 +213,7 @@ def test_a_pair_is_two_streams_of_one_scene(session: Session, base: Session, pat
     other = replace(QUICK, similarity="none")
     for camera in path[:2]:
         first, second = session.render_pair(camera, QUICK, other)
-    assert np.array_equal(first.parts["hits"].gbuffer.depth, second.parts["hits"].gbuffer.depth)
+    assert np.array_equal(first.parts.hits.gbuffer.depth, second.parts.hits.gbuffer.depth)
     assert not np.array_equal(first.image, second.image)
     alone = base.make_sibling()
     for camera in path[:2]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.methods import METHODS
-from lobewise.interactive.views import VIEWS, make_view
-from lobewise.render.stages import FirstHits
+from lobewise.interactive.views import VIEWS, Parts, make_view
 from lobewise.settings import SIMILARITIES, Auto, DenoiseSettings, Similarity
 from lobewise.sparse_frame import MOST_SCALE
 
@@ -107,8 +106,8 @@ class InteractiveFrame:
         Frames in a row, this one included, with this camera and these settings.
     recomputed : int
         Pixels that were shaded again.
-    parts : dict
-        What `get_view` shows, by name; arrays that must not be changed.
+    parts : Parts
+        What `get_view` shows; arrays that must not be changed.
     """
 
     image: FloatArray
@@ -117,7 +116,7 @@ class InteractiveFrame:
     camera: Camera
     accumulated: int
     recomputed: int
-    parts: dict[str, Any] = field(repr=False, default_factory=dict)
+    parts: Parts = field(repr=False)
 
     def get_view(self, name: str) -> FloatArray:
         """Return what happens inside as an image, (height, width, 3) of radiance or (height, width) in [0, 1].
@@ -135,10 +134,9 @@ class InteractiveFrame:
 
         Its radiance is what the views call "noisy".
         """
-        hits: FirstHits = self.parts["hits"]
+        hits = self.parts.hits
         return Frame(Radiance(self.get_view("noisy")), hits.gbuffer, self.camera, lobe_tables=hits.lobe_tables)
 
     def make_result(self) -> Result:
         """Return this image as `lobewise.write_result` takes it."""
-        result: Result = self.parts["result"]
-        return replace(result, image=self.image, diffuse=None, specular=None, variance=None)
+        return replace(self.parts.result, image=self.image, diffuse=None, specular=None, variance=None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,6 +23,7 @@ from lobewise.interactive.direct_filter import filter_direct
 from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
+from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.settings import DenoiseSettings
@@ -202,11 +204,11 @@ class Session:
 
     def _render(self, camera: Camera, asked: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
         seconds: dict[str, float] = {}
-        with _Watch(seconds, "gbuffer"):
+        with _watch(seconds, "gbuffer"):
             self._stages.place_camera(camera, *self._size)
         chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
         seed = (self._seed << 20) + chains[0].number
-        with _Watch(seconds, "gbuffer"):
+        with _watch(seconds, "gbuffer"):
             hits, direct = self._stages.trace_first(camera, seed)
         shared = _Shared(camera, seed, hits, direct, seconds)
         return [self._finish(chain, shared) for chain in chains]
@@ -241,34 +243,26 @@ class Session:
         return replace(chosen, tau=limit) if limit > 0.0 else chosen
 
     def _finish(self, chain: _Chain, shared: _Shared) -> InteractiveFrame:
-        settings, hits = chain.settings, shared.hits
+        settings = chain.settings
         seconds = dict(shared.seconds)
         method = self._methods.get(settings.method)
-        with _Watch(seconds, "indirect"):
+        with _watch(seconds, "indirect"):
             sparse = self._shade_sparse(chain, shared, method)
-        with _Watch(seconds, "upsampling"):
+        with _watch(seconds, "upsampling"):
             result = self._upsample(chain, sparse)
             before = result
         again = None
-        with _Watch(seconds, "adaptive"):
+        with _watch(seconds, "adaptive"):
             if settings.adaptive > 0.0 and settings.scale > 1:
                 result, again = self._repair(chain, shared, method, result)
-        with _Watch(seconds, "composite"):
+        with _watch(seconds, "composite"):
             direct = self._settle_direct(chain, shared)
             indirect = chain.resting.add_indirect(result.image, sparse, again)
-            image = direct.emitted + direct.diffuse + direct.specular + indirect
+            image = direct.total + indirect
         seconds["total"] = math.fsum(seconds[name] for name in STAGES)
         recomputed = int(result.settings.get("recomputed", 0))
-        parts = {
-            "hits": hits,
-            "direct": direct,
-            "noisy_direct": shared.direct,
-            "sparse": sparse,
-            "before": before,
-            "result": result,
-            "indirect": indirect,
-            "history": chain.temporal.history_length if settings.temporal else None,
-        }
+        history = chain.temporal.history_length if settings.temporal else None
+        parts = Parts(shared.hits, shared.direct, direct, sparse, before, result, indirect, history)
         return InteractiveFrame(image, seconds, settings, shared.camera, chain.resting.frames, recomputed, parts)
 
     def _shade_sparse(self, chain: _Chain, shared: _Shared, method: Any) -> SparseFrame:
@@ -347,15 +341,9 @@ def _is_same(first: Camera, second: Camera) -> bool:
     )
 
 
-class _Watch:
-    """Adds the wall time of a ``with`` block to what a stage took."""
-
-    def __init__(self, seconds: dict[str, float], stage: str) -> None:
-        self._seconds = seconds
-        self._stage = stage
-
-    def __enter__(self) -> None:
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + time.perf_counter() - self._start
+@contextmanager
+def _watch(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the wall time of a ``with`` block to what a stage took."""
+    start = time.perf_counter()
+    yield
+    seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from lobewise.frame import FloatArray
+from lobewise.frame import FloatArray, Result
 from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.sparse_frame import SparseFrame
-
-VIEWS = (
-    "image",
-    "noisy",
-    "direct",
-    "indirect",
-    "sharpness",
-    "weight_sum",
-    "history",
-    "recomputed",
-    "hit_distance",
-    "normal",
-    "albedo",
-)
-"""Names of the views: radiance (image, noisy, direct, indirect), colours (normal, albedo), and numbers in [0, 1]."""
 
 SHARPEST = 1e6
 """Sharpness that is shown as 1, on a logarithmic scale from 1."""
@@ -31,90 +19,95 @@ LONGEST_HISTORY = 40.0
 """Frames that are shown as 1."""
 
 
-def make_view(name: str, image: FloatArray, parts: dict[str, Any]) -> FloatArray:
+@dataclass(frozen=True)
+class Parts:
+    """What was there as a frame was made; arrays that must not be changed.
+
+    Parameters
+    ----------
+    hits : FirstHits
+    noisy_direct, direct : DirectLight
+        Before and after its filter.
+    sparse : SparseFrame
+        The samples of indirect light.
+    before, result : Result
+        Indirect light before and after some pixels were shaded again.
+    indirect : array, shape (height, width, 3)
+        That which is shown.
+    history : array, shape (height, width), optional
+        Frames that each pixel knows.
+    """
+
+    hits: FirstHits
+    noisy_direct: DirectLight
+    direct: DirectLight
+    sparse: SparseFrame
+    before: Result
+    result: Result
+    indirect: FloatArray
+    history: FloatArray | None
+
+
+def make_view(name: str, image: FloatArray, parts: Parts) -> FloatArray:
     """Return a view of a frame; see `lobewise.interactive.InteractiveFrame.get_view`."""
-    if name == "image":
-        return image
-    view = _MAKERS[name](parts)
-    return np.asarray(view, dtype=np.float32)
+    return image if name == "image" else np.asarray(_MAKERS[name](parts), dtype=np.float32)
 
 
-def _make_noisy(parts: dict[str, Any]) -> FloatArray:
+def _make_noisy(parts: Parts) -> FloatArray:
     """Return what goes into the filters: direct light, and each sample of indirect light over its whole block."""
-    direct = parts["noisy_direct"]
-    sparse: SparseFrame = parts["sparse"]
-    height, width = sparse.shape
-    rows = np.minimum(np.arange(height) // sparse.scale, sparse.radiance.color.shape[0] - 1)
-    columns = np.minimum(np.arange(width) // sparse.scale, sparse.radiance.color.shape[1] - 1)
-    indirect = sparse.radiance.color[rows[:, None], columns[None, :]]
-    return np.asarray(direct.emitted + direct.diffuse + direct.specular + indirect)
+    samples, scale = parts.sparse.radiance.color, parts.sparse.scale
+    height, width = parts.sparse.shape
+    rows = np.minimum(np.arange(height) // scale, samples.shape[0] - 1)
+    columns = np.minimum(np.arange(width) // scale, samples.shape[1] - 1)
+    return np.asarray(parts.noisy_direct.total + samples[rows[:, None], columns[None, :]])
 
 
-def _make_direct(parts: dict[str, Any]) -> FloatArray:
-    direct = parts["direct"]
-    return np.asarray(direct.emitted + direct.diffuse + direct.specular)
-
-
-def _make_indirect(parts: dict[str, Any]) -> FloatArray:
-    return np.asarray(parts["indirect"])
-
-
-def _make_sharpness(parts: dict[str, Any]) -> FloatArray:
-    hits = parts["hits"]
-    height = hits.gbuffer.shape[0]
-    lobes = build_lobe_field(
-        hits.gbuffer, hits.camera, tau=default_tau(hits.camera, height), representation="sg", diffuse_fallback=True
-    )
+def _make_sharpness(parts: Parts) -> FloatArray:
+    gbuffer, camera = parts.hits.gbuffer, parts.hits.camera
+    tau = default_tau(camera, parts.sparse.height)
+    lobes = build_lobe_field(gbuffer, camera, tau=tau, representation="sg", diffuse_fallback=True)
     assert lobes.sharpness is not None
     shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.log(SHARPEST)
     return np.where(lobes.valid, np.clip(shown, 0.0, 1.0), 0.0)
 
 
-def _make_weight_sum(parts: dict[str, Any]) -> FloatArray:
-    """Return ``W / (1 + W)``: half is the support of one sample that matches fully."""
-    weight = parts["before"].weight_sum
-    return np.asarray(weight / (1.0 + weight))
+def _make_history(parts: Parts) -> FloatArray:
+    if parts.history is None:
+        return np.zeros(parts.sparse.shape, np.float32)
+    return np.asarray(np.clip(parts.history / LONGEST_HISTORY, 0.0, 1.0))
 
 
-def _make_history(parts: dict[str, Any]) -> FloatArray:
-    length = parts["history"]
-    if length is None:
-        return np.zeros(parts["hits"].gbuffer.shape, np.float32)
-    return np.asarray(np.clip(length / LONGEST_HISTORY, 0.0, 1.0))
-
-
-def _make_recomputed(parts: dict[str, Any]) -> FloatArray:
-    """Return 1 where a pixel was shaded again."""
-    return np.asarray(parts["result"].weight_sum != parts["before"].weight_sum, dtype=np.float32)
-
-
-def _make_hit_distance(parts: dict[str, Any]) -> FloatArray:
+def _make_hit_distance(parts: Parts) -> FloatArray:
     """Return ``t / (t + d)``, d the distance from the camera: where reflections lie on surface 0, at infinity 1."""
-    gbuffer = parts["hits"].gbuffer
+    gbuffer: Any = parts.hits.gbuffer
     with np.errstate(invalid="ignore"):
         share = gbuffer.hit_distance / (gbuffer.hit_distance + gbuffer.depth)
     return np.where(np.isinf(gbuffer.hit_distance), 1.0, np.nan_to_num(share))
 
 
-def _make_normal(parts: dict[str, Any]) -> FloatArray:
-    gbuffer = parts["hits"].gbuffer
+def _make_normal(parts: Parts) -> FloatArray:
+    gbuffer: Any = parts.hits.gbuffer
     return np.where((gbuffer.depth > 0.0)[..., None], 0.5 + 0.5 * gbuffer.normal, 0.0)
 
 
-def _make_albedo(parts: dict[str, Any]) -> FloatArray:
-    gbuffer = parts["hits"].gbuffer
+def _make_albedo(parts: Parts) -> FloatArray:
+    gbuffer: Any = parts.hits.gbuffer
     return np.asarray(np.clip(gbuffer.diffuse_albedo + gbuffer.specular_albedo, 0.0, 1.0))
 
 
-_MAKERS = {
+_MAKERS: dict[str, Callable[[Parts], FloatArray]] = {
     "noisy": _make_noisy,
-    "direct": _make_direct,
-    "indirect": _make_indirect,
+    "direct": lambda parts: parts.direct.total,
+    "indirect": lambda parts: parts.indirect,
     "sharpness": _make_sharpness,
-    "weight_sum": _make_weight_sum,
+    # Half is the support of one sample that matches fully.
+    "weight_sum": lambda parts: parts.before.weight_sum / (1.0 + parts.before.weight_sum),
     "history": _make_history,
-    "recomputed": _make_recomputed,
+    "recomputed": lambda parts: parts.result.weight_sum != parts.before.weight_sum,
     "hit_distance": _make_hit_distance,
     "normal": _make_normal,
     "albedo": _make_albedo,
 }
+
+VIEWS = ("image", *_MAKERS)
+"""Names of the views: radiance (image, noisy, direct, indirect), colours (normal, albedo), and numbers in [0, 1]."""

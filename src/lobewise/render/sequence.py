@@ -76,46 +76,65 @@ def render_sequence(
         )
     if reference and scale != 1:
         raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
-    places = list_places(scale)
-    common: dict[str, Any] = {"spp": spp, "max_depth": max_depth, "light": light}
+    light_settings = {"spp": spp, "max_depth": max_depth, "light": light}
+    path = _Path(scene, cameras, scale, seed, guide_spp, reference, light_settings)
+    return (path.render(index) for index in range(first, len(cameras)))
 
-    def run() -> Iterator[AnyFrame]:
-        moving = isinstance(scene, MovingScene)
-        loaded, previous = scene, None
-        for index in range(first, len(cameras)):
-            since: dict[str, Any] = {}
-            if moving:
-                # Dr.Jit compiles for every BSDF that lives: the scene of the frame before must go first.
-                loaded = None
-                loaded = scene.load(index)
-            if index > 0:
-                # As the sensor has it, in single precision: what stands still must not seem to move.
-                since["previous_camera"] = previous or _round_camera(loaded, cameras[index - 1])
-                since["moves"] = scene.find_moves(index, index - 1) if moving else None
-            set_camera(loaded, cameras[index])
-            number = (seed + index) % (1 << 32)
-            if reference:
-                frame: AnyFrame = render_reference(loaded, seed=number, **common)
-            elif scale > 1:
-                frame = render_sparse_frame(
-                    loaded,
-                    scale=scale,
-                    place=places[index % len(places)],
-                    seed=number,
-                    guide_spp=guide_spp,
-                    guide_seed=seed,
-                    **common,
-                    **since,
-                )
-            else:
-                guides = render_frame(
-                    loaded, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, **since
-                ).gbuffer
-                frame = render_frame(loaded, seed=number, coverage=False, **common).with_changes(gbuffer=guides)
-            previous = frame.camera
-            yield frame
 
-    return run()
+class _Path:
+    """Renders the frames of a path in turn; what it is made with is told in `render_sequence`."""
+
+    def __init__(
+        self,
+        scene: Any,
+        cameras: Sequence[Camera],
+        scale: int,
+        seed: int,
+        guide_spp: int,
+        reference: bool,
+        light: dict[str, Any],
+    ) -> None:
+        self._moving = scene if isinstance(scene, MovingScene) else None
+        self._scene = None if self._moving else scene
+        self._cameras = cameras
+        self._scale = scale
+        self._places = list_places(scale)
+        self._seed = seed
+        self._guide_spp = guide_spp
+        self._is_reference = reference
+        self._light = light
+        self._previous: Camera | None = None
+
+    def render(self, index: int) -> AnyFrame:
+        """Return the frame of a place in the path, as it follows the one before."""
+        if self._moving is not None:
+            # Dr.Jit compiles for every BSDF that lives: the scene of the frame before must go first.
+            self._scene = None
+            self._scene = self._moving.load(index)
+        since: dict[str, Any] = {}
+        if index > 0:
+            # As the sensor has it, in single precision: what stands still must not seem to move.
+            since["previous_camera"] = self._previous or _round_camera(self._scene, self._cameras[index - 1])
+            since["moves"] = self._moving.find_moves(index, index - 1) if self._moving is not None else None
+        set_camera(self._scene, self._cameras[index])
+        frame = self._render(index, since)
+        self._previous = frame.camera
+        return frame
+
+    def _render(self, index: int, since: dict[str, Any]) -> AnyFrame:
+        common = {**self._light, "seed": (self._seed + index) % (1 << 32)}
+        if self._is_reference:
+            return render_reference(self._scene, **common)
+        if self._scale > 1:
+            place = self._places[index % len(self._places)]
+            guides: dict[str, Any] = {"guide_spp": self._guide_spp, "guide_seed": self._seed}
+            return render_sparse_frame(self._scene, scale=self._scale, place=place, **guides, **common, **since)
+        depth = self._light["max_depth"]
+        guides_alone = render_frame(
+            self._scene, spp=self._guide_spp, seed=self._seed, max_depth=depth, aov_only=True, **since
+        )
+        frame = render_frame(self._scene, coverage=False, **common)
+        return frame.with_changes(gbuffer=guides_alone.gbuffer)
 
 
 def _round_camera(scene: Any, camera: Camera) -> Camera:

@@ -26,9 +26,12 @@ from lobewise.render.tracing.direct import find_shifts, shade_direct
 from lobewise.render.tracing.points import IndirectMethod, find_points
 from lobewise.render.tracing.rays import make_opaque
 
+UNRECORDABLE = "The frozen function included a virtual function call"
+"""What Dr.Jit says of a function that calls objects inside others, as BSDFs under a map are: it cannot follow them."""
+
 
 class Frozen:
-    """A Dr.Jit function that is recorded once and replayed; where a scene cannot be recorded it just runs.
+    """A Dr.Jit function that is recorded once and replayed; what Dr.Jit cannot record just runs.
 
     Parameters
     ----------
@@ -44,27 +47,23 @@ class Frozen:
         self, function: Callable[..., list[Any]], find_state: Callable[[], Any], can_replay: bool = True
     ) -> None:
         self._plain = function
-        self._frozen: Callable[..., list[Any]] | None = None
-        if can_replay:
-            self._frozen = dr.freeze(function, state_fn=lambda *_, **__: find_state())
+        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state()) if can_replay else function
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
         # What is recorded must not depend on how many lanes there are, as where each vector goes does.
-        results = [_flatten(result) for result in self._run(*arguments)]
+        try:
+            with _no_collection():
+                found = self._run(*arguments)
+        except RuntimeError as error:
+            if UNRECORDABLE not in str(error.__cause__):
+                raise
+            self._run = self._plain
+            found = self._plain(*arguments)
+        results = [_flatten(result) for result in found]
         dr.eval(results)
         # On the CPU these are views, which keep Dr.Jit's memory alive.
         return [result.numpy() for result in results]
-
-    def _run(self, *arguments: Any) -> list[Any]:
-        if self._frozen is not None:
-            try:
-                with _no_collection():
-                    return self._frozen(*arguments)
-            except RuntimeError:
-                # Arrays that a material keeps outside the scene (fitted lobes, Python BSDFs) cannot be recorded.
-                self._frozen = None
-        return self._plain(*arguments)
 
 
 @contextmanager
@@ -104,6 +103,11 @@ class DirectLight:
     emitted: FloatArray
     diffuse: FloatArray
     specular: FloatArray
+
+    @property
+    def total(self) -> FloatArray:
+        """All of it."""
+        return self.emitted + self.diffuse + self.specular
 
 
 LIMIT_PIXELS = 32
