@@ -39,8 +39,8 @@ from lobewise.features import Feature, ScreenFeature
 from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, WEIGHT, demodulate, make_stage
+from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.filters.planes import Rows, make_guide_planes, make_image
-from lobewise.filters.runs import SampleGrid
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
@@ -192,7 +192,7 @@ class TwoLevels:
         low = run_filter(coarse.radiance, coarse.mask, coarse.features, form="separable", radius=self.radius // 2)
         albedo = self.layer.albedo
         assert albedo is not None
-        return np.asarray(self.grid.join(low.image, radius=1).image) * albedo
+        return np.asarray(self.grid.accumulate(low.image, radius=1).image) * albedo
 
 
 def run_form(form: str, radius: int, layer: Layer) -> FloatArray:

@@ -55,7 +55,7 @@ def watch(places: Mapping[str, tuple[Any, str]], spent: dict[str, float]) -> Ite
 
 def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
     """1920x1080 from 480x270: time of a frame with history, by stage, beside upsampling without."""
-    from lobewise.filters.runs import SampleGrid
+    from lobewise.filters.history.accumulation import SampleGrid
     from lobewise.temporal import past, recipe
 
     places = {
@@ -63,7 +63,8 @@ def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
         "marks": (past, "make_marks"),
         "places": (past, "_find_all_places"),
         "reprojection": (past, "run_reprojection"),
-        "samples and trust": (SampleGrid, "join"),
+        "trust": (SampleGrid, "find_trust"),
+        "samples": (SampleGrid, "accumulate"),
     }
 
     def render() -> Frame:

@@ -16,7 +16,7 @@ from lobewise.denoising.layers import Layer, find_support, make_layers, make_res
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.runs import run_upsampling
+from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import Frame, Result
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame

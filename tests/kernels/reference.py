@@ -154,7 +154,7 @@ def reproject_reference(
     masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     features: tuple[Sequence[Feature], Sequence[Feature]],
 ) -> FloatImage:
-    """Return what every pixel brings along from the frame before, (height, width, 8); see `engine.run_reprojection`."""
+    """Return what every pixel brings along from the frame before, (height, width, 8); see `run_reprojection`."""
     height, width = masks[1].shape
     pairs = [stack_frames(*pair) for pair in zip(*features, strict=True)]
     with np.errstate(invalid="ignore"):

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from lobewise.errors import InputError
 from lobewise.features import Feature, TentFeature
-from lobewise.filters.cross_filter import FilterOutput, run_filter
-from lobewise.filters.runs import run_upsampling
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import FloatArray
-from lobewise.lobes.vectors import LUMINANCE
 from tests.features.oracles import get_similarity
 from tests.kernels.frames import make_feature, make_mask, make_radiance
 
@@ -30,11 +27,10 @@ def upsample_slowly(
     scale: int,
     place: tuple[int, int],
     albedo: np.ndarray,
-    strictness: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return image, weight sum and moment, sample by sample, from the definition."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return image and weight sum, sample by sample, from the definition."""
     height, width = mask.shape
-    total, weights, squares = np.zeros((height, width, 3)), np.zeros((height, width)), np.zeros((height, width))
+    total, weights = np.zeros((height, width, 3)), np.zeros((height, width))
     for y, x in np.ndindex(height, width):
         for row in range(max(0, y // scale - RADIUS), min(low.shape[0], y // scale + RADIUS + 1)):
             for column in range(max(0, x // scale - RADIUS), min(low.shape[1], x // scale + RADIUS + 1)):
@@ -43,13 +39,11 @@ def upsample_slowly(
                     continue
                 pair = (np.array([y]), np.array([x])), (np.array([j[0]]), np.array([j[1]]))
                 weight = float(np.prod([get_similarity(feature, *pair)[0] for feature in features]))
-                weight **= 1.0 if strictness is None else float(strictness[y, x])
                 light = low[row, column].astype(np.float64) / albedo[j]
                 total[y, x] += weight * light
                 weights[y, x] += weight
-                squares[y, x] += weight * np.dot(LUMINANCE, light) ** 2
     some = np.where(weights > 0.0, weights, np.inf)
-    return total / some[..., None] * albedo, weights, squares / some
+    return total / some[..., None] * albedo, weights
 
 
 def fit_place(place: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
@@ -67,73 +61,9 @@ def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: t
     albedo = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
     low = make_radiance(shape)[place[0] :: scale, place[1] :: scale]
     out = run_upsampling(low, mask, features, scale=scale, place=place, radius=RADIUS, albedo=albedo)
-    image, weights, _ = upsample_slowly(low, mask, features, scale, place, albedo)
+    image, weights = upsample_slowly(low, mask, features, scale, place, albedo)
     np.testing.assert_allclose(out.weight_sum, weights, rtol=TOLERANCE, atol=1e-6)
     np.testing.assert_allclose(out.image, image, rtol=2.0 * TOLERANCE, atol=1e-6)
-
-
-def upsample_strictly(
-    shape: tuple[int, int], scale: int, place: tuple[int, int], **changes: Any
-) -> tuple[FilterOutput, dict[str, Any]]:
-    """Return what upsampling by positions makes of noise, and what it was given."""
-    rng = np.random.default_rng([scale, *shape])
-    given: dict[str, Any] = {
-        "low": make_radiance(shape)[place[0] :: scale, place[1] :: scale],
-        "mask": rng.random(shape) > 0.1,
-        "features": [make_feature("position", shape)],
-        "albedo": rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32),
-        "strictness": np.exp(rng.uniform(-1.4, 1.4, shape)).astype(np.float32),
-    }
-    given |= {name: changes.pop(name) for name in tuple(changes) if name in given}
-    low, mask, features, albedo, strictness = given.values()
-    common: dict[str, Any] = {"scale": scale, "place": place, "radius": RADIUS, "moment": True}
-    return run_upsampling(low, mask, features, albedo=albedo, strictness=strictness, **common, **changes), given
-
-
-@pytest.mark.parametrize(("scale", "place"), CASES[:2])
-def test_strictness_and_moment_agree_with_the_definition(scale: int, place: tuple[int, int]) -> None:
-    out, given = upsample_strictly((21, 26), scale, place)
-    expected = upsample_slowly(**given, scale=scale, place=place)
-    for name, values in zip(("image", "weight_sum", "moment"), expected, strict=True):
-        np.testing.assert_allclose(getattr(out, name), values, rtol=2.0 * TOLERANCE, atol=1e-6, err_msg=name)
-
-
-@pytest.mark.parametrize(("scale", "place"), [(1, (0, 0)), *CASES])
-def test_shaded_pixels_alone_are_the_same_bits(scale: int, place: tuple[int, int]) -> None:
-    shape = (21, 26)
-    whole, _ = upsample_strictly(shape, scale, place)
-    alone, given = upsample_strictly(shape, scale, place, shaded_only=True)
-    for name in ("image", "weight_sum", "effective_samples", "moment"):
-        part = getattr(whole, name)[place[0] :: scale, place[1] :: scale]
-        assert getattr(alone, name).shape[:2] == given["low"].shape[:2]
-        assert getattr(alone, name).tobytes() == np.ascontiguousarray(part).tobytes(), name
-
-
-def test_large_strictness_leaves_the_sample_of_a_shaded_pixel() -> None:
-    strictness = np.full((21, 26), 1e7, np.float32)
-    out, given = upsample_strictly((21, 26), 2, (1, 0), strictness=strictness, shaded_only=True)
-    expected = np.where(given["mask"][1::2, ::2, None], given["low"], 0.0)
-    np.testing.assert_allclose(out.image, expected, rtol=3e-6)
-    assert (out.effective_samples[expected[..., 0] > 0.0] < 1.0 + 3e-6).all()
-
-
-def test_constant_light_stays_constant_however_strict() -> None:
-    shape, scale = (21, 26), 2
-    albedo = np.random.default_rng(3).uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
-    low = (np.float32(0.37) * albedo)[1::scale, ::scale]
-    out, _ = upsample_strictly(shape, scale, (1, 0), albedo=albedo, low=low, mask=make_mask(shape), modulate=False)
-    found = out.weight_sum > 0.0
-    assert found.mean() > 0.9
-    np.testing.assert_allclose(out.image[found], 0.37, rtol=3e-6)
-    np.testing.assert_allclose(out.moment[found], 0.37**2, rtol=3e-6)
-
-
-def test_without_modulation_the_light_is_left() -> None:
-    image, given = upsample_strictly((21, 26), 3, (0, 2))
-    light, _ = upsample_strictly((21, 26), 3, (0, 2), modulate=False)
-    # The compiler may divide by the weight sum after the product: a rounding each.
-    np.testing.assert_allclose(light.image * given["albedo"], image.image, rtol=3e-7)
-    assert light.moment.tobytes() == image.moment.tobytes()
 
 
 def test_upsampling_by_one_is_filtering() -> None:

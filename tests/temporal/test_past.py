@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.filters.reprojection import HISTORY_CHANNELS
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import Frame, GBuffer
 from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, pack_past, unpack_past

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, LobewiseError
-from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS
-from lobewise.filters.runs import run_reprojection
+from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import find_surface_places
 from lobewise.lobe_table import LobeTable
@@ -37,7 +38,7 @@ class Past:
     similarity : str
         What compared its lobes.
     sums : dict of array, shape (height, width, 7)
-        Of every layer by its name; see `lobewise.filters.reprojection`.
+        Of every layer by its name; see `lobewise.filters.history.sums`.
     marks : dict of Marks
         Of every layer by its name, if they were made already.
     allowance : array, shape (height, width), optional

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import map_chunks
 from lobewise.denoising.automatic import require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
@@ -19,29 +18,20 @@ from lobewise.denoising.recipe import compose, keep_unfiltered
 from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.errors import require_choice
 from lobewise.features import Feature
-from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.runs import JoinedOutput, SampleGrid
+from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
+from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past
-from lobewise.temporal.sums import (
-    FRAMES,
-    LARGEST_OWN_WEIGHT,
-    add_own_samples,
-    fade,
-    gather_samples,
-    make_sums,
-    summarize,
-)
-from lobewise.temporal.trust import find_trust, find_trust_radius, spread_trust
 from lobewise.upsampling import DEFAULT_RADIUS, spread
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+LARGEST_OWN_WEIGHT = 1e8
+"""Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
 BORROWED_ERROR = 0.005
 """Squared relative error that a neighbour's radiance has as an estimate of the pixel's own, noise aside."""
 
@@ -120,7 +110,8 @@ class TemporalFilter:
         """How many frames each pixel's history stands for, (height, width), that of its longest layer; None before."""
         if self._past is None:
             return None
-        return np.asarray(np.maximum.reduce([sums[..., FRAMES] for sums in self._past.sums.values()]), dtype=np.float32)
+        frames = [split_sums(sums).frames for sums in self._past.sums.values()]
+        return np.asarray(np.maximum.reduce(frames), dtype=np.float32)
 
     def add(self, frame: AnyFrame, *, features: Sequence[Feature] = (), cut: bool = False) -> Result:
         """Return the result of the next frame.
@@ -155,7 +146,8 @@ class TemporalFilter:
         recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)
         noise = self._estimate_noise(frame)
         outputs = {
-            name: self._join(frame, layer, recollection.recall(name), chosen, noise) for name, layer in layers.items()
+            name: self._accumulate(frame, layer, recollection.recall(name), chosen, noise)
+            for name, layer in layers.items()
         }
         result = self._make_result(frame, layers, outputs, chosen, bad, recollection.share)
         kept = {name: output.sums for name, output in outputs.items()}
@@ -187,57 +179,27 @@ class TemporalFilter:
             return 0.0
         return expect_noise(estimate_spp(frame))
 
-    def _join(
+    def _accumulate(
         self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: ResolvedSettings, noise: float
-    ) -> JoinedOutput:
+    ) -> AccumulatedOutput:
         """Return the sums of this frame and its history, and what they tell."""
         scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
         own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
-        growth = self.temporal.strictness
-        albedo, device = layer.albedo, chosen.device
-        grid = SampleGrid(layer.mask, layer.features, scale=scale, place=place, albedo=albedo, device=device)
-        samples = gather_samples(layer.radiance, albedo, layer.mask, grid.shaded, ALBEDO_FLOOR / own)
-        trust = None if history is None else find_trust(grid, samples, history, own)
-        if isinstance(frame, SparseFrame):
-            return grid.join(
-                layer.radiance,
-                radius=chosen.radius,
-                history=history,
-                trust=trust,
-                trust_radius=find_trust_radius(grid),
-                growth=growth,
-                own=own,
-            )
-        # A form of whole frames may be several passes; the same arithmetic follows them.
-        unit = np.ones(layer.mask.shape, np.float32)
-        if history is not None and trust is not None:
-            history = map_chunks(fade, history, spread_trust(grid, trust))
-            unit = np.asarray((history[..., FRAMES] + np.float32(1.0)) ** growth, dtype=np.float32)
-        output = run_filter(
-            layer.radiance,
-            layer.mask,
-            layer.features,
-            form=chosen.form,
-            radius=chosen.radius,
-            albedo=albedo,
-            modulate=False,
-            moment=True,
-            strictness=unit,
-            device=device,
+        grid = SampleGrid(
+            layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo, device=chosen.device
         )
-        # A kernel that is k times narrower holds a k-th of the samples, which are worth as much.
-        assert output.moment is not None
-        gathered = output.image, output.weight_sum, output.effective_samples, output.moment, unit
-        sums = map_chunks(make_sums, *gathered, *([] if history is None else [history]))
-        add_own_samples(sums, samples, np.asarray((own - 1.0) * unit, dtype=np.float32), counted=unit)
-        *told, variance = map_chunks(summarize, sums, unit, *([] if albedo is None else [albedo]))
-        return JoinedOutput(*told, sums=sums, variance=variance)
+        options: dict[str, Any] = {"radius": chosen.radius, "growth": self.temporal.strictness, "own": own}
+        if history is not None:
+            options |= {"history": history, "trust": grid.find_trust(layer.radiance, history, own)}
+        if isinstance(frame, SparseFrame):
+            return grid.accumulate(layer.radiance, **options)
+        return grid.accumulate_filtered(layer.radiance, form=chosen.form, **options)
 
     @staticmethod
     def _make_result(
         frame: AnyFrame,
         layers: dict[str, Layer],
-        outputs: dict[str, JoinedOutput],
+        outputs: dict[str, AccumulatedOutput],
         chosen: ResolvedSettings,
         bad: NDArray[np.bool_],
         share: float,

@@ -1,4 +1,4 @@
-"""Sums over samples that a history consists of, and how they are joined: arithmetic on images of eight channels."""
+"""What a history is and how samples are added to it, written out in NumPy: the oracle of the kernels."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.filters.accumulation import SMALLEST_WEIGHT
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.reprojection import HISTORY_CHANNELS
+from lobewise.filters.history.accumulation_stages import SMALLEST_WEIGHT
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
 
 WEIGHT, SQUARED_WEIGHT, MOMENT, FRAMES = 3, 4, 5, 6
 """Channels beside the weighted radiance over albedo, 0 to 2."""
-
-LARGEST_OWN_WEIGHT = 1e8
-"""Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +122,7 @@ def add_own_samples(sums: FloatArray, samples: Samples, bonus: FloatArray, count
     before = np.broadcast_to(np.asarray(counted, dtype=np.float32), bonus.shape)[samples.where]
     more = np.where(samples.good, bonus[samples.where], np.float32(0.0))
     part = sums[samples.where]
-    # A sum that overflows is dropped as history; see `lobewise.filters.reprojection`.
+    # A sum that overflows is dropped as history; see `lobewise.filters.history.sums`.
     with np.errstate(over="ignore"):
         part[..., :3] += more[..., None] * samples.radiance
         part[..., WEIGHT] += more

@@ -1,10 +1,7 @@
-"""Samples joined with a history, against the definition in float64 and against the arithmetic of `temporal.sums`."""
+"""Samples added to a history, and what they say of it, against the definitions."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -13,13 +10,15 @@ from numpy.typing import NDArray
 
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
-from lobewise.filters.reprojection import HISTORY_CHANNELS
-from lobewise.filters.runs import JoinedOutput, SampleGrid
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
+from lobewise.filters.history.accumulation_stages import SMALLEST_WEIGHT, TRUST_FLOOR, TRUST_FROM, TRUST_TO
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.temporal.sums import summarize
 from tests.features.oracles import get_similarity
 from tests.kernels.frames import make_feature, make_mask, make_radiance
+from tests.temporal.sums import add_own_samples, fade, gather_samples, make_sums, summarize
 
 FloatImage = NDArray[np.float64]
 
@@ -50,14 +49,16 @@ def make_given(shape: tuple[int, int], scale: int, place: tuple[int, int]) -> di
     }
 
 
-def join(given: dict[str, Any], scale: int, place: tuple[int, int], **changes: Any) -> JoinedOutput:
+def make_grid(given: dict[str, Any], scale: int, place: tuple[int, int]) -> SampleGrid:
+    """Return a grid of one feature."""
+    features = [make_feature("position", given["mask"].shape)]
+    return SampleGrid(given["mask"], features, scale=scale, place=place, albedo=given["albedo"])
+
+
+def accumulate(given: dict[str, Any], scale: int, place: tuple[int, int], **changes: Any) -> AccumulatedOutput:
     """Return what the kernel makes of it."""
-    shape = given["mask"].shape
-    grid = SampleGrid(
-        given["mask"], [make_feature("position", shape)], scale=scale, place=place, albedo=given["albedo"]
-    )
     options = {"radius": RADIUS, "history": given["history"], "trust": given["trust"], "growth": GROWTH, "own": OWN}
-    return grid.join(given["samples"], **{**options, **changes})
+    return make_grid(given, scale, place).accumulate(given["samples"], **{**options, **changes})
 
 
 def find_weights(mask: NDArray[np.bool_], scale: int, place: tuple[int, int], radius: int) -> FloatImage:
@@ -79,14 +80,14 @@ def demodulate(samples: FloatArray, albedo: FloatArray, floor: float) -> tuple[F
     return np.where(good[..., None], light, 0.0), good
 
 
-def join_slowly(given: dict[str, Any], scale: int, place: tuple[int, int], trust_radius: int) -> FloatImage:
+def accumulate_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
     """Return the sums from the definition, (height, width, 7)."""
     mask, history, shaded = (
         given["mask"],
         given["history"].astype(np.float64),
         np.s_[place[0] :: scale, place[1] :: scale],
     )
-    near = find_weights(mask, scale, place, trust_radius)
+    near = find_weights(mask, scale, place, 2 if scale == 1 else 1)
     told = near.sum(axis=(2, 3))
     trust = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
     sums = history * trust[..., None]
@@ -115,25 +116,90 @@ def join_slowly(given: dict[str, Any], scale: int, place: tuple[int, int], trust
 def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
     place = min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
     given = make_given(shape, scale, place)
-    out = join(given, scale, place)
-    np.testing.assert_allclose(out.sums, join_slowly(given, scale, place, 1), rtol=TOLERANCE, atol=1e-6)
+    out = accumulate(given, scale, place)
+    np.testing.assert_allclose(out.sums, accumulate_slowly(given, scale, place), rtol=TOLERANCE, atol=1e-6)
 
 
-def test_the_taps_of_the_trust_may_reach_further_than_those_of_the_samples() -> None:
+def find_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
+    """Return the trust from the definition, (rows, columns)."""
+    mask, shaded = given["mask"], np.s_[place[0] :: scale, place[1] :: scale]
+    weights = find_weights(mask, scale, place, 2)[shaded]
+    light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR / OWN)
+    history = given["history"][shaded].astype(np.float64)
+    known = good & mask[shaded] & (history[..., 3] > 0.5 * OWN)
+    before = history[..., :3] / np.where(history[..., 3] > 0.0, history[..., 3], np.inf)[..., None]
+    weights = weights * known
+    total = weights.sum(axis=(2, 3))
+    some = np.where(total > 0.0, total, np.inf)
+    count = total**2 / np.where(total > 0.0, (weights**2).sum(axis=(2, 3)), np.inf)
+    excess = np.zeros(known.shape)
+    for k in range(3):
+        step = np.where(known, light[..., k] - before[..., k], 0.0)
+        mean, square = (np.einsum("yxrc,rc->yx", weights, value) / some for value in (step, step**2))
+        mean = np.abs(mean)
+        error = np.sqrt(np.maximum(square - mean**2, 0.0) / np.maximum(count - 1.0, 1e-9))
+        high = mean / np.maximum(error + TRUST_FLOOR * (before[..., k] + mean), 1e-30)
+        excess = np.where((count > 1.5) & known, np.maximum(excess, high), excess)
+    return np.clip((TRUST_FROM - excess) / (TRUST_FROM - TRUST_TO), 0.0, 1.0)
+
+
+@pytest.mark.parametrize(("scale", "place"), CASES[:2])
+def test_trust_agrees_with_the_definition(scale: int, place: tuple[int, int]) -> None:
+    given = make_given((40, 50), scale, place)
+    # Some of the history is of another light, by far or by little.
+    light = np.random.default_rng(2).choice([1.0, 2.0, 6.0], (5, 5)).repeat(8, 0).repeat(10, 1)
+    given["history"][..., :3] = (light * given["history"][..., 3])[..., None]
+    trust = make_grid(given, scale, place).find_trust(given["samples"], given["history"], OWN)
+    expected = find_trust_slowly(given, scale, place)
+    assert np.mean((expected > 0.0) & (expected < 1.0)) > 0.05
+    np.testing.assert_allclose(trust, expected, rtol=0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_whole_frames_are_accumulated_as_their_filter_gives_them(remembers: bool) -> None:
+    given = make_given(SHAPE, 1, (0, 0))
+    history, trust = (given[name] if remembers else None for name in ("history", "trust"))
+    options = {"history": history, "trust": trust, "growth": GROWTH, "own": OWN}
+    found = make_grid(given, 1, (0, 0)).accumulate_filtered(given["samples"], form="separable", radius=3, **options)
+    near = find_weights(given["mask"], 1, (0, 0), 2)
+    told = near.sum(axis=(2, 3))
+    share = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
+    faded = fade(given["history"], share.astype(np.float32)) if remembers else None
+    unit = np.ones(SHAPE, np.float32) if faded is None else (faded[..., 6] + 1.0) ** GROWTH
+    features = [make_feature("position", SHAPE)]
+    filtering: dict[str, Any] = {"albedo": given["albedo"], "modulate": False, "moment": True, "strictness": unit}
+    filtered = run_filter(given["samples"], given["mask"], features, form="separable", radius=3, **filtering)
+    assert filtered.moment is not None
+    gathered = filtered.image, filtered.weight_sum, filtered.effective_samples, filtered.moment
+    sums = make_sums(*gathered, unit, faded)
+    everywhere = slice(None), slice(None)
+    own = gather_samples(given["samples"], given["albedo"], given["mask"], everywhere, FLOOR / OWN)
+    add_own_samples(sums, own, (OWN - 1.0) * unit, counted=unit)
+    np.testing.assert_allclose(found.sums, sums, rtol=1e-4, atol=1e-6)
+    image, *rest = summarize(np.ascontiguousarray(found.sums), unit, given["albedo"])
+    np.testing.assert_allclose(found.image, image, rtol=2e-6, atol=1e-12)
+    for value, expected in zip((found.weight_sum, found.effective_samples), rest, strict=False):
+        np.testing.assert_allclose(value, expected, rtol=1e-4)
+
+
+def test_what_resembles_nothing_keeps_the_little_that_it_has() -> None:
     given = make_given(SHAPE, 2, (1, 0))
-    out = join(given, 2, (1, 0), trust_radius=3)
-    np.testing.assert_allclose(out.sums, join_slowly(given, 2, (1, 0), 3), rtol=TOLERANCE, atol=1e-6)
+    sums = accumulate(given, 2, (1, 0), history=None, trust=None, own=1.0).sums
+    alive = sums[..., 3] > 0.0
+    assert alive.any()
+    assert not alive.all()
+    assert (sums[alive][:, 3] >= np.float32(SMALLEST_WEIGHT)).all()
+    assert (sums[~alive] == 0.0).all()
 
 
-@pytest.mark.parametrize("modulate", [False, True])
-def test_the_summary_is_that_of_the_sums(modulate: bool) -> None:
+def test_the_summary_is_that_of_the_sums() -> None:
     given = make_given(SHAPE, 2, (1, 0))
     trust = np.full_like(given["trust"], 0.25)
-    out = join(given, 2, (1, 0), trust=trust, modulate=modulate)
+    out = accumulate(given, 2, (1, 0), trust=trust)
     told = find_weights(given["mask"], 2, (1, 0), 1).sum(axis=(2, 3)) > 0.0
     frames = given["history"][..., 6] * np.where(told, 0.25, 1.0)
     unit = ((frames + 1.0) ** GROWTH).astype(np.float32)
-    image, *rest = summarize(np.ascontiguousarray(out.sums), unit, *([given["albedo"]] if modulate else []))
+    image, *rest = summarize(np.ascontiguousarray(out.sums), unit, given["albedo"])
     np.testing.assert_allclose(out.image, image, rtol=2e-6, atol=1e-12)
     # The variance is a difference of squares.
     for name, expected, rtol in zip(
@@ -144,16 +210,16 @@ def test_the_summary_is_that_of_the_sums(modulate: bool) -> None:
 
 def test_no_history_is_one_that_holds_nothing() -> None:
     given = make_given(SHAPE, 2, (1, 0))
-    nothing = join(given, 2, (1, 0), history=None, trust=None)
-    empty = join(given, 2, (1, 0), history=np.zeros_like(given["history"]))
+    nothing = accumulate(given, 2, (1, 0), history=None, trust=None)
+    empty = accumulate(given, 2, (1, 0), history=np.zeros_like(given["history"]))
     for name in ("sums", "image", "weight_sum", "effective_samples", "variance"):
         assert getattr(nothing, name).tobytes() == getattr(empty, name).tobytes(), name
 
 
 def test_without_trust_the_history_counts_whole() -> None:
     given = make_given(SHAPE, 3, (0, 2))
-    without = join(given, 3, (0, 2), trust=None)
-    whole = join(given, 3, (0, 2), trust=np.ones_like(given["trust"]))
+    without = accumulate(given, 3, (0, 2), trust=None)
+    whole = accumulate(given, 3, (0, 2), trust=np.ones_like(given["trust"]))
     np.testing.assert_allclose(without.sums, whole.sums, rtol=2e-6)
 
 
@@ -161,18 +227,18 @@ def test_histories_of_any_layout_are_the_same() -> None:
     given = make_given(SHAPE, 2, (1, 0))
     planes = np.moveaxis(np.ascontiguousarray(np.moveaxis(given["history"], -1, 0)), 0, -1)
     planes.setflags(write=False)
-    assert join(given, 2, (1, 0), history=planes).sums.tobytes() == join(given, 2, (1, 0)).sums.tobytes()
+    assert accumulate(given, 2, (1, 0), history=planes).sums.tobytes() == accumulate(given, 2, (1, 0)).sums.tobytes()
 
 
 def test_one_kernel_serves_every_radius_scale_and_strength() -> None:
     given = make_given(SHAPE, 2, (1, 0))
-    join(given, 2, (1, 0))
+    accumulate(given, 2, (1, 0))
     compiled = count_compiled_kernels()
     for radius in range(5):
-        join(given, 2, (1, 0), radius=radius, growth=0.1 * radius, own=1.0 + radius, trust_radius=radius)
+        accumulate(given, 2, (1, 0), radius=radius, growth=0.1 * radius, own=1.0 + radius)
     for scale, place in CASES:
-        join(make_given(SHAPE, scale, place), scale, place, trust=None)
-        join(make_given(SHAPE, scale, place), scale, place, history=None, shaded_only=True)
+        accumulate(make_given(SHAPE, scale, place), scale, place, trust=None)
+        accumulate(make_given(SHAPE, scale, place), scale, place, history=None)
     assert count_compiled_kernels() == compiled
 
 
@@ -180,22 +246,6 @@ def test_shapes_are_checked() -> None:
     given = make_given(SHAPE, 2, (1, 0))
     for name, message in (("trust", "trust: expected"), ("history", "history: expected sums of shape")):
         with pytest.raises(InputError, match=message):
-            join(given, 2, (1, 0), **{name: given[name][:-1]})
+            accumulate(given, 2, (1, 0), **{name: given[name][:-1]})
     with pytest.raises(InputError, match="albedo: expected"):
         SampleGrid(make_mask(SHAPE), [], scale=2, albedo=given["albedo"][:-1])
-
-
-PROGRAM = """
-import sys
-from tests.kernels.test_joining import *
-given = make_given((131, 67), 2, (1, 0))
-sys.stdout.buffer.write(join(given, 2, (1, 0)).sums.tobytes())
-"""
-
-
-@pytest.mark.processor
-def test_threads_change_nothing() -> None:
-    out = join(make_given((131, 67), 2, (1, 0)), 2, (1, 0))
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == out.sums.tobytes()

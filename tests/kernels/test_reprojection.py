@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -12,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.filters.reprojection import AGREEMENT, HISTORY_CHANNELS, SNAP
-from lobewise.filters.runs import run_reprojection
+from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from tests.kernels.frames import SIZES, make_feature, make_mask
 from tests.kernels.reference import reproject_reference
@@ -253,21 +251,3 @@ def test_read_only_and_strided_inputs_are_accepted() -> None:
     assert run_reprojection(past, places, (mask, mask), features).tobytes() == expected.tobytes()
     again = run_reprojection(strided[0], strided[1], (strided[2], strided[2]), features)
     assert again.tobytes() == expected.tobytes()
-
-
-PROGRAM = """
-import sys
-from tests.kernels.test_history import *
-shape = (67, 41)
-out = run_reprojection(make_past(shape), make_places(shape), (make_mask(shape),) * 2, make_pair((), shape))
-sys.stdout.buffer.write(out.tobytes())
-"""
-
-
-@pytest.mark.processor
-def test_threads_change_nothing() -> None:
-    shape = (67, 41)
-    out = run_reprojection(make_past(shape), make_places(shape), (make_mask(shape),) * 2, make_pair((), shape))
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == out.tobytes()

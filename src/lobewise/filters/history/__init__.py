@@ -1,0 +1,1 @@
+"""What pixels remember from frame to frame: reprojection of their history, and accumulation of samples into it."""

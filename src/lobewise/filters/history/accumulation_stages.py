@@ -1,0 +1,359 @@
+"""The stages of an accumulation: what is computed of a pixel, one after the other; see `accumulation_pass`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import halide as hl
+
+from lobewise.backend import expressions
+from lobewise.backend.signature import Signature
+from lobewise.features.arrays import declare_features, declare_scalars
+from lobewise.features.base import Feature
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance, make_stage
+from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
+from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
+
+TRUST_FROM, TRUST_TO = 6.0, 2.0
+"""Standard errors between samples and history from which it counts nothing, and up to which it counts whole."""
+TRUST_FLOOR = 0.02
+"""Relative difference that is no change."""
+SMALLEST_WEIGHT = 1e-12
+"""Weight sum to which a smaller one is raised: a pixel that resembles nothing keeps the little that it has."""
+
+Place = tuple[hl.Expr, hl.Expr]
+"""Column and row of a pixel."""
+
+
+class Summary(NamedTuple):
+    """What sums tell of a pixel: mean radiance, weight sum over unit, effective samples, variance of the luminance."""
+
+    mean_red: Any
+    mean_green: Any
+    mean_blue: Any
+    weight_sum: Any
+    effective_samples: Any
+    variance: Any
+
+
+class Trust(NamedTuple):
+    """What taps read of a sample that bears out its pixel's history: how far, and 1 where that counts."""
+
+    trust: hl.Expr
+    told: hl.Expr
+
+
+class Sample(NamedTuple):
+    """What taps read of a sample: radiance over albedo, 1 where it is good, 0 all where not; and its trust."""
+
+    red: hl.Expr
+    green: hl.Expr
+    blue: hl.Expr
+    good: hl.Expr
+    squared_luminance: hl.Expr
+    trust: hl.Expr
+    told: hl.Expr
+
+
+@dataclass
+class Pixels:
+    """The pixels of one grid while a pass is defined: their place, and what is computed once for each of them."""
+
+    once: list[hl.Func] = field(default_factory=list)
+    """What many expressions of a pixel have in common, in the order in which they need it."""
+
+    def keep(self, name: str, *values: hl.Expr) -> list[hl.Expr]:
+        """Compute values once for each pixel; what many expressions repeat takes the compiler long."""
+        func = hl.Func(name)
+        func[X, Y] = hl.Tuple(list(values))
+        self.once.append(func)
+        return [func[X, Y][k] for k in range(len(values))]
+
+
+@dataclass(frozen=True)
+class TapSum:
+    """A sum over taps, its taps and their weights."""
+
+    func: hl.Func
+    taps: hl.RDom
+    weights: hl.Func
+
+
+@dataclass
+class AccumulationFuncs:
+    """The Halide functions of a pass, for the schedules."""
+
+    out: hl.Func
+    signature: Signature
+    pixels: Pixels
+    sums: list[TapSum] = field(default_factory=list)
+    grid: TapGrid | None = None
+    """What taps read, if there are any."""
+
+
+@dataclass
+class TapGrid:
+    """Samples and pixels as taps read them, and the logarithms of their weights."""
+
+    wide: hl.Func
+    """Planes and values of the samples' pixels, repeated for every pixel of a block's width."""
+    values: hl.Func
+    value_count: int
+    taps: GuidePlanes
+    """Guides and planes of the samples' pixels."""
+    own: GuidePlanes
+    """Those of all pixels."""
+    log_weight: hl.Func
+    stages: list[hl.Func]
+    read: Callable[[hl.Expr, hl.Expr], list[hl.Expr]]
+    """Values of a tap."""
+    block: Place
+    """The block that a pixel lies in."""
+    shift: Place
+    """From the pixel to the shaded one of its block."""
+
+
+@dataclass(frozen=True)
+class Grids:
+    """The parameters of both grids: of the shaded pixels, and of all."""
+
+    tap_mask: hl.ImageParam
+    mask: hl.ImageParam
+    tap_arrays: list[hl.ImageParam]
+    arrays: list[hl.ImageParam]
+    scalars: list[list[hl.Param]]
+    factor: hl.Param
+    column: hl.Param
+    row: hl.Param
+    spacing: hl.Param
+
+
+def read_history(history: hl.ImageParam) -> Sums:
+    """Return the history of a pixel."""
+    return Sums(*(history[X, Y, k] for k in range(HISTORY_CHANNELS)))
+
+
+def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
+    """Declare a whole number; what is known not to be negative makes plainer loops."""
+    count = signature.number(name, hl.Int(32))
+    count.set_range(least, 1 << 16)
+    return count
+
+
+def declare_grids(signature: Signature, features: Sequence[Feature]) -> Grids:
+    """Declare what both grids are known by."""
+    return Grids(
+        tap_mask=signature.image("tap_mask", "rows", "columns", type=hl.UInt(8)),
+        mask=signature.image("own_mask", "height", "width", type=hl.UInt(8)),
+        tap_arrays=declare_features(signature, "tap", features, "rows", "columns"),
+        arrays=declare_features(signature, "own", features, "height", "width"),
+        scalars=declare_scalars(signature, features),
+        factor=declare_count(signature, "factor", 1),
+        column=signature.number("column", hl.Int(32)),
+        row=signature.number("row", hl.Int(32)),
+        spacing=signature.number("spacing"),
+    )
+
+
+def make_tap_grid(
+    features: Sequence[Feature], grids: Grids, take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]
+) -> TapGrid:
+    """Return what taps read: planes of every feature and the values that ``take`` gives, and logarithms of weights."""
+    factor = grids.factor
+    columns, rows = grids.tap_mask.width(), grids.tap_mask.height()
+    taps = make_guide_planes("tap", grids.tap_mask, features, grids.scalars, arrays=grids.tap_arrays)
+    own = make_guide_planes("own", grids.mask, features, grids.scalars, inside=True, arrays=grids.arrays)
+    at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
+    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (grids.tap_mask[at] != 0)
+    planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
+    given = [*planes, *take(at, usable)]
+    values, wide = hl.Func("tap_values"), hl.Func("wide")
+    values[X, C, Y] = hl.mux(C, given)
+
+    # Pixels centres have halves, so that rounding cannot lead into another block.
+    def find_block(at: hl.Expr) -> hl.Expr:
+        return hl.i32(hl.floor((hl.f32(at) + hl.f32(0.5)) / hl.f32(factor)))
+
+    wide[X, C, Y] = values[find_block(X), C, Y]
+    block = find_block(X), find_block(Y)
+    shift = grids.column + block[0] * factor - X, grids.row + block[1] * factor - Y
+
+    u, v = hl.Var("u"), hl.Var("v")
+    offset = grids.spacing * hl.f32(u) + hl.f32(shift[0]), grids.spacing * hl.f32(v) + hl.f32(shift[1])
+    stages: list[hl.Func] = []
+    stage = make_stage(stages, (X, Y, u, v))
+    exponent: hl.Expr = hl.f32(0.0)
+    for feature, layout, scalars in zip(features, taps.layouts, grids.scalars, strict=True):
+        j = layout.read(lambda k: wide[X + u * factor, k, block[1] + v])
+        exponent = exponent + feature.log2_similarity(own.read(layout, X, Y), j, scalars, offset, stage)
+    log_weight = hl.Func("log_weight")
+    log_weight[X, Y, u, v] = exponent
+
+    def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
+        return [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count, len(given))]
+
+    return TapGrid(wide, values, len(given), taps, own, log_weight, stages, read, block, shift)
+
+
+def _sum_taps(
+    name: str,
+    grid: TapGrid,
+    radius: hl.Expr,
+    power: hl.Expr | None,
+    take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
+) -> tuple[TapSum, list[hl.Expr]]:
+    """Return sums over taps of what ``take`` gives of a weight, raised to a power, and a tap's values."""
+    u, v = grid.log_weight.args()[2:]
+    exponent = grid.log_weight[X, Y, u, v]
+    weights = hl.Func(f"{name}_weights")
+    weights[X, Y, u, v] = expressions.exp2(exponent if power is None else exponent * power)
+    taps = hl.RDom([(-radius, 2 * radius + 1), (-radius, 2 * radius + 1)], f"{name}_taps")
+    taken = take(weights[X, Y, taps.x, taps.y], grid.read(taps.x, taps.y))
+    func = hl.Func(name)
+    func[X, Y] = hl.Tuple([hl.f32(0.0)] * len(taken))
+    func[X, Y] = hl.Tuple([func[X, Y][k] + value for k, value in enumerate(taken)])
+    return TapSum(func, taps, weights), [func[X, Y][k] for k in range(len(taken))]
+
+
+def gather_trust(grid: TapGrid, radius: hl.Expr, get_trust: Callable[[list[hl.Expr]], Trust]) -> tuple[TapSum, hl.Expr]:
+    """Return what of the history counts, as far as the samples near a pixel bear it out; 1 where there are none."""
+
+    def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
+        return [weight * value for value in get_trust(tap)]
+
+    trusted, (trust, told) = _sum_taps("trusted", grid, radius, None, take)
+    return trusted, hl.select(told > hl.f32(0.0), trust / told, hl.f32(1.0))
+
+
+def find_unit(frames: hl.Expr, growth: hl.Expr) -> hl.Expr:
+    """Return what a sample counts that matches fully where the history is worth so many frames."""
+    one = hl.f32(1.0)
+    return hl.select(frames == hl.f32(0.0), one, hl.pow(frames + one, growth))
+
+
+class Gathered(NamedTuple):
+    """What this frame gives a pixel: sums or means of light and moment, how they are scaled, and their support."""
+
+    light: list[hl.Expr]
+    moment: hl.Expr
+    total: hl.Expr
+    """Sum of weights."""
+    effective: hl.Expr
+    """Samples that it is worth."""
+    are_means: bool
+
+
+def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapSum, Gathered]:
+    """Return this frame's sums over taps."""
+
+    def take(weight: hl.Expr, values: list[hl.Expr]) -> list[hl.Expr]:
+        tap = Sample(*values)
+        light = [weight * value for value in (tap.red, tap.green, tap.blue)]
+        return [*light, weight * tap.good, weight * weight * tap.good, weight * tap.squared_luminance]
+
+    gathered, (*light, total, squares, moment) = _sum_taps("sums", grid, radius, power, take)
+    return gathered, Gathered(light, moment, total, count_samples(total, squares), are_means=False)
+
+
+def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:
+    """Return how many equal samples a sum of weights is worth.
+
+    The squares underflow before the sum does: then one far tap decides, which is one sample.
+    """
+    return hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
+
+
+def compare_with_history(grid: TapGrid, pixels: Pixels, radius: hl.Expr, usable: hl.Expr) -> tuple[TapSum, hl.Expr]:
+    """Return how far samples and history near a shaded pixel differ by no more than their deviation allows, 0 to 1."""
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+
+    def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
+        return [*(weight * value for value in tap[:10]), weight * weight * tap[9]]
+
+    compared, (*parts, total, squares) = _sum_taps("compared", grid, radius, None, take)
+    *_, known, red, green, blue = grid.read(hl.i32(0), hl.i32(0))
+    excess: hl.Expr = zero
+    for k, old in enumerate((red, green, blue)):
+        found = Gathered(parts[k::3], zero, total, count_samples(total, squares), are_means=False)
+        mean, effective, _ = summarize(weigh_gathered(found, one, usable))
+        above, below, square, count = pixels.keep(f"mean{k}", *mean, effective)
+        step = hl.abs(above - below)
+        error = hl.sqrt(hl.max(square - step * step, zero) / (count - one))
+        high = hl.strict_float(step / (error + hl.f32(TRUST_FLOOR) * (old + step)))
+        # One sample alone tells nothing of its deviation.
+        tells = ~expressions.is_bad(high) & (count > hl.f32(1.5)) & (known != zero)
+        excess = hl.select(tells, hl.max(excess, high), excess)
+    share = (hl.f32(TRUST_FROM) - excess) / hl.f32(TRUST_FROM - TRUST_TO)
+    return compared, hl.clamp(hl.strict_float(share), zero, one)
+
+
+def weigh_gathered(found: Gathered, unit: hl.Expr, usable: hl.Expr) -> Sums:
+    """Return what this frame adds to the history: sums in which a full match counts a unit, 0 where nothing is."""
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+    weight = found.total * unit
+    alive = usable & (weight > zero)
+    weight = hl.max(weight, hl.f32(SMALLEST_WEIGHT))
+    # Rearranged, a product of two small numbers would come first and vanish.
+    scale = weight if found.are_means else hl.strict_float(weight / found.total)
+    light = [value * scale for value in found.light]
+    squares = weight * weight / hl.max(found.effective, one)
+    new = Sums._make([*light, weight, squares, found.moment * scale, one])
+    return Sums(*(hl.select(alive, value, zero) for value in new))
+
+
+def weigh_own_sample(
+    pixels: Pixels,
+    given: tuple[hl.ImageParam, hl.ImageParam | None],
+    at: Place,
+    usable: hl.Expr,
+    counts: tuple[hl.Expr, hl.Expr],
+    unit: hl.Expr,
+) -> Sums:
+    """Return what the pixel's own sample adds, beside what it counts among those that were gathered.
+
+    ``counts`` are what it counts in all, and how much more that is than 1. Without noise a lower albedo still tells of
+    the light.
+    """
+    zero = hl.f32(0.0)
+    own, bonus = counts
+    light, good = demodulate(*given, at, hl.f32(ALBEDO_FLOOR) / own, (X, Y))
+    more = bonus * unit
+    good = good & usable & (more > zero)
+    more, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (more, *light)))
+    luminance = find_luminance(light)
+    weighted = [more * value for value in light]
+    return Sums._make([*weighted, more, more * (more + unit + unit), more * luminance * luminance, zero])
+
+
+def accumulate(
+    pixels: Pixels, kept: Sums, new: Sums, bonus: Sums, unit: hl.Expr, albedo: hl.ImageParam | None
+) -> hl.Func:
+    """Return the sums of history, frame and own sample, and what they tell, times the albedo if there is one."""
+    sums = Sums(*pixels.keep("joined", *(p + q + r for p, q, r in zip(kept, new, bonus, strict=True))))
+    mean, effective, variance = summarize(sums)
+    if albedo is not None:
+        tints = [albedo[k, X, Y] for k in range(3)]
+        bad = expressions.is_bad(tints[0]) | expressions.is_bad(tints[1]) | expressions.is_bad(tints[2])
+        tints = pixels.keep("tint", *(hl.select(bad, hl.f32(0.0), value) for value in tints))
+        mean = [value * tint for value, tint in zip(mean, tints, strict=True)]
+        luminance = find_luminance(tints)
+        variance = variance * luminance * luminance
+    out = hl.Func("out")
+    out[X, Y] = hl.Tuple([*sums, *mean, sums.weight / unit, effective, variance])
+    return out
+
+
+def summarize(sums: Sums) -> tuple[list[hl.Expr], hl.Expr, hl.Expr]:
+    """Return mean light over albedo, effective samples and the variance of the mean's luminance; 0 for no weight."""
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+    some = sums.weight > zero
+    mean = [hl.select(some, value / sums.weight, zero) for value in sums.light]
+    luminance = find_luminance(mean)
+    spread = hl.select(some, sums.moment / sums.weight - luminance * luminance, zero)
+    # In two steps, because the square of a large weight overflows; between the pixels of a history the sums are
+    # interpolated one by one, which does not keep the count at 1.
+    effective = hl.max(sums.weight / hl.max(sums.squared_weight, hl.f32(1e-30)) * sums.weight, one)
+    variance = hl.max(spread, zero) / effective
+    return mean, hl.select(some, effective, zero), variance

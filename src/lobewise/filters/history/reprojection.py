@@ -1,0 +1,93 @@
+"""Reprojection of a history: its kernel, called."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import halide as hl
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import HostImage, device_scope, download, lend, take_image, take_mask
+from lobewise.backend.jit import get_kernel
+from lobewise.features.arrays import give_features, give_scalars
+from lobewise.features.base import Feature
+from lobewise.filters.cross_pass import describe_structure
+from lobewise.filters.history.reprojection_pass import REPROJECTED, ReprojectionFuncs, make_reprojection
+from lobewise.filters.history.sums import HISTORY_CHANNELS, OutputPlanes, widen
+from lobewise.filters.schedules.reprojection import schedule_reprojection
+from lobewise.frame import FloatArray
+
+
+@device_scope()
+def run_reprojection(
+    past: FloatArray,
+    places: FloatArray,
+    masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    features: tuple[Sequence[Feature], Sequence[Feature]],
+    *,
+    virtual: tuple[FloatArray, int] | None = None,
+    memory: float = 1.0,
+    device: str = "cpu",
+) -> FloatArray:
+    """Gather the history of every pixel from where it was in the frame before.
+
+    Parameters
+    ----------
+    past : array, shape (height, width, 7)
+        Sums of the frame before; see `lobewise.filters.history.sums`.
+    places : array, shape (height, width, 2)
+        Column and row where each pixel was, pixel centres at whole numbers; NaN or outside where it was nowhere.
+    masks : pair of bool arrays, shape (height, width)
+        Where a pixel has meaning, before and now.
+    features : pair of sequences of Feature
+        Of the frame before and of this one, of one structure; a pixel's history counts by their similarities.
+    virtual : (array, int), optional
+        Second places, where each pixel's reflection was, and the first of the features that are compared there.
+    memory : float
+        What the weights found are scaled by, 0 to 1.
+    device : str
+        A name from `list_devices`.
+
+    Returns
+    -------
+    array, shape (height, width, 8)
+        The sums here, and how much of each place agrees, 0 to 1 (and what `exp2` errs).
+    """
+    height, width = size = (masks[1].shape[0], masks[1].shape[1])
+    virtual_from = None if virtual is None else virtual[1]
+
+    def make(target: hl.Target) -> ReprojectionFuncs:
+        funcs = make_reprojection(features[1], virtual_from)
+        schedule_reprojection(funcs, target)
+        return funcs
+
+    before: dict[str, HostImage] = {"mask_before": take_mask(masks[0]), **_take("before", features[0], size)}
+    ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
+    now: dict[str, HostImage] = {name: take_image(name, way, (*size, 2)) for name, way in ways.items()}
+    now |= {"mask": take_mask(masks[1]), **_take("own", features[1], size)}
+    # Every array is held in a local name until the call has returned: Halide keeps no reference.
+    held = {name: image.reshape(height * width, *image.shape[2:]) for name, image in before.items()}
+    held |= {"past": _flatten_history(past, size), **{name: widen(image) for name, image in now.items()}}
+    planes = OutputPlanes(REPROJECTED, size, device)
+    get_kernel(device, ("reprojection", virtual_from, *map(describe_structure, features[1])), make)(
+        **{name: lend(array, device) for name, array in held.items()},
+        **give_scalars(features[1]),
+        memory=memory,
+        width_before=width,
+        height_before=height,
+        **planes.buffers,
+    )
+    return planes.get_image()
+
+
+def _take(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:
+    return {name: download(image) for name, image in give_features(prefix, features, size).items()}
+
+
+def _flatten_history(past: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Return sums (height * width, 7) whose channels lie one after the other; copied only where they do not yet."""
+    planes = np.moveaxis(past, -1, 0)
+    if past.shape != (*size, HISTORY_CHANNELS) or past.dtype != np.float32 or not planes[0].flags.c_contiguous:
+        planes = np.ascontiguousarray(np.moveaxis(take_image("past", past, (*size, HISTORY_CHANNELS)), -1, 0))
+    return np.moveaxis(planes.reshape(HISTORY_CHANNELS, size[0] * size[1]), 0, -1)
