@@ -15,7 +15,7 @@ from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import resolve_light
 from lobewise.frame import Frame, Radiance
-from lobewise.lobes.field import default_tau
+from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter

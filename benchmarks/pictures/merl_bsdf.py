@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import MerlBrdf, make_merl
-from lobewise.lobes.brdf import ggx_brdf
 from lobewise.render import load_mitsuba
 from lobewise.render.loading import build_scene
 from lobewise.scenes import parts

@@ -217,7 +217,7 @@ class DenoiseSettings(Declared):
     tau: Annotated[
         float | Auto,
         Knob(
-            "Band-limit of the lobes, from 1e-5 to 1: what makes a mirror's lobe finite (see `lobewise.lobes.field`). "
+            "Band-limit of the lobes, from 1e-5 to 1: what makes a mirror's lobe finite (see `lobewise.lobes`). "
             '"auto" follows the noise, down to the angle of a pixel.',
             label="Band-limit",
             unit="radians",

@@ -26,7 +26,7 @@ from lobewise.features import NormalFeature, ScreenFeature
 from lobewise.filters.cross_pass import PassKey, Reads, Writes
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
-from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.guides.surfaces import find_surface_pixels
 
 pytestmark = pytest.mark.processor
@@ -133,7 +133,7 @@ class TestSources:
         # What lobes of a frame are called is compiled into their kernel (`LobeKind`).
         path = Path(frame.__file__)
         whole = path.read_bytes()
-        before = describe_modules([make_lobe_field.__module__])
+        before = describe_modules([make_sg_field.__module__])
         changes = {b"BECKMANN = 2": b"BECKMANN = 7", b"class LobeKind": b"# A comment.\nclass LobeKind"}
         found = []
         for old, new in changes.items():
@@ -145,7 +145,7 @@ class TestSources:
                 return content.replace(old, new) if self == path else content
 
             monkeypatch.setattr(Path, "read_bytes", read)
-            found.append(describe_modules([make_lobe_field.__module__]))
+            found.append(describe_modules([make_sg_field.__module__]))
         assert found[0] != before
         assert found[1] == before
 

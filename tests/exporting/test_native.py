@@ -20,7 +20,7 @@ from lobewise.exporting.native import export_library
 from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import make_sample
 from lobewise.exporting.targets import parse_target
-from lobewise.lobes.mixture_field import build_mixture_field
+from lobewise.guides.mixture_fields import define_mixture, make_mixture_field
 
 WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
 QUICK = FilterPlan("sg", "separable", 3)
@@ -271,7 +271,6 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
 
 def test_mixture_kernel_is_the_mixture_field() -> None:
     from lobewise.backend.pointwise import run_pointwise
-    from lobewise.exporting.lobes import define_mixture
     from lobewise.frame import GBuffer
     from lobewise.io import read_frame
 
@@ -290,7 +289,7 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
     numbers = {"eye": camera.position.astype(np.float32), "noise": np.float32(tau) ** 2}
     for lobes in (2, 3, 4):
         valid, axis, sharpness, amplitude = run_pointwise(define_mixture, images, numbers, lobes)
-        expected = build_mixture_field(GBuffer(**images), camera, tau=tau, lobes=lobes)
+        expected = make_mixture_field(GBuffer(**images), camera, tau=tau, lobes=lobes)
         np.testing.assert_array_equal(valid, expected.valid)
         np.testing.assert_allclose(axis, expected.axis, atol=3e-5)
         several = (*shape, lobes)

@@ -13,16 +13,17 @@ from lobewise.errors import FileError, InputError
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shader import export_shader, make_shader
 from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
-from lobewise.lobes import asg, brdf, mixture, sg, tangent
-from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE
-from lobewise.lobes.vectors import normalize
+from lobewise.fitting.arrays import normalize
+from lobewise.lobes.covariance import GGX_SHARPNESS
+from lobewise.lobes.directions import MIN_COSINE
 from tests.exporting.shaders import INPUTS, compile_spirv, make_program, run_program
+from tests.lobes.oracles import asg, brdf, mixture, sg, tangent
 
 COUNT = 4096
 WEIGHT_ATOL = 3e-6
 """Rounding of exponents that matter, up to 20, in single precision."""
 ASG_ATOL = 2e-4
-"""What `lobewise.lobes.asg.asg_approx_similarity` says of single precision, to the power beta."""
+"""What `tests.lobes.oracles.asg.asg_approx_similarity` says of single precision, to the power beta."""
 LOBE_RTOL = 3e-5
 """Of a lobe's size; grazing views lose a digit or two."""
 DIFFUSE_ATOL = 4e-3

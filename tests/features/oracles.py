@@ -24,8 +24,8 @@ from lobewise.features import (
     SgMixtureFeature,
     TentFeature,
 )
-from lobewise.lobes import asg, mixture, sg, tangent
-from lobewise.lobes.hits import find_hit_shift
+from tests.lobes.oracles import asg, mixture, sg, tangent
+from tests.lobes.oracles.hits import find_hit_shift
 
 FloatImage = NDArray[np.float64]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]

@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from tests.lobes.oracles.brdf import lambert_brdf
 
 from lobewise.errors import FileError
 from lobewise.fitting.merl import make_merl
@@ -19,7 +20,6 @@ from lobewise.io.materials import (
     write_merl,
 )
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.brdf import lambert_brdf
 
 
 @pytest.fixture

@@ -11,7 +11,9 @@ from functools import cache
 
 import numpy as np
 
-from lobewise.lobes import brdf, tangent
+from lobewise.fitting import ggx
+
+from .oracles import brdf, tangent
 
 
 def normalize(a):
@@ -78,7 +80,7 @@ class Surface:
     def evaluate(self, direction):
         """BRDF times cosine in world directions (N, 3)."""
         light = direction @ self.frame.T
-        function = brdf.ggx_brdf if self.kind == "ggx" else brdf.beckmann_brdf
+        function = ggx.ggx_brdf if self.kind == "ggx" else brdf.beckmann_brdf
         return function(self.local_view, light, self.alpha_u, self.alpha_v) * np.maximum(light[:, 2], 0.0)
 
     def lobe(self, tau=0.0):

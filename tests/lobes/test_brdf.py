@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from lobewise.lobes import brdf, roughness, sg
+from lobewise.fitting import ggx
+from lobewise.lobes import albedo
 
+from .oracles import brdf, roughness, sg
 from .quadrature import Surface, gauss, lobe_stretch, normalize, sphere_grid
 from .tolerances import HORIZON, QUADRATURE, ROUNDING
 
@@ -34,7 +36,7 @@ alphas = st.floats(0.01, 1.0)
 def test_densities_are_normalised(alpha):
     half, weights = normals_grid(*alpha)
     upper = weights * np.maximum(half[:, 2], 0.0)
-    assert np.sum(upper * brdf.ggx_normal_density(half, *alpha)) == pytest.approx(1.0, abs=HORIZON)
+    assert np.sum(upper * ggx.ggx_normal_density(half, *alpha)) == pytest.approx(1.0, abs=HORIZON)
     assert np.sum(upper * brdf.beckmann_normal_density(half, *alpha)) == pytest.approx(1.0, abs=HORIZON)
 
 
@@ -53,7 +55,7 @@ def test_masking_is_what_makes_visible_area_come_out(alpha, cosine):
     half, weights = normals_grid(*alpha, 500, 384)
     facing = weights * np.maximum(half @ view, 0.0)
     for density, smith in (
-        (brdf.ggx_normal_density, brdf.ggx_smith_lambda),
+        (ggx.ggx_normal_density, ggx.ggx_smith_lambda),
         (brdf.beckmann_normal_density, brdf.beckmann_smith_lambda),
     ):
         area = np.sum(facing * density(half, *alpha))
@@ -62,7 +64,7 @@ def test_masking_is_what_makes_visible_area_come_out(alpha, cosine):
 
 @given(hemisphere, hemisphere, alphas, alphas)
 def test_reciprocity_and_sign(view, light, alpha_u, alpha_v):
-    for function in (brdf.ggx_brdf, brdf.beckmann_brdf, brdf.ward_brdf):
+    for function in (ggx.ggx_brdf, brdf.beckmann_brdf, brdf.ward_brdf):
         value = function(view, light, alpha_u, alpha_v)
         assert value >= 0.0
         assert value == pytest.approx(float(function(light, view, alpha_u, alpha_v)), rel=1e-9, abs=1e-300)
@@ -82,7 +84,7 @@ def test_ggx_is_the_usual_real_time_form(view, light, alpha):
     shadow_v = view[2] * np.sqrt(light[2] ** 2 * (1.0 - square) + square)
     fresnel = 0.04 + 0.96 * (1.0 - view @ half) ** 5
     expected = density * 0.5 / (shadow_l + shadow_v) * fresnel
-    assert brdf.ggx_brdf(view, light, alpha, f0=0.04) == pytest.approx(expected, rel=1e-9)
+    assert ggx.ggx_brdf(view, light, alpha, f0=0.04) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("cosine", COSINES)
@@ -216,7 +218,7 @@ def test_single_lobes_against_the_best_one(row):
     assert degrees(turned) == pytest.approx(dominant, abs=0.06)
     assert abs(degrees(turned) - best) < 4.0
     corrected = degrees(brdf.reflect_ggx_sg(view, alpha, dominant=True)[0])
-    assert degrees(turned) <= corrected <= mirror
+    assert degrees(turned) - 1e-9 <= corrected <= mirror
     if alpha <= 0.2:  # what the correction is for
         assert abs(corrected - best) < 0.75 * abs(degrees(turned) - best)
 
@@ -258,8 +260,8 @@ def measure_albedo(cosine, alpha):
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     cos_half = half @ view
     light = 2.0 * cos_half[..., None] * half - view
-    value = brdf.ggx_brdf(view, light, alpha) * np.maximum(light[..., 2], 0.0) * 4.0 * np.maximum(cos_half, 0.0)
-    value = w[:, None] / 192 * value / (brdf.ggx_normal_density(half, alpha) * half[..., 2])
+    value = ggx.ggx_brdf(view, light, alpha) * np.maximum(light[..., 2], 0.0) * 4.0 * np.maximum(cos_half, 0.0)
+    value = w[:, None] / 192 * value / (ggx.ggx_normal_density(half, alpha) * half[..., 2])
     return np.sum(value), np.sum(value * (1.0 - np.clip(cos_half, 0.0, 1.0)) ** 5)
 
 
@@ -268,10 +270,10 @@ def test_directional_albedo_against_quadrature():
     for alpha in (0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 1.0):
         for cosine in (0.02, 0.06, 0.15, 0.3, 0.6, 1.0):
             white, grazing = measure_albedo(cosine, alpha)
-            bias, scale = brdf.ggx_directional_albedo_terms(cosine, alpha)
+            bias, scale = albedo.ggx_directional_albedo_terms(cosine, alpha)
             errors.append(bias + scale - white)
             dielectric = 0.04 * white + 0.96 * grazing
-            relative.append(brdf.ggx_directional_albedo(cosine, alpha, 0.04) / dielectric - 1.0)
+            relative.append(albedo.ggx_directional_albedo(cosine, alpha, 0.04) / dielectric - 1.0)
     assert np.abs(errors).max() < 0.0125
     assert np.sqrt(np.mean(np.square(errors))) < 0.006
     assert np.abs(relative).max() < 0.04
@@ -280,7 +282,7 @@ def test_directional_albedo_against_quadrature():
 
 def test_directional_albedo_stays_in_range():
     cosine, alpha = np.meshgrid(np.linspace(0.0, 1.0, 301), np.linspace(0.0, 1.0, 301))
-    bias, scale = brdf.ggx_directional_albedo_terms(cosine, alpha)
+    bias, scale = albedo.ggx_directional_albedo_terms(cosine, alpha)
     assert bias.min() >= 0.0
     assert scale.min() >= 0.0
     assert (bias + scale).max() < 1.003
@@ -317,14 +319,14 @@ class Symbol:
 
 
 def test_directional_albedo_needs_arithmetic_only():
-    value = brdf.ggx_directional_albedo(Symbol(0.4), Symbol(0.3), Symbol(0.5))
-    assert value.value == brdf.ggx_directional_albedo(0.4, 0.3, 0.5)
+    value = albedo.ggx_directional_albedo(Symbol(0.4), Symbol(0.3), Symbol(0.5))
+    assert value.value == albedo.ggx_directional_albedo(0.4, 0.3, 0.5)
 
 
 def test_dtype_is_kept():
     view, light = look(0.7).astype(np.float32), look(0.5, 3.0).astype(np.float32)
     for value in (
-        brdf.ggx_brdf(view, light, 0.3, 0.2, 0.04),
+        ggx.ggx_brdf(view, light, 0.3, 0.2, 0.04),
         brdf.beckmann_brdf(view, light, 0.3, 0.2),
         brdf.blinn_brdf(view, light, 20.0),
         brdf.ward_brdf(view, light, 0.3),
@@ -335,8 +337,8 @@ def test_dtype_is_kept():
         *brdf.reflect_ggx_sg(view, 0.3, dominant=True),
     ):
         assert value.dtype == np.float32
-    single = brdf.ggx_brdf(view, light, np.float32(0.3))
-    assert single == pytest.approx(float(brdf.ggx_brdf(look(0.7), look(0.5, 3.0), 0.3)), rel=1e-5)
+    single = ggx.ggx_brdf(view, light, np.float32(0.3))
+    assert single == pytest.approx(float(ggx.ggx_brdf(look(0.7), look(0.5, 3.0), 0.3)), rel=1e-5)
 
 
 def test_quadrature_tolerance_is_not_idle():

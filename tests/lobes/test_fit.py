@@ -11,11 +11,14 @@ from scipy.integrate import quad
 
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.fitting.fit import COSINES, fit_lobes, make_nodes
-from lobewise.fitting.fit_shapes import GAUSSIANS
+from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import make_merl
-from lobewise.lobes.brdf import beckmann_brdf, ggx_brdf, ggx_directional_albedo, lambert_brdf, oren_nayar_brdf
-from lobewise.lobes.sg import sg_integral
-from lobewise.lobes.table import evaluate_lobes, evaluate_table
+from lobewise.fitting.table import evaluate_lobes, evaluate_table
+from lobewise.lobes.albedo import ggx_directional_albedo
+from lobewise.lobes.mixture import GGX_MIXTURES
+
+from .oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
+from .oracles.sg import sg_integral
 
 MIN_COSINE_L2 = 0.993
 """What three anisotropic lobes must reach for tabulated GGX at n.v >= 0.3."""
@@ -88,7 +91,7 @@ def test_sums_of_gaussians_for_ggx(lobes, error):
         b, w = np.split(np.asarray(numbers), 2)
         return quad(lambda q: ((1 + q) ** -2 - np.sum(w * np.exp(-b * q))) ** 2, 0, np.inf, epsabs=1e-12, limit=200)[0]
 
-    best = np.concatenate(GAUSSIANS[lobes])
+    best = np.concatenate(GGX_MIXTURES[lobes])
     # The norm of (1 + q)^-2 over q from 0 is 1/3.
     assert math.isclose(math.sqrt(3.0 * miss(best)), error, rel_tol=0.03)
     for index in range(best.size):

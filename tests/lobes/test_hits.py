@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.lobes import brdf
-from lobewise.lobes.hits import find_hit_shift
-from lobewise.lobes.sg import sg_slide_similarity
-from lobewise.lobes.tangent import make_tangent_lobe, tangent_ggx_similarity
-from lobewise.lobes.vectors import normalize
+from lobewise.fitting import ggx
+from lobewise.fitting.arrays import normalize
 
+from .oracles import brdf
+from .oracles.hits import find_hit_shift
+from .oracles.sg import sg_slide_similarity
+from .oracles.tangent import make_tangent_lobe, tangent_ggx_similarity
 from .quadrature import gauss
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -73,7 +74,7 @@ def test_similarity_of_footprints_on_a_plane(alpha, height):
         to = target - point
         square = np.sum(to * to, axis=-1)
         light = to / np.sqrt(square)[..., None]
-        gathered.append(brdf.ggx_brdf(v, light, alpha) * light[..., 2] * light[..., 2] / square)
+        gathered.append(ggx.ggx_brdf(v, light, alpha) * light[..., 2] * light[..., 2] / square)
     pairs = (gathered[0], gathered[1]), (gathered[0], gathered[0]), (gathered[1], gathered[1])
     products = [np.sum(a * b * area) for a, b in pairs]
     truth = products[0] / np.sqrt(products[1] * products[2])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError, InputError
+from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import (
     BINS,
     FILE_BYTES,
@@ -20,7 +21,6 @@ from lobewise.fitting.merl import (
     to_bytes,
     to_half_difference,
 )
-from lobewise.lobes.brdf import ggx_brdf
 
 
 def draw_pairs(rng, count=4000):

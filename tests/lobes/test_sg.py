@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import ive
 
-from lobewise.lobes import sg
-
+from .oracles import sg
 from .quadrature import gauss, normalize, rotate, sphere_grid
 from .tolerances import MEASURED, QUADRATURE, ROUNDING, SINGLE
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.lobe_table import LobeTable
-from lobewise.lobes.table import (
+from lobewise.fitting.table import (
     TableLobes,
     evaluate_lobes,
     evaluate_table,
@@ -17,6 +16,7 @@ from lobewise.lobes.table import (
     get_equivalent_alphas,
     order_lobes,
 )
+from lobewise.lobe_table import LobeTable
 
 UP = np.asarray([0.0, 0.0, 1.0])
 EAST = np.asarray([1.0, 0.0, 0.0])

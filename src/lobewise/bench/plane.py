@@ -16,8 +16,9 @@ from lobewise.features import (
     SgMixtureFeature,
 )
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
-from lobewise.lobes.field import build_lobe_field, default_tau
-from lobewise.lobes.mixture_field import build_mixture_field
+from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field
+from lobewise.guides.mixture_fields import make_mixture_field
+from lobewise.lobes.band_limit import default_tau
 
 BETA = 8.0
 """Power of every lobe's weight; it changes no time."""
@@ -80,21 +81,17 @@ def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[s
     found: dict[str, list[Feature]] = {}
     if "normal" in names:
         found["normal"] = [*place, NormalFeature(guides.normal, 64.0)]
-    lobes = build_lobe_field(guides, camera)
+    tau = default_tau(camera, frame.height)
     if "sg" in names:
-        assert lobes.axis is not None and lobes.sharpness is not None
+        lobes = make_sg_field(guides, camera, tau=tau, diffuse_fallback=False)
         found["sg"] = [*place, SgFeature(lobes.axis, lobes.sharpness, BETA)]
     if any(name.startswith("sg_mixture") for name in names):
         found["sg_mixture, 3 lobes"] = [*place, make_mixture(frame, 3, coaxial=False)]
         found["sg_mixture, 3 coaxial"] = [*place, make_mixture(frame, 3, coaxial=True)]
-    if "asg" in names:
-        gaussian = build_lobe_field(guides, camera, representation="asg")
-        assert gaussian.tangent_axis is not None and gaussian.covariance is not None
-        assert gaussian.determinant is not None
-        found["asg"] = [*place, AsgFeature(gaussian.tangent_axis, gaussian.covariance, gaussian.determinant, BETA)]
-    if "ggx" in names:
-        assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
-        found["ggx"] = [*place, GgxFeature(lobes.tangent_axis, lobes.covariance, lobes.determinant, BETA)]
+    for name, kind in (("asg", AsgFeature), ("ggx", GgxFeature)):
+        if name in names:
+            wide = make_covariance_field(guides, camera, tau=tau, gaussian=name == "asg", diffuse_fallback=False)
+            found[name] = [*place, kind(wide.axis, wide.covariance, wide.determinant, BETA)]
     return {name: found[name] for name in names}
 
 
@@ -104,6 +101,6 @@ def make_mixture(frame: Frame, lobes: int, *, coaxial: bool) -> Feature:
     Where it is not ``coaxial`` every lobe has an axis of its own, which happens to be the same: kernels cannot know.
     """
     assert frame.camera is not None
-    field = build_mixture_field(frame.gbuffer, frame.camera, tau=default_tau(frame.camera, frame.height), lobes=lobes)
+    field = make_mixture_field(frame.gbuffer, frame.camera, tau=default_tau(frame.camera, frame.height), lobes=lobes)
     axis = field.axis if coaxial else np.tile(field.axis, (1, 1, lobes))
     return SgMixtureFeature(axis, field.sharpness, field.amplitude, BETA)

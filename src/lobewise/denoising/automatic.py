@@ -10,7 +10,7 @@ from typing import Any
 from lobewise.backend.devices import choose_device
 from lobewise.denoising.noise import estimate_spp
 from lobewise.errors import InputError, require_choice
-from lobewise.lobes.field import default_tau
+from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
 from lobewise.sparse_frame import AnyFrame
 

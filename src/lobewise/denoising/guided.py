@@ -29,7 +29,7 @@ from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray, Frame
-from lobewise.lobes.field import default_tau
+from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 
 

@@ -23,11 +23,10 @@ from lobewise.features import (
 )
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray
-from lobewise.guides.lobe_fields import make_lobe_field
+from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field
+from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
-from lobewise.lobes.field import LobeField
 from lobewise.lobes.hits import HitField
-from lobewise.lobes.mixture_field import build_mixture_field
 from lobewise.settings import ResolvedSettings
 from lobewise.sparse_frame import AnyFrame
 
@@ -78,8 +77,7 @@ def _make_normal_features(frame: AnyFrame, settings: ResolvedSettings, mask: Mas
     features: list[Feature] = [NormalFeature(normal, settings.normal_exponent)]
     if settings.band_limit is None:
         return features, mask
-    lobes = _make_lobes(frame, settings, "sg")
-    assert lobes.sharpness is not None, "what a field of single lobes has"
+    lobes = _make_sg_lobes(frame, settings)
     limit = BandLimitFeature(
         lobes.sharpness,
         pixel_angle=frame.require_camera(_name_similarity(settings)).get_pixel_angle(frame.height),
@@ -89,11 +87,9 @@ def _make_normal_features(frame: AnyFrame, settings: ResolvedSettings, mask: Mas
     return [*features, limit], mask & lobes.valid
 
 
-def _make_lobes(frame: AnyFrame, settings: ResolvedSettings, representation: str) -> LobeField:
+def _make_sg_lobes(frame: AnyFrame, settings: ResolvedSettings) -> SgField:
     camera = frame.require_camera(_name_similarity(settings))
-    return make_lobe_field(
-        frame.gbuffer, camera, tau=settings.tau, representation=representation, diffuse_fallback=True
-    )
+    return make_sg_field(frame.gbuffer, camera, tau=settings.tau, diffuse_fallback=True)
 
 
 def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
@@ -114,7 +110,7 @@ def make_specular_features(
     if settings.similarity == "normal":
         return _make_normal_features(frame, settings, surface)
     if settings.similarity == "sg_mixture":
-        mixture = build_mixture_field(
+        mixture = make_mixture_field(
             frame.gbuffer,
             frame.require_camera(_name_similarity(settings)),
             tau=settings.tau,
@@ -124,18 +120,15 @@ def make_specular_features(
         )
         feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
         return [feature], surface & mixture.valid
-    lobes = _make_lobes(frame, settings, settings.similarity)
-    return [_make_lobe_feature(frame, settings, lobes)], surface & lobes.valid
-
-
-def _make_lobe_feature(frame: AnyFrame, settings: ResolvedSettings, lobes: LobeField) -> Feature:
     hits = _make_hits(frame, settings)
     if settings.similarity == "sg":
-        assert lobes.axis is not None and lobes.sharpness is not None
-        return SgFeature(lobes.axis, lobes.sharpness, settings.beta, hits)
-    assert lobes.tangent_axis is not None and lobes.covariance is not None and lobes.determinant is not None
-    kind = AsgFeature if settings.similarity == "asg" else GgxFeature
-    return kind(lobes.tangent_axis, lobes.covariance, lobes.determinant, settings.beta, hits)
+        single = _make_sg_lobes(frame, settings)
+        return [SgFeature(single.axis, single.sharpness, settings.beta, hits)], surface & single.valid
+    camera = frame.require_camera(_name_similarity(settings))
+    gaussian = settings.similarity == "asg"
+    kind = AsgFeature if gaussian else GgxFeature
+    lobes = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
+    return [kind(lobes.axis, lobes.covariance, lobes.determinant, settings.beta, hits)], surface & lobes.valid
 
 
 def find_surface(frame: AnyFrame) -> Mask:

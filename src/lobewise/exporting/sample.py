@@ -17,7 +17,7 @@ from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.surfaces import find_places
 from lobewise.io import read_frame
-from lobewise.lobes.field import default_tau
+from lobewise.lobes.band_limit import default_tau
 
 FRAME = "showroom-4spp.exr"
 ROWS, COLUMNS = slice(256, 320), slice(304, 400)

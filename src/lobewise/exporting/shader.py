@@ -14,11 +14,11 @@ from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.templating import fill_template
 from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
-from lobewise.lobes.brdf import MIN_WARP_COSINE
-from lobewise.lobes.field import GGX_SHARPNESS, MIN_COSINE
+from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS
+from lobewise.lobes.covariance import MIN_COSINE as MIN_VIEW_COSINE
+from lobewise.lobes.directions import MIN_COSINE
+from lobewise.lobes.gaussian import MIN_WARP_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
-from lobewise.lobes.tangent import GGX_LIMIT
-from lobewise.lobes.tangent import MIN_COSINE as MIN_VIEW_COSINE
 
 _TYPES = {
     "glsl": {},

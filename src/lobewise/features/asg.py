@@ -29,7 +29,7 @@ class AsgFeature(CovarianceFeature):
     """Overlap of two anisotropic spherical Gaussians (Xu et al. 2013), to the power beta.
 
     The lobe ``exp(-w^T A w)`` is given by the covariance of the planar Gaussian that it is near its axis,
-    ``S = A^-1 / 2``. See `lobewise.lobes.asg.asg_approx_similarity` for the evaluation without eigenvectors.
+    ``S = A^-1 / 2``. docs/theory.md derives the evaluation without eigenvectors.
 
     Parameters
     ----------

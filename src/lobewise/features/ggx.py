@@ -44,7 +44,7 @@ class GgxFeature(CovarianceFeature):
 
     With ``s = 2 sqrt(det)`` and ``q = Q / P``
     ``(s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4``, to the power beta; see
-    `lobewise.lobes.tangent.tangent_approx_similarity`.
+    `tests/lobes/oracles/tangent.py`, `tangent_approx_similarity`.
 
     Parameters
     ----------

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingDependencyError, require_choice
+from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit_shapes import LobeFamily
+from lobewise.fitting.ggx import ggx_brdf
+from lobewise.fitting.table import order_lobes
 from lobewise.lobe_table import KINDS, LobeTable
-from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.table import order_lobes
-from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import MAX_LOBES
 
 Evaluate = Callable[[Array, Array], Any]

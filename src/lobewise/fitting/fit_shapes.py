@@ -6,16 +6,8 @@ import math
 
 import numpy as np
 
-from lobewise.lobes.vectors import Array
-
-GAUSSIANS = {
-    1: ((1.13114,), (0.85981,)),
-    2: ((1.99292, 0.38284), (0.76456, 0.20460)),
-    3: ((2.72034, 0.79279, 0.15495), (0.56175, 0.38771, 0.04203)),
-    4: ((3.36676, 1.19570, 0.35641, 0.06981), (0.39312, 0.47419, 0.12070, 0.00929)),
-}
-"""Best sums of Gaussians ``sum w exp(-b q)`` for GGX, ``(1 + q)^-2``: the b and the w. ``(1 + q)^-2`` is the mean of
-``exp(-t q)`` over the density ``t exp(-t)``, so that the same numbers serve every roughness."""
+from lobewise.fitting.arrays import Array
+from lobewise.lobes.mixture import GGX_MIXTURES
 
 # Range of log sharpness. Flatter lobes would be told apart by nothing, and closed forms for products fail on them.
 _LOG_SHARPNESS = (math.log(0.5), math.log(1e7))
@@ -51,7 +43,7 @@ class LobeFamily:
         precision = precision * warp[:, None] * warp
         rows = np.zeros((lobes, self.size))
         rows[:, 0] = mirror
-        scale = np.log(GAUSSIANS[lobes][0])
+        scale = np.log(GGX_MIXTURES[lobes][0])
         values, vectors = np.linalg.eigh(precision)
         # A half vector that moves along y moves the light along the lobe's x, one along x against the lobe's y.
         if self.kind == "sg":

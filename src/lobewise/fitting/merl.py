@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import FileError, InputError, describe_problem
-from lobewise.lobes.vectors import Array, dot
+from lobewise.fitting.arrays import Array, dot
 
 THETA_H, THETA_D, PHI_D = 90, 90, 180
 BINS = (THETA_H, THETA_D, PHI_D)

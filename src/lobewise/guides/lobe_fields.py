@@ -1,47 +1,117 @@
-"""The reflection lobes of a frame in one pass over its guides: what `lobewise.lobes.field` says, as an image kernel.
-
-The formulas are those of `lobewise.lobes.field` and `lobewise.lobes.tangent`, written a second time in float32; they
-are the oracle of this one, and tell where every term comes from.
-"""
+"""The reflection lobe of every pixel of a frame, in one pass over its guides: the formulas of `lobewise.lobes`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import halide as hl
 import numpy as np
+from numpy.typing import NDArray
 
-from lobewise.backend.expressions import dot
+from lobewise.backend.namespace import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
-from lobewise.frame import GBuffer, LobeKind
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
-from lobewise.lobes.brdf import MIN_WARP_COSINE
-from lobewise.lobes.field import (
-    GGX_SHARPNESS,
-    LAMBERT_SHARPNESS,
-    MIN_COSINE,
-    LobeField,
-    check_lobe_guides,
-)
-from lobewise.lobes.tangent import BECKMANN_LIMIT, GGX_LIMIT
-from lobewise.lobes.tangent import MIN_COSINE as MIN_VIEW_COSINE
+from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe
+from lobewise.lobes.directions import face_viewer, find_tangent, reflect
+from lobewise.lobes.gaussian import LAMBERT_SHARPNESS, find_ggx_variance
+from lobewise.lobes.vectors import cross, dot, scale
 
 
-def make_lobe_field(
-    gbuffer: GBuffer, camera: Camera, *, tau: float, representation: str, diffuse_fallback: bool
-) -> LobeField:
-    """Return what `lobewise.lobes.field.build_lobe_field` does, faster.
-
-    Departs: where there are tangents, isotropic lobes go the way of the others. Which pixels are valid is the same;
-    axes agree within 3e-5, sharpness within a relative 2e-5, covariances over their trace within 3e-5, determinants
-    within a relative 1.5e-4, the most at grazing views.
+@dataclass(frozen=True)
+class SgField:
+    """The reflection lobes of an image as one spherical Gaussian for each pixel.
 
     Parameters
     ----------
-    gbuffer, camera, tau, diffuse_fallback
+    valid : (height, width), bool
+        Whether the pixel has a lobe. Where not, the rest is finite and harmless: axis 0, sharpness 1.
+    axis : (height, width, 3), float32
+        Mirror direction about the shading normal, unit length.
+    sharpness : (height, width), float32
+        Band-limited, inverse square radians.
+    """
+
+    valid: NDArray[np.bool_]
+    axis: FloatArray
+    sharpness: FloatArray
+
+
+@dataclass(frozen=True)
+class CovarianceField:
+    """The reflection lobes of an image as covariances across an axis; see `lobewise.lobes.covariance`.
+
+    Parameters
+    ----------
+    valid : (height, width), bool
+        Whether the pixel has a lobe. Where not, the rest is finite and harmless: axis and covariance 0, determinant 1.
+    axis : (height, width, 3), float32
+        Mirror direction about the dominant visible normal, unit length.
+    covariance : (height, width, 6), float32
+        Band-limited: xx, xy, xz, yy, yz, zz, square radians.
+    determinant : (height, width), float32
+        Product of the two principal variances.
+    """
+
+    valid: NDArray[np.bool_]
+    axis: FloatArray
+    covariance: FloatArray
+    determinant: FloatArray
+
+
+def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallback: bool) -> SgField:
+    """Return the single spherical Gaussian of every pixel's specular reflection (Tokuyoshi 2015, Wang et al. 2009).
+
+    Parameters
+    ----------
+    gbuffer : GBuffer
+        Needs ``normal``, ``alpha_u`` and one of ``position`` and ``depth``. Without ``lobe_kind`` every surface has a
+        GGX lobe. Normals need not have unit length; those that face away from the viewer are bent until they do not.
+        Roughness is clamped to [0, 1].
+    camera : Camera
+        Where the view directions come from.
+    tau : float
+        Band-limit in radians, ``1e-5 <= tau <= 1``: ``tau^2`` is added to the variance of every lobe, so that a mirror
+        is finite.
+    diffuse_fallback : bool
+        Give surfaces of kind NONE the Lambert lobe (axis = normal, sharpness 2, variance 1/2) instead of none.
+
+    Returns
+    -------
+    SgField
+        Finite everywhere. A pixel whose guides are not finite is invalid, and so is one without surface or lobe.
+
+    Raises
+    ------
+    MissingChannelError
+        If a channel is missing.
+    InputError
+        If ``tau`` is out of range.
+    """
+    return SgField(*_run(gbuffer, camera, tau, "sg", diffuse_fallback))
+
+
+def make_covariance_field(
+    gbuffer: GBuffer, camera: Camera, *, tau: float, gaussian: bool = False, diffuse_fallback: bool
+) -> CovarianceField:
+    """Return the covariance lobe of every pixel's specular reflection.
+
+    Parameters
+    ----------
+    gbuffer : GBuffer
+        As in `make_sg_field`; ``tangent`` where ``alpha_v`` differs from ``alpha_u``.
+    camera, tau, diffuse_fallback
         As there.
-    representation : {"sg", "ggx", "asg"}
+    gaussian : bool
+        The lobes that ``asg`` compares: the covariance of the Gaussian that is nearest in L2 to the lobe's shape, which
+        for GGX is narrower.
+
+    Returns
+    -------
+    CovarianceField
         As there.
 
     Raises
@@ -49,53 +119,83 @@ def make_lobe_field(
     MissingChannelError, InputError
         As there.
     """
-    check_lobe_guides(gbuffer, representation, tau)
-    directed = representation != "sg" and gbuffer.tangent is not None
+    return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback))
+
+
+def _run(
+    gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, diffuse_fallback: bool
+) -> tuple[NDArray[Any], ...]:
+    check_lobe_guides(gbuffer, similarity, tau)
+    images, numbers = collect_guides(gbuffer, camera, tau, similarity)
+    return run_pointwise(define_lobes, images, numbers, similarity, diffuse_fallback)
+
+
+def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
+    """Raise what `make_covariance_field` raises if a channel that it needs is missing, or ``tau`` is out of range."""
+
+    def complain(name: str, why: str, action: str) -> NoReturn:
+        raise MissingChannelError(
+            f"channel {name}", expected=f"it in the G-buffer ({why})", got="nothing", action=action
+        )
+
+    if gbuffer.normal is None:
+        complain(
+            "normal", "the lobe is a reflection about it", "render the shading normals, or choose no lobe similarity"
+        )
+    if gbuffer.alpha_u is None:
+        complain("alpha_u", "the lobe's width", "render the roughness, or choose the similarity 'normal'")
+    if gbuffer.position is None and gbuffer.depth is None:
+        complain("position", "it or depth tells where a surface is", "render the position or the depth")
+    if not 1e-5 <= tau <= 1.0:
+        raise InputError("tau", expected="an angle from 1e-5 to 1 radian", got=str(tau), action="leave it out")
+    if similarity == "sg" or gbuffer.tangent is not None or gbuffer.alpha_v is None:
+        return
+    if not np.array_equal(gbuffer.alpha_u, gbuffer.alpha_v, equal_nan=True):
+        complain(
+            "tangent",
+            "alpha_v differs from alpha_u, so the lobe has a direction",
+            "render the tangents, leave alpha_v out, or choose the similarity 'sg'",
+        )
+
+
+def collect_guides(
+    gbuffer: GBuffer, camera: Camera, tau: float, similarity: str
+) -> tuple[dict[str, NDArray[Any] | None], dict[str, Any]]:
+    """Return the images and the numbers that `define_lobes` reads."""
+    assert gbuffer.shape is not None
+    directed = similarity != "sg" and gbuffer.tangent is not None
     images = {
         "normal": gbuffer.normal,
         "position": gbuffer.position,
         "depth": gbuffer.depth,
         "kind": gbuffer.lobe_kind,
         "alpha_u": gbuffer.alpha_u,
-        "alpha_v": gbuffer.alpha_v if directed or representation == "sg" else None,
+        "alpha_v": gbuffer.alpha_v if directed or similarity == "sg" else None,
         "tangent": gbuffer.tangent if directed and gbuffer.alpha_v is not None else None,
     }
-    assert gbuffer.shape is not None
     numbers = {
         "eye": camera.position.astype(np.float32),
         "noise": np.float32(tau) * np.float32(tau),
         **get_ray_numbers(camera, gbuffer.shape),
     }
-    valid, *shapes = run_pointwise(define_lobes, images, numbers, representation, diffuse_fallback)
-    if representation == "sg":
-        return LobeField(valid, axis=shapes[0], sharpness=shapes[1])
-    return LobeField(valid, tangent_axis=shapes[0], covariance=shapes[1], determinant=shapes[2])
+    return images, numbers
 
 
-def define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> list[Vector]:
+def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Vector]:
     """Return validity; axis; and sharpness, or covariance and determinant."""
-    one = hl.f32(1.0)
-    raw = grid.read("normal")
-    square = dot(raw, raw)
-    # A normal averaged over an edge is short, but not a thousandth.
-    surface = (square > hl.f32(1e-6)) & is_finite(square)
-    if grid.has("depth"):
-        surface = surface & is_surface_depth(grid.read_one("depth"))
-    normal = _scale(raw, one / hl.sqrt(square))
-    view, seen = _find_view(grid)
-    normal, cosine = _face_viewer(normal, view)
-    *facing, cosine = grid.share([*normal, *view, cosine])
-    normal, view = facing[:3], facing[3:]
-    surface = surface & seen & is_finite(cosine)
-
+    normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
-    alphas, known = _read_alphas(grid, kind)
-    if representation == "sg":
-        axis, shape, finite = _reflect_sg(grid, normal, view, cosine, alphas)
-        neutral: list[float] = [1.0]
+    alphas, known = read_alphas(grid, kind)
+    if similarity == "sg":
+        (noise,) = grid.get("noise")
+        variance = find_ggx_variance(HALIDE, cosine, alphas, noise)
+        axis, shape = reflect(normal, view, cosine), [1.0 / variance]
+        neutral = [1.0]
+        finite = is_finite(axis[0] + axis[1] + axis[2] + variance)
     else:
-        axis, shape, finite = _reflect_tangent(grid, normal, view, cosine, alphas, kind, representation == "asg")
+        axis, shape = _make_covariance(grid, normal, view, cosine, alphas, kind, similarity == "asg")
         neutral = [0.0] * 6 + [1.0]
+        finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
     specular = surface & known & finite
     lambert = hl.Expr(False)
     if kind is not None:
@@ -111,66 +211,36 @@ def define_lobes(grid: Grid, representation: str, diffuse_fallback: bool) -> lis
         return hl.select(which == 1, value, which == 2, diffuse, hl.f32(harmless))
 
     flat: list[hl.Expr] = [hl.f32(LAMBERT_SHARPNESS)]
-    if representation != "sg":
+    if similarity != "sg":
         variance = hl.f32(1.0 / LAMBERT_SHARPNESS)
-        flat = [*_across(variance, normal), variance * variance]
+        flat = [*find_round_covariance(variance, normal), variance * variance]
     axis = [choose(value, diffuse, 0.0) for value, diffuse in zip(axis, normal, strict=True)]
     shape = [choose(*each) for each in zip(shape, flat, neutral, strict=True)]
     truth = [hl.u8(which != 0)]
-    return [truth, axis, shape] if representation == "sg" else [truth, axis, shape[:6], shape[6:]]
+    return [truth, axis, shape] if similarity == "sg" else [truth, axis, shape[:6], shape[6:]]
 
 
-def _scale(vector: Vector, factor: hl.Expr) -> list[hl.Expr]:
-    return [component * factor for component in vector]
-
-
-def _cross(a: Vector, b: Vector) -> list[hl.Expr]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def _combine(*terms: tuple[hl.Expr, Vector]) -> list[hl.Expr]:
-    """Return the sum of weighted vectors."""
-    return [sum((weight * vector[k] for weight, vector in terms[1:]), terms[0][0] * terms[0][1][k]) for k in range(3)]
-
-
-def _across(variance: hl.Expr, axis: Vector) -> list[hl.Expr]:
-    """Return the six components of ``variance (I - axis axis^T)``."""
-    x, y, z = axis
-    vx, vy, vz = _scale(axis, variance)
-    return [variance - vx * x, -vx * y, -vx * z, variance - vy * y, -vy * z, variance - vz * z]
-
-
-def _add_outer(covariance: Vector, weight: hl.Expr, a: Vector) -> list[hl.Expr]:
-    """Return six components plus ``weight a a^T``."""
-    x, y, z = _scale(a, weight)
-    outer = [x * a[0], x * a[1], x * a[2], y * a[1], y * a[2], z * a[2]]
-    return [value + more for value, more in zip(covariance, outer, strict=True)]
-
-
-def _clamp_alpha(value: hl.Expr) -> hl.Expr:
-    return hl.max(hl.min(value, hl.f32(1.0)), hl.f32(0.0))
-
-
-def _find_view(grid: Grid) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return the unit direction from the surface to the eye, and whether there is one."""
+def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:
+    """Return unit normal, unit view, their cosine, and whether there is a surface that can be seen."""
+    raw = grid.read("normal")
+    square = dot(raw, raw)
+    # A normal averaged over an edge is short, but not a thousandth.
+    surface = (square > hl.f32(1e-6)) & is_finite(square)
+    if grid.has("depth"):
+        surface = surface & is_surface_depth(grid.read_one("depth"))
+    normal = scale(raw, 1.0 / hl.sqrt(square))
     if grid.has("position"):
         step = [eye - place for eye, place in zip(grid.get("eye"), grid.read("position"), strict=True)]
     else:
         step = [-component for component in make_ray(grid, hl.Float(32))]
     square = dot(step, step)
-    return _scale(step, hl.f32(1.0) / hl.sqrt(square)), (square > hl.f32(0.0)) & is_finite(square)
+    view, seen = scale(step, 1.0 / hl.sqrt(square)), (square > hl.f32(0.0)) & is_finite(square)
+    normal, cosine = face_viewer(HALIDE, normal, view)
+    *facing, cosine = grid.share([*normal, *view, cosine])
+    return facing[:3], facing[3:], cosine, surface & seen & is_finite(cosine)
 
 
-def _face_viewer(normal: Vector, view: Vector) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return normals bent towards the viewer until n.v is at least about `MIN_COSINE`, and n.v."""
-    cosine = dot(normal, view)
-    lift = hl.max(hl.f32(MIN_COSINE) - cosine, hl.f32(0.0))
-    bent = [n + lift * v for n, v in zip(normal, view, strict=True)]
-    inverse = hl.select(lift > hl.f32(0.0), hl.f32(1.0) / hl.sqrt(dot(bent, bent)), hl.f32(1.0))
-    return _scale(bent, inverse), (cosine + lift) * inverse
-
-
-def _read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Expr]:
+def read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Expr]:
     """Return both alphas, in [0, 1] and 0 for mirrors, and whether they are numbers."""
     alphas, known = [], hl.Expr(True)
     for name in ("alpha_u", "alpha_v") if grid.has("alpha_v") else ("alpha_u",):
@@ -178,158 +248,25 @@ def _read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Ex
         if kind is not None:
             value = hl.select(kind == hl.f32(LobeKind.DELTA), hl.f32(0.0), value)
         known = known & is_finite(value)
-        alphas.append(_clamp_alpha(value))
+        alphas.append(hl.max(hl.min(value, hl.f32(1.0)), hl.f32(0.0)))
     return [alphas[0], alphas[-1]], known
 
 
-def _reflect_sg(
-    grid: Grid, normal: Vector, view: Vector, cosine: hl.Expr, alphas: Vector
-) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
+def _make_covariance(
+    grid: Grid, normal: Vector, view: Vector, cosine: hl.Expr, alphas: Vector, kind: hl.Expr | None, gaussian: bool
+) -> tuple[list[hl.Expr], list[hl.Expr]]:
+    """Return the axis; and six covariances with the determinant."""
     (noise,) = grid.get("noise")
-    axis = _combine((cosine + cosine, normal), (hl.f32(-1.0), view))
-    warp = hl.f32(2.0) * hl.max(cosine, hl.f32(MIN_WARP_COSINE))
-    variance = warp * (alphas[0] * alphas[1]) + noise
-    return axis, [hl.f32(1.0) / variance], is_finite(axis[0] + axis[1] + axis[2] + variance)
-
-
-def _reflect_tangent(
-    grid: Grid,
-    normal: Vector,
-    view: Vector,
-    cosine: hl.Expr,
-    alphas: Vector,
-    kind: hl.Expr | None,
-    gaussian: bool,
-) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
-    """Return the axis; six covariances and the determinant; and whether they are numbers."""
-    one = hl.f32(1.0)
     beckmann = hl.Expr(False) if kind is None else kind == hl.f32(LobeKind.BECKMANN)
-    limit = hl.select(beckmann, hl.f32(BECKMANN_LIMIT), hl.f32(GGX_LIMIT))
-    sharper = hl.select(beckmann, one, hl.f32(GGX_SHARPNESS)) if gaussian else one
-    (noise,) = grid.get("noise")
-    # What is scaled afterwards holds the band-limit, which must not be.
-    noise = sharper * noise
-
-    def lack(alpha: hl.Expr) -> hl.Expr:
-        return hl.select(beckmann, one, one - alpha * alpha)
-
+    tangents = None
     if grid.has("tangent"):
-        tangent, bitangent, directed = _find_tangent(grid.read("tangent"), normal)
+        tangent, directed = find_tangent(HALIDE, grid.read("tangent"), normal)
         tangent = grid.share(tangent)
-        bitangent = _cross(normal, tangent)
+        tangents = tangent, cross(normal, tangent)
         # Without a direction only the area of the lobe is known.
         mean = hl.sqrt(alphas[0] * alphas[1])
         alphas = [hl.select(directed, alpha, mean) for alpha in alphas]
-        axis, covariance, determinant = _make_anisotropic_lobe(
-            (tangent, bitangent), (normal, view, cosine), alphas, [lack(alpha) for alpha in alphas], limit, noise
-        )
-    else:
-        axis, covariance, determinant = _make_isotropic_lobe(
-            normal, view, cosine, alphas[0], lack(alphas[0]), limit, noise
-        )
-    if gaussian:
-        covariance = _scale(covariance, one / sharper)
-        determinant = determinant / (sharper * sharper)
-    return axis, [*covariance, determinant], is_finite(axis[0] + axis[1] + axis[2] + determinant)
-
-
-def _find_tangent(raw: Vector, normal: Vector) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
-    """Return the tangent made perpendicular to the normal, the bitangent, and whether the guides have a tangent.
-
-    Elsewhere the tangent is any vector perpendicular to the normal.
-    """
-    along = dot(raw, normal)
-    tangent = [t - along * n for t, n in zip(raw, normal, strict=True)]
-    square = dot(tangent, tangent)
-    known = (square > hl.f32(1e-8)) & (square < hl.f32(1e8))
-    x, y, z = normal
-    zero, flat = hl.f32(0.0), hl.abs(z) < hl.f32(0.7)
-    other = [hl.select(flat, -y, zero), hl.select(flat, x, -z), hl.select(flat, zero, y)]
-    tangent = [hl.select(known, t, o) for t, o in zip(tangent, other, strict=True)]
-    tangent = _scale(tangent, hl.f32(1.0) / hl.sqrt(dot(tangent, tangent)))
-    return tangent, _cross(normal, tangent), known
-
-
-def _make_isotropic_lobe(
-    normal: Vector,
-    view: Vector,
-    cosine: hl.Expr,
-    alpha: hl.Expr,
-    deficit: hl.Expr,
-    limit: hl.Expr,
-    noise: hl.Expr,
-) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
-    """Return (axis, six covariances, determinant); see `lobewise.lobes.tangent.make_isotropic_lobe`."""
-    one, two, four, half = (hl.f32(value) for value in (1.0, 2.0, 4.0, 0.5))
-    square = alpha * alpha
-    a = hl.min(hl.f32(0.7) + hl.f32(0.6) * alpha, one) * square
-    rest = one - a
-    b = hl.sqrt(a + rest * cosine * cosine) + rest * cosine
-    inverse_square = one / (a * a + b * b + two * a * b * cosine)
-    inverse = hl.sqrt(inverse_square)
-    view_cosine, normal_cosine = (a + b * cosine) * inverse, (a * cosine + b) * inverse
-    twice = two * view_cosine * inverse
-    axis = _combine((twice * a - one, view), (twice * b, normal))
-
-    floored = hl.max(view_cosine, hl.f32(MIN_VIEW_COSINE))
-    floored_square = floored * floored
-    across_part, along_part = four * square * floored_square, four * square * normal_cosine
-    across_scale = normal_cosine * deficit + limit * across_part
-    along_scale = deficit + limit * along_part
-    across = half * across_part / across_scale + noise
-    along = half * along_part / along_scale + noise
-    lifted = (floored_square - view_cosine * view_cosine) / hl.max(one - cosine * cosine, half)
-    excess = two * square * deficit * ((a * a - b * b) * inverse_square + lifted) / (across_scale * along_scale)
-    return axis, _add_outer(_across(along, axis), excess, _cross(view, normal)), across * along
-
-
-def _make_anisotropic_lobe(
-    directions: tuple[Vector, Vector],
-    facing: tuple[Vector, Vector, hl.Expr],
-    alphas: Vector,
-    deficits: Vector,
-    limit: hl.Expr,
-    noise: hl.Expr,
-) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
-    """Return (axis, six covariances, determinant); see `lobewise.lobes.tangent.make_anisotropic_lobe`.
-
-    ``directions`` are tangent and bitangent, ``facing`` normal, view and their cosine.
-    """
-    one, two, half, quarter = (hl.f32(value) for value in (1.0, 2.0, 0.5, 0.25))
-    tangent, bitangent = directions
-    normal, view, cosine = facing
-    squares = [alpha * alpha for alpha in alphas]
-    cosine_u, cosine_v = dot(tangent, view), dot(bitangent, view)
-    scale = hl.min(hl.f32(0.7) + hl.f32(0.6) * hl.sqrt(alphas[0] * alphas[1]), one)
-    mu, mv = scale * squares[0] * cosine_u, scale * squares[1] * cosine_v
-    mn = hl.sqrt(mu * cosine_u + mv * cosine_v + cosine * cosine) + cosine
-    mu, mv, mn = _scale([mu, mv, mn], one / hl.sqrt(mu * mu + mv * mv + mn * mn))
-    m = _combine((mu, tangent), (mv, bitangent), (mn, normal))
-    view_cosine = mu * cosine_u + mv * cosine_v + mn * cosine
-    axis = _combine((two * view_cosine, m), (hl.f32(-1.0), view))
-
-    floored = hl.max(view_cosine, hl.f32(MIN_VIEW_COSINE))
-    lift = floored - view_cosine
-    product = hl.f32(16.0) * floored * floored * squares[0] * squares[1]
-    covariance: Sequence[hl.Expr] = _across(limit * product, axis)
-    trace: hl.Expr = hl.f32(0.0)
-    for vector, component, along, weight in (
-        (tangent, mu, cosine_u, squares[0] * deficits[1]),
-        (bitangent, mv, cosine_v, squares[1] * deficits[0]),
-    ):
-        # Where a step along this tangent takes the reflection: its image under the Jacobian.
-        on_m = two * (along - two * component * view_cosine)
-        # The floor of v.m widens only the part across the plane of incidence.
-        on_view = (along - component * view_cosine) / hl.max(one - view_cosine * view_cosine, half)
-        on_m = on_m - two * lift * (component - on_view * view_cosine)
-        image = _combine((on_m, m), (two * floored, vector), (-two * lift * on_view, view))
-        share = weight / mn
-        trace = trace + share * dot(image, image)
-        covariance = _add_outer(covariance, share, image)
-    inverse = one / (deficits[0] * deficits[1] + limit * trace + limit * limit * product)
-    blur = _across(noise, axis)
-    covariance = [half * inverse * value + more for value, more in zip(covariance, blur, strict=True)]
-    # Determinant and trace of the 2x2 part before the noise.
-    plain = quarter * product * inverse
-    spread = half * inverse * (trace + two * limit * product)
-    return axis, covariance, plain + noise * (spread + noise)
+    lobe = make_covariance_lobe(
+        HALIDE, normal, view, cosine, alphas, tangents, noise, beckmann=beckmann, gaussian=gaussian
+    )
+    return list(lobe.axis), [*lobe.covariance, lobe.determinant]

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.frame import FloatArray, Result
-from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.guides.lobe_fields import make_sg_field
+from lobewise.lobes.band_limit import default_tau
 from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.sparse_frame import SparseFrame
 
@@ -65,8 +66,7 @@ def _make_noisy(parts: Parts) -> FloatArray:
 def _make_sharpness(parts: Parts) -> FloatArray:
     gbuffer, camera = parts.hits.gbuffer, parts.hits.camera
     tau = default_tau(camera, parts.sparse.height)
-    lobes = build_lobe_field(gbuffer, camera, tau=tau, representation="sg", diffuse_fallback=True)
-    assert lobes.sharpness is not None
+    lobes = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=True)
     shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.log(SHARPEST)
     return np.where(lobes.valid, np.clip(shown, 0.0, 1.0), 0.0)
 

@@ -8,13 +8,10 @@ the axes narrows the kernel where the reflected thing is near and leaves it wher
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any, NamedTuple
 
 from lobewise.frame import FloatArray
-from lobewise.lobes.vectors import Array, as_reals, dot
+from lobewise.lobes.vectors import Vector, dot
 
 
 class HitField(NamedTuple):
@@ -27,38 +24,29 @@ class HitField(NamedTuple):
 
 
 def find_hit_shift(
-    axis_i: ArrayLike,
-    axis_j: ArrayLike,
-    position_i: ArrayLike,
-    position_j: ArrayLike,
-    inverse_i: ArrayLike,
-    inverse_j: ArrayLike,
-) -> Array:
+    axis_i: Vector, axis_j: Vector, hit_i: tuple[Vector, Any], hit_j: tuple[Vector, Any], square: Any
+) -> list[Any]:
     """Return what the hits add to ``z_j - z_i``: the step between the surface points over t, across the lobes.
 
     Parameters
     ----------
-    axis_i, axis_j : array_like, shape (..., 3)
+    axis_i, axis_j : Vector
         Unit lobe axes.
-    position_i, position_j : array_like, shape (..., 3)
-        Surface points.
-    inverse_i, inverse_j : array_like, shape (...)
-        Inverse hit distances; their mean counts, which is what keeps the weight symmetric.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Perpendicular to ``z_i + z_j``, radians to first order.
+    hit_i, hit_j : pair of Vector and number
+        Surface point, and inverse hit distance; the mean of both distances counts, which keeps the weight symmetric.
+    square : number
+        ``|axis_i - axis_j|^2``.
 
     Notes
     -----
     Source: this library, after the "secondary-ray information" that Tokuyoshi 2015 names as a remedy; for a flat mirror
-    at infinity's other end it is the footprint ``t / (D + t)`` of the virtual image.
+    at infinity's other end it is the footprint ``t / (D + t)`` of the virtual image. Perpendicular to ``z_i + z_j`` to
+    first order in ``square / 4``: the lobes of a tap that counts are near.
     """
-    axis_i, axis_j, position_i, position_j, inverse_i, inverse_j = as_reals(
-        axis_i, axis_j, position_i, position_j, inverse_i, inverse_j
-    )
-    step = (0.5 * (inverse_i + inverse_j))[..., None] * (position_j - position_i)
-    middle = axis_i + axis_j
-    square = np.maximum(dot(middle, middle), 1e-12)
-    return np.asarray(step - (dot(middle, step) / square)[..., None] * middle)
+    (place_i, inverse_i), (place_j, inverse_j) = hit_i, hit_j
+    inverse = 0.5 * (inverse_i + inverse_j)
+    step = [inverse * (q - p) for p, q in zip(place_i, place_j, strict=True)]
+    middle = [p + q for p, q in zip(axis_i, axis_j, strict=True)]
+    # 1 / |zi + zj|^2 = 1 / (4 - |d|^2)
+    along = 0.25 * dot(middle, step) * (1.0 + 0.25 * square)
+    return [p - along * q for p, q in zip(step, middle, strict=True)]

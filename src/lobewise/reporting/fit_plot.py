@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit import Evaluate
+from lobewise.fitting.table import TableLobes, evaluate_lobes, evaluate_table
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.table import TableLobes, evaluate_lobes, evaluate_table
-from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.lobes.vectors import LUMINANCE
 from lobewise.reporting.plotting import encode_figure, make_figure, require_matplotlib
 
 VIEWS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)

@@ -24,7 +24,7 @@ from lobewise.guides.surfaces import (
     put_backdrop,
 )
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.field import default_tau
+from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import ResolvedSettings, TemporalSettings
 
 FAR = 1e8

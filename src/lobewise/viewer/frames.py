@@ -15,13 +15,14 @@ from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.interactive.views import SHARPEST
 from lobewise.io.exr import read_frame, write_frame, write_result
 from lobewise.io.exr.layout import require_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.exr.sparse import read_sparse_frame
-from lobewise.lobes.field import build_lobe_field, default_tau
+from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
@@ -203,8 +204,7 @@ def _show_sharpness(frame: Frame | SparseFrame, result: Result) -> FloatArray:
     tau: Any = result.settings.get("tau")
     if not isinstance(tau, float):
         tau = resolve_tau(frame)
-    lobes = build_lobe_field(frame.gbuffer, frame.camera, tau=tau, representation="sg", diffuse_fallback=True)
-    assert lobes.sharpness is not None
+    lobes = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=True)
     shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.float32(math.log(SHARPEST))
     return np.where(lobes.valid, np.clip(shown, 0.0, 1.0), np.float32(0.0))
 

@@ -14,9 +14,9 @@ import pytest
 from lobewise import denoise
 from lobewise.errors import MissingDependencyError, UnsupportedBsdfError
 from lobewise.fitting.fit import LUMINANCE
+from lobewise.fitting.ggx import ggx_brdf
+from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.frame import Frame, GBuffer, LobeKind
-from lobewise.lobes.brdf import ggx_brdf
-from lobewise.lobes.table import evaluate_lobes, evaluate_table
 from tests.render.materials.measured_file import write_measured
 from tests.render.materials.python_bsdf import register_lobes
 from tests.render.materials.test_bsdfs import COPPER, WRAPPERS, flat_normals, middle, ramp_texture, rgb

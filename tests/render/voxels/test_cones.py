@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.lobes.brdf import reflect_ggx_sg
 from lobewise.render import render_frame
+from tests.lobes.oracles.brdf import reflect_ggx_sg
 
 pytestmark = pytest.mark.mitsuba
 

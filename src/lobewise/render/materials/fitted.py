@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit import Evaluate, fit_lobes, make_nodes
+from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.table import get_albedo, get_equivalent_alphas, order_lobes
-from lobewise.lobes.vectors import LUMINANCE, Array
+from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.probe import (
     Parts,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError
+from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit import COSINES, Evaluate
-from lobewise.lobes.vectors import Array
 from lobewise.render.loading import load_scene
 from lobewise.render.materials.bsdfs import list_nested
 from lobewise.render.materials.fitted import (

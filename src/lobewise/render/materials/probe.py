@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import UnsupportedBsdfError
-from lobewise.lobes.vectors import Array
+from lobewise.fitting.arrays import Array
 from lobewise.render.bridge import dr, mi
 
 # Mitsuba's values are times the cosine; below this one they are of no account and the division would raise noise.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lobewise.frame import LobeKind
-from lobewise.lobes.brdf import ggx_directional_albedo
+from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import FITTED, Material, make_diffuse_context
 from lobewise.render.materials.fitted import OPACITY

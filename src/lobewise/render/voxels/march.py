@@ -248,7 +248,7 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
 
     Source: Tokuyoshi's public shaders for the dominant visible normal ``m`` of GGX, about which the lobe is reflected,
     and its sharpness ``l = (2/a^2 - 2) m.n / (4 v.m)``; a cone as large as a spherical Gaussian of sharpness ``l`` has
-    ``cos(half) = 1 - 1/l``. The float64 forms are in `lobewise.lobes.brdf`.
+    ``cos(half) = 1 - 1/l``. See `lobewise.lobes.covariance`.
     Departs: two alphas count as their geometric mean in the sharpness, and no cone is wider than a diffuse one.
     """
     across = dr.cross(normal, tangent)

@@ -1,23 +1,30 @@
-"""MixtureField: the lobes of every pixel of a G-buffer as a sum of spherical Gaussians, ready for the image kernels."""
+"""The reflection lobes of every pixel of a frame as a sum of spherical Gaussians."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
+import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.namespace import HALIDE
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
+from lobewise.fitting.arrays import Array, normalize
+from lobewise.fitting.table import evaluate_table
 from lobewise.frame import FloatArray, GBuffer, LobeKind
+from lobewise.guides.lobe_fields import SgField, define_lobes, make_sg_field
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.field import LobeField, build_lobe_field
+from lobewise.lobes.gaussian import integrate_gaussian
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
-from lobewise.lobes.sg import sg_integral
-from lobewise.lobes.table import evaluate_table
-from lobewise.lobes.vectors import LUMINANCE, Array, normalize
+from lobewise.lobes.numbers import NUMPY_SINGLE
+from lobewise.lobes.vectors import LUMINANCE
+from lobewise.settings import MAX_LOBES
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,7 @@ class MixtureField:
     amplitude: FloatArray
 
 
-def build_mixture_field(
+def make_mixture_field(
     gbuffer: GBuffer,
     camera: Camera,
     *,
@@ -50,9 +57,8 @@ def build_mixture_field(
     lobes: int = 3,
     lobe_tables: Sequence[LobeTable] = (),
     diffuse: bool = False,
-    threads: int | None = None,
 ) -> MixtureField:
-    """Build the lobes of every pixel.
+    """Return the lobes of every pixel.
 
     A GGX surface has ``lobes`` lobes about its mirror direction (`lobewise.lobes.mixture.GGX_MIXTURES`), a Beckmann
     surface and a mirror one, a material with a lobe table those of the table. Their integrals are the specular albedo,
@@ -61,7 +67,7 @@ def build_mixture_field(
     Parameters
     ----------
     gbuffer, camera
-        See `lobewise.lobes.field.build_lobe_field`.
+        See `lobewise.guides.lobe_fields.make_sg_field`.
     tau : float
         Band-limit, radians: ``tau^2`` is added to the variance of every lobe and its integral kept.
     lobes : {1, 2, 3, 4}
@@ -71,8 +77,6 @@ def build_mixture_field(
     diffuse : bool
         Add the diffuse lobe, of integral ``gbuffer.diffuse_albedo``, for radiance that holds both. Without it, surfaces
         that have no specular lobe get the diffuse one alone.
-    threads : int, optional
-        Worker threads; by default one per available core. The result is the same bits for any number.
 
     Returns
     -------
@@ -83,105 +87,91 @@ def build_mixture_field(
     MissingChannelError
         If a channel is missing.
     InputError
-        If ``tau``, ``lobes`` or ``threads`` is out of range.
+        If ``tau`` or ``lobes`` is out of range.
     """
-    most = 3 if diffuse else 4
-    if isinstance(lobes, bool) or lobes not in range(1, most + 1):
-        raise InputError(
-            describe_problem(
-                "lobes of a mixture",
-                expected=f"an integer from 1 to {most}",
-                got=repr(lobes),
-                action="3 stand for GGX within 1 %; one more is diffuse where radiances are not apart",
-            )
-        )
-    single = build_lobe_field(
-        gbuffer, camera, tau=tau, representation="sg", diffuse_fallback=not diffuse, threads=threads
+    tables = tuple(lobe_tables) if gbuffer.material is not None else ()
+    diffuse_lobes = int(diffuse and gbuffer.diffuse_albedo is not None)
+    count = _count_lobes(lobes, tables, diffuse, diffuse_lobes)
+    single = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=not diffuse)
+    height, width = single.valid.shape
+    field = MixtureField(
+        valid=np.empty((height, width), np.bool_),
+        axis=np.zeros((height, width, 3 * count if tables or diffuse_lobes else 3), np.float32),
+        sharpness=np.ones((height, width, count), np.float32),
+        amplitude=np.zeros((height, width, count), np.float32),
     )
-    builder = _Builder(gbuffer, camera, tau, lobes, tuple(lobe_tables), diffuse, single)
-    height, width = single.shape
-    run_chunks(builder.fill, height, width, threads)
-    return builder.field
+    rays = camera.make_ray_directions(width, height) if tables and gbuffer.position is None else None
+    builder = _Builder(gbuffer, camera.position.astype(np.float32), rays, np.float32(tau * tau), lobes, single, field)
+
+    def fill(chunk: Chunk) -> None:
+        with np.errstate(all="ignore"):  # what is garbage is not valid, and taken out at the end
+            builder.fill_parametric(chunk)
+            for number, table in enumerate(tables):
+                builder.fill_table(chunk, number, table)
+            valid = single.valid[chunk]
+            if diffuse_lobes:
+                valid = valid | builder.fill_diffuse(chunk)
+            builder.finish(chunk, valid)
+
+    run_chunks(fill, height, width)
+    return field
+
+
+def _count_lobes(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse_lobes: int) -> int:
+    """Return how many lobes the pixels have at most."""
+
+    def complain(expected: str, got: str, action: str) -> NoReturn:
+        raise InputError("lobes of a mixture", expected=expected, got=got, action=action)
+
+    most = MAX_LOBES - diffuse
+    if isinstance(lobes, bool) or lobes not in range(1, most + 1):
+        complain(
+            f"an integer from 1 to {most}",
+            repr(lobes),
+            "3 stand for GGX within 1 %; one more is diffuse where radiances are not apart",
+        )
+    count = max([lobes, *(table.lobe_count for table in tables)]) + diffuse_lobes
+    if count > MAX_LOBES:
+        complain(
+            f"at most {MAX_LOBES} for a pixel, the diffuse one included",
+            str(count),
+            "fit the materials with fewer lobes, or render diffuse and specular radiance apart",
+        )
+    return count
 
 
 def _sum_luminance(albedo: FloatArray) -> Array:
     return np.asarray(sum(weight * albedo[..., k] for k, weight in enumerate(LUMINANCE)), dtype=np.float32)
 
 
+@dataclass(frozen=True)
 class _Builder:
     """Fills the arrays of a MixtureField piece by piece."""
 
-    def __init__(
-        self,
-        gbuffer: GBuffer,
-        camera: Camera,
-        tau: float,
-        lobes: int,
-        tables: tuple[LobeTable, ...],
-        diffuse: bool,
-        single: LobeField,
-    ) -> None:
-        self.gbuffer, self.camera = gbuffer, camera
-        self.noise = np.float32(tau * tau)
-        self.lobes = lobes
-        self.tables = tables if gbuffer.material is not None else ()
-        self.diffuse = diffuse and gbuffer.diffuse_albedo is not None
-        self.single = single
-        height, width = single.shape
-        specular = max([lobes, *(table.axis.shape[2] for table in self.tables)])
-        if specular + self.diffuse > 4:
-            raise InputError(
-                describe_problem(
-                    "lobes of a mixture",
-                    expected="at most 4 for a pixel, the diffuse one included",
-                    got=f"{specular + self.diffuse}",
-                    action="fit the materials with fewer lobes, or render diffuse and specular radiance apart",
-                )
-            )
-        count = specular + self.diffuse
-        self.coaxial = not self.tables and not self.diffuse
-        self.rays = None
-        if self.tables and gbuffer.position is None:
-            self.rays = camera.make_ray_directions(width, height)
-        self.field = MixtureField(
-            valid=np.empty((height, width), np.bool_),
-            axis=np.zeros((height, width, 3 if self.coaxial else 3 * count), np.float32),
-            sharpness=np.ones((height, width, count), np.float32),
-            amplitude=np.zeros((height, width, count), np.float32),
-        )
+    gbuffer: GBuffer
+    eye: FloatArray
+    rays: FloatArray | None
+    """Where tables need views and there are no positions."""
+    noise: np.float32
+    lobes: int
+    single: SgField
+    field: MixtureField
 
-    def fill(self, chunk: Chunk) -> None:
-        """Compute the pixels of ``chunk``."""
-        with np.errstate(all="ignore"):  # what is garbage is not valid, and taken out at the end
-            self._fill_parametric(chunk)
-            for number, table in enumerate(self.tables):
-                self._fill_table(chunk, number, table)
-            valid = self.single.valid[chunk]
-            if self.diffuse:
-                valid = valid | self._fill_diffuse(chunk)
-        field = self.field
-        field.valid[chunk] = valid & np.isfinite(field.axis[chunk].sum(-1) + field.amplitude[chunk].sum(-1))
-        none = ~field.valid[chunk]
-        if none.any():
-            for values, harmless in ((field.axis, 0.0), (field.sharpness, 1.0), (field.amplitude, 0.0)):
-                values[chunk][none] = harmless
-
-    def _fill_parametric(self, chunk: Chunk) -> None:
+    def fill_parametric(self, chunk: Chunk) -> None:
         """The universal mixture about the axis of the single lobe, whose variance tells the area."""
         single, gbuffer, field = self.single, self.gbuffer, self.field
-        assert single.axis is not None and single.sharpness is not None and gbuffer.alpha_u is not None
+        assert gbuffer.alpha_u is not None
         area = np.maximum(np.float32(1.0) / single.sharpness[chunk] - self.noise, np.float32(0.0))
         alpha_v = gbuffer.alpha_u if gbuffer.alpha_v is None else gbuffer.alpha_v
         square = np.clip(gbuffer.alpha_u[chunk] * alpha_v[chunk], np.float32(0.0), np.float32(1.0))
         albedo = np.ones_like(square)
         if gbuffer.specular_albedo is not None:
             albedo = _sum_luminance(gbuffer.specular_albedo[chunk])
-        lobes = slice(0, self.lobes)
-        field.sharpness[chunk][..., lobes], field.amplitude[chunk][..., lobes] = spread_ggx_mixture(
-            area, square, albedo, lobes=self.lobes, noise=float(self.noise)
-        )
-        for k in range(1 if self.coaxial else self.lobes):
-            field.axis[chunk][..., 3 * k : 3 * k + 3] = single.axis[chunk]
+        found = spread_ggx_mixture(NUMPY_SINGLE, area, square, albedo, lobes=self.lobes, noise=self.noise)
+        for k, (sharpness, amplitude) in enumerate(zip(*found, strict=True)):
+            field.sharpness[chunk][..., k], field.amplitude[chunk][..., k] = sharpness, amplitude
+        for k in range(0, min(3 * self.lobes, field.axis.shape[2]), 3):
+            field.axis[chunk][..., k : k + 3] = single.axis[chunk]
         if gbuffer.lobe_kind is None:
             return
         kind = gbuffer.lobe_kind[chunk]
@@ -189,12 +179,12 @@ class _Builder:
         alone = kind != LobeKind.GGX
         if alone.any():
             sharpness = single.sharpness[chunk][alone]
-            scale = np.where(kind[alone] == LobeKind.NONE, np.float32(1.0), albedo[alone])
+            weight = np.where(kind[alone] == LobeKind.NONE, np.float32(1.0), albedo[alone])
             field.sharpness[chunk][..., 0][alone] = sharpness
-            field.amplitude[chunk][..., 0][alone] = scale / sg_integral(sharpness)
+            field.amplitude[chunk][..., 0][alone] = weight / integrate_gaussian(NUMPY_SINGLE, sharpness)
             field.amplitude[chunk][..., 1 : self.lobes][alone] = 0.0
 
-    def _fill_table(self, chunk: Chunk, number: int, table: LobeTable) -> None:
+    def fill_table(self, chunk: Chunk, number: int, table: LobeTable) -> None:
         """Replace the lobes of the pixels that show the table's material."""
         gbuffer, field = self.gbuffer, self.field
         assert gbuffer.material is not None and gbuffer.normal is not None
@@ -203,12 +193,12 @@ class _Builder:
             return
         normal = normalize(gbuffer.normal[chunk][here])
         if gbuffer.position is not None:
-            view = normalize(self.camera.position.astype(np.float32) - gbuffer.position[chunk][here])
+            view = normalize(self.eye - gbuffer.position[chunk][here])
         else:
             assert self.rays is not None
             view = -self.rays[chunk][here]
         tangent = None
-        if table.azimuth.size > 1:
+        if not table.is_isotropic:
             assert gbuffer.tangent is not None
             tangent = gbuffer.tangent[chunk][here]
         found = evaluate_table(table, normal, view, tangent)
@@ -224,8 +214,8 @@ class _Builder:
         both[1, :, :count] = found.amplitude * limited / sharpness
         field.axis[chunk][here], field.sharpness[chunk][here], field.amplitude[chunk][here] = axis, both[0], both[1]
 
-    def _fill_diffuse(self, chunk: Chunk) -> NDArray[np.bool_]:
-        """Put the diffuse lobe last; return where there is one."""
+    def fill_diffuse(self, chunk: Chunk) -> NDArray[np.bool_]:
+        """Put the diffuse lobe last, which a pixel without specular lobe has alone; return where there is one."""
         gbuffer, field = self.gbuffer, self.field
         assert gbuffer.diffuse_albedo is not None and gbuffer.normal is not None
         albedo = _sum_luminance(gbuffer.diffuse_albedo[chunk])
@@ -237,10 +227,36 @@ class _Builder:
             field.axis[chunk][..., -3 + k] = np.where(there, component * inverse, 0.0)
         field.sharpness[chunk][..., -1] = LAMBERT_SHARPNESS
         field.amplitude[chunk][..., -1] = np.where(there, albedo * np.float32(LAMBERT_AMPLITUDE / np.pi), 0.0)
-        # A pixel without specular lobe has the diffuse one alone.
         none = ~self.single.valid[chunk]
         if none.any():
             field.axis[chunk][..., :-3][none] = 0.0
             field.sharpness[chunk][..., :-1][none] = 1.0
             field.amplitude[chunk][..., :-1][none] = 0.0
         return np.asarray(there)
+
+    def finish(self, chunk: Chunk, valid: NDArray[np.bool_]) -> None:
+        """Write the mask, and harmless values where there is no lobe."""
+        field = self.field
+        field.valid[chunk] = valid & np.isfinite(field.axis[chunk].sum(-1) + field.amplitude[chunk].sum(-1))
+        none = ~field.valid[chunk]
+        for values, harmless in ((field.axis, 0.0), (field.sharpness, 1.0), (field.amplitude, 0.0)):
+            values[chunk][none] = harmless
+
+
+def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
+    """Return validity, axis, sharpnesses and amplitudes of GGX surfaces of albedo 1: what an export computes.
+
+    The variance of the single lobe without its band-limit is the area of the mixture.
+    """
+    valid, axis, (single,) = define_lobes(grid, "sg", False)
+    (noise,) = grid.get("noise")
+    area = hl.max(1.0 / single - noise, hl.f32(0.0))
+    alpha = hl.clamp(grid.read_one("alpha_u"), hl.f32(0.0), hl.f32(1.0))
+    sharpness, amplitude = spread_ggx_mixture(HALIDE, area, alpha * alpha, 1.0, lobes=lobes, noise=noise)
+    there = valid[0] != 0
+    return [
+        valid,
+        axis,
+        [hl.select(there, value, hl.f32(1.0)) for value in sharpness],
+        [hl.select(there, value, hl.f32(0.0)) for value in amplitude],
+    ]

@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.brdf import ggx_dominant_visible_normal
-from lobewise.lobes.roughness import GGX_SHARPNESS_SCALES, asg_sharpness_from_sg
-from lobewise.lobes.tangent import MIN_COSINE
-from lobewise.lobes.vectors import Array, as_reals, contract, divide_or, dot, reflect
+from lobewise.lobes.covariance import MIN_COSINE
+
+from .brdf import ggx_dominant_visible_normal
+from .roughness import GGX_SHARPNESS_SCALES, asg_sharpness_from_sg
+from .vectors import Array, as_reals, contract, divide_or, dot, reflect
 
 MIN_VARIANCE = 1e-9
 """Square radians; the least variance of a lobe made from a roughness, so that a mirror without band-limit is finite."""
@@ -106,7 +107,7 @@ def asg_from_covariance(axis: ArrayLike, covariance: ArrayLike, determinant: Arr
     ----------
     axis : array_like, shape (..., 3)
     covariance : array_like, shape (..., 6)
-        As in `lobewise.lobes.tangent.TangentLobe`: ``covariance @ axis = 0``, square radians.
+        As in `TangentLobe`: ``covariance @ axis = 0``, square radians.
     determinant : array_like
         Product of the two principal variances, > 0.
     """
@@ -276,7 +277,7 @@ def asg_approx_similarity(
     beta : array_like
         Bandwidth exponent, > 0.
     shift : array_like, shape (..., 3), optional
-        Added to the difference of the axes in c (`lobewise.lobes.hits.find_hit_shift`).
+        Added to the difference of the axes in c (`find_hit_shift`).
 
     Notes
     -----
@@ -325,7 +326,7 @@ def reflect_asg(view: ArrayLike, normal: ArrayLike, sharpness: ArrayLike) -> Asg
 
     Source: Xu et al. 2013, the spherical warp: axis ``2 (n.v) n - v``, sharpness ``s / (4 (n.v)^2)`` across the plane
     of incidence and ``s / 4`` in it. Exact to first order.
-    Departs: ``n.v`` is not taken below 0.03 (`lobewise.lobes.tangent.MIN_COSINE`). Written with ``v x n`` instead of
+    Departs: ``n.v`` is not taken below 0.03 (`MIN_COSINE`). Written with ``v x n`` instead of
     its direction: nothing is 0/0 at n = v.
     """
     view, normal, sharpness = as_reals(view, normal, sharpness)
@@ -406,13 +407,13 @@ def make_ggx_asg(
         Unit vector perpendicular to ``normal``; not needed where the two roughnesses are equal.
     dominant : bool
         True: the lobe is reflected about the dominant visible normal m, its variances divided by m.n (see
-        `lobewise.lobes.brdf.ggx_dominant_visible_normal`). False: about the normal.
+        `ggx_dominant_visible_normal`). False: about the normal.
     tau : float
         Radians; ``tau^2`` is added to both variances (band-limit). Together they are at least 1e-9.
 
     Notes
     -----
-    The normals have the sharpnesses ``1.131 (1 / alpha^2 - 1)`` (`lobewise.lobes.roughness.asg_sharpness_from_ggx`),
+    The normals have the sharpnesses ``1.131 (1 / alpha^2 - 1)`` (`asg_sharpness_from_ggx`),
     reflected as in `reflect_anisotropic_asg`; `GGX_LIMIT` is added to both. Written over common denominators nothing is
     divided by 0 from alpha 0 to 1. Validity: see the theory page.
     """

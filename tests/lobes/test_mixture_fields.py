@@ -8,13 +8,14 @@ import pytest
 from lobewise import chunks
 from lobewise.camera import Camera
 from lobewise.errors import InputError
+from lobewise.fitting.arrays import normalize
+from lobewise.fitting.table import evaluate_table
 from lobewise.frame import GBuffer, LobeKind
+from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.mixture import make_ggx_mixture, make_lambert_lobe
-from lobewise.lobes.mixture_field import build_mixture_field
-from lobewise.lobes.sg import sg_integral
-from lobewise.lobes.table import evaluate_table
-from lobewise.lobes.vectors import normalize
+
+from .oracles.mixture import make_ggx_mixture, make_lambert_lobe
+from .oracles.sg import sg_integral
 
 TAU = 0.01
 SHAPE = (9, 13)
@@ -69,7 +70,7 @@ def weigh(albedo):
 
 @pytest.mark.parametrize("lobes", [1, 2, 3, 4])
 def test_ggx_pixels_have_the_mixture_of_a_point(guides, camera, lobes):
-    field = build_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=lobes)
+    field = make_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=lobes)
     albedo = weigh(guides["specular_albedo"])
     point = make_ggx_mixture(
         find_views(guides, camera), guides["normal"], guides["alpha_u"], lobes=lobes, albedo=albedo, tau=TAU
@@ -83,7 +84,7 @@ def test_ggx_pixels_have_the_mixture_of_a_point(guides, camera, lobes):
 def test_other_kinds_are_one_lobe(guides, camera):
     kinds = np.resize([int(LobeKind.BECKMANN), int(LobeKind.DELTA), int(LobeKind.NONE)], SHAPE)
     guides["lobe_kind"] = kinds.astype(float)
-    field = build_mixture_field(GBuffer(**guides), camera, tau=TAU)
+    field = make_mixture_field(GBuffer(**guides), camera, tau=TAU)
     assert field.valid.all()
     assert (field.amplitude[..., 1:] == 0.0).all()
     integral = field.amplitude[..., 0] * sg_integral(field.sharpness[..., 0])
@@ -96,7 +97,7 @@ def test_other_kinds_are_one_lobe(guides, camera):
 def test_diffuse_lobe_comes_last_with_its_true_amplitude(guides, camera):
     guides["diffuse_albedo"][2, 3] = 0.0
     guides["lobe_kind"][4] = float(LobeKind.NONE)
-    field = build_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=2, diffuse=True)
+    field = make_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=2, diffuse=True)
     assert field.axis.shape == (*SHAPE, 9)
     point = make_lambert_lobe(guides["normal"], weigh(guides["diffuse_albedo"]))
     np.testing.assert_allclose(field.amplitude[..., 2], point.amplitude[..., 0], rtol=1e-5)
@@ -112,7 +113,7 @@ def test_materials_have_the_lobes_of_their_tables(guides, camera):
     tables = make_table("one", 200.0), make_table("two", 40.0)
     material = np.zeros(SHAPE)
     material[2:5], material[6] = 1, 2
-    field = build_mixture_field(GBuffer(**guides, material=material), camera, tau=TAU, lobes=3, lobe_tables=tables)
+    field = make_mixture_field(GBuffer(**guides, material=material), camera, tau=TAU, lobes=3, lobe_tables=tables)
     assert field.axis.shape == (*SHAPE, 9)
     for number, table in enumerate(tables):
         here = material == number + 1
@@ -123,7 +124,7 @@ def test_materials_have_the_lobes_of_their_tables(guides, camera):
         kept = field.amplitude[here][:, :2] / field.sharpness[here][:, :2]
         np.testing.assert_allclose(kept, lobes.amplitude / sharpness, rtol=1e-4)
         assert (field.amplitude[here][:, 2] == 0.0).all()
-    plain = build_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=3)
+    plain = make_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=3)
     elsewhere = material == 0
     np.testing.assert_array_equal(field.sharpness[elsewhere], plain.sharpness[elsewhere])
 
@@ -132,7 +133,7 @@ def test_pixels_without_meaning_are_harmless(guides, camera):
     guides["normal"][1, 1] = 0.0
     guides["alpha_u"][2, 2] = np.nan
     guides["specular_albedo"][3, 3] = np.inf
-    field = build_mixture_field(GBuffer(**guides), camera, tau=TAU)
+    field = make_mixture_field(GBuffer(**guides), camera, tau=TAU)
     assert [field.valid[k, k] for k in range(5)] == [True, False, False, False, True]
     for values in (field.axis, field.sharpness, field.amplitude):
         assert np.isfinite(values).all()
@@ -141,10 +142,10 @@ def test_pixels_without_meaning_are_harmless(guides, camera):
 
 def test_every_chunking_gives_the_same_bits(guides, camera, monkeypatch):
     gbuffer = GBuffer(**guides)
-    whole = build_mixture_field(gbuffer, camera, tau=TAU, lobes=2, diffuse=True, threads=1)
+    whole = make_mixture_field(gbuffer, camera, tau=TAU, lobes=2, diffuse=True)
     for pixels in (1, 5, 40):
         monkeypatch.setattr(chunks, "CHUNK_PIXELS", pixels)
-        part = build_mixture_field(gbuffer, camera, tau=TAU, lobes=2, diffuse=True)
+        part = make_mixture_field(gbuffer, camera, tau=TAU, lobes=2, diffuse=True)
         for name in ("valid", "axis", "sharpness", "amplitude"):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name))
 
@@ -152,7 +153,7 @@ def test_every_chunking_gives_the_same_bits(guides, camera, monkeypatch):
 @pytest.mark.parametrize(("lobes", "diffuse"), [(0, False), (5, False), (4, True), (True, False)])
 def test_number_of_lobes_is_checked(guides, camera, lobes, diffuse):
     with pytest.raises(InputError, match="lobes of a mixture"):
-        build_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=lobes, diffuse=diffuse)
+        make_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=lobes, diffuse=diffuse)
 
 
 def test_too_many_lobes_in_a_table(guides, camera):
@@ -164,4 +165,4 @@ def test_too_many_lobes_in_a_table(guides, camera):
         **{**{name: getattr(table, name) for name in table.__dataclass_fields__}, **wide},
     )
     with pytest.raises(InputError, match="at most 4"):
-        build_mixture_field(gbuffer, camera, tau=TAU, lobe_tables=[four], diffuse=True)
+        make_mixture_field(gbuffer, camera, tau=TAU, lobe_tables=[four], diffuse=True)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, describe_problem
+from lobewise.fitting.arrays import Array, as_reals, dot, normalize
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.vectors import Array, as_reals, dot, normalize
 
 # Points worked on at a time: the table's rows of that many points fit a core's L2 cache.
 _CHUNK = 8192

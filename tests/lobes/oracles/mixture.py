@@ -1,0 +1,197 @@
+"""Sums of spherical Gaussians: one to four lobes per pixel, each with an amplitude, 0 for a lobe that is absent.
+
+Product integrals are bilinear, so a pair of pixels costs the product of their numbers of lobes (Iwasaki et al. 2012).
+The similarity divides by the norms, which belong to one pixel each and are computed by the same formula as the product.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lobewise.lobes.gaussian import MIN_WARP_COSINE
+from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS
+from lobewise.lobes.mixture import spread_ggx_mixture as spread
+from lobewise.lobes.numbers import NUMPY, NUMPY_SINGLE
+
+from .asg import MIN_VARIANCE
+from .sg import sg_approx_product_integral, sg_evaluate, sg_integral, sg_product_integral
+from .vectors import Array, as_reals, divide_or, dot, reflect
+
+
+class SgMixture(NamedTuple):
+    """A sum of N spherical Gaussians ``amplitude exp(sharpness (w.axis - 1))``."""
+
+    axis: Array
+    """Unit vectors, shape (..., N, 3), or (..., 1, 3) where all lobes share one."""
+    sharpness: Array
+    """Shape (..., N), >= 0, inverse square radians."""
+    amplitude: Array
+    """Value at the axis, shape (..., N), >= 0, linear; 0 for a lobe that is absent."""
+
+
+ProductIntegral = Callable[[Array, Array, Array, Array], Array]
+
+
+def mixture_evaluate(direction: ArrayLike, mixture: SgMixture) -> Array:
+    """Return the value of a mixture in ``direction`` (unit vectors, shape (..., 3)). Exact."""
+    direction, axis, sharpness, amplitude = as_reals(direction, *mixture)
+    return np.asarray(np.sum(amplitude * sg_evaluate(direction[..., None, :], axis, sharpness), axis=-1))
+
+
+def mixture_integral(mixture: SgMixture) -> Array:
+    """Return the integral of a mixture over the sphere, shape (...). Exact."""
+    sharpness, amplitude = as_reals(mixture.sharpness, mixture.amplitude)
+    return np.asarray(np.sum(amplitude * sg_integral(sharpness), axis=-1))
+
+
+def _sum_products(mixture_i: SgMixture, mixture_j: SgMixture, integral: ProductIntegral) -> Array:
+    """Return the sum over all pairs of lobes; a pair with an absent lobe counts 0 whatever its sharpness."""
+    axis_i, sharpness_i, amplitude_i, axis_j, sharpness_j, amplitude_j = as_reals(*mixture_i, *mixture_j)
+    # an absent lobe may have any sharpness, also 0, for which the sharp form is infinite
+    sharpness_i = np.where(amplitude_i > 0.0, sharpness_i, sharpness_i.dtype.type(1.0))
+    sharpness_j = np.where(amplitude_j > 0.0, sharpness_j, sharpness_j.dtype.type(1.0))
+    pairs = integral(
+        axis_i[..., :, None, :], sharpness_i[..., :, None], axis_j[..., None, :, :], sharpness_j[..., None, :]
+    )
+    weights = amplitude_i[..., :, None] * amplitude_j[..., None, :]
+    return np.asarray(np.sum(weights * pairs, axis=(-2, -1)))
+
+
+def mixture_product_integral(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
+    """Return the integral over the sphere of the product of two mixtures, shape (...). Exact.
+
+    ``sum_ab A_a B_b <g_a, g_b>`` with `sg.sg_product_integral`.
+    """
+    return _sum_products(mixture_i, mixture_j, sg_product_integral)
+
+
+def mixture_approx_product_integral(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
+    """Return the same with ``2 pi / (la + lb) exp(-la lb (1 - c) / (la + lb))`` for each pair. Approximate.
+
+    Source: Iwasaki et al. 2012. Validity: see `sg.sg_approx_product_integral`.
+    """
+    return _sum_products(mixture_i, mixture_j, sg_approx_product_integral)
+
+
+def mixture_norm(mixture: SgMixture) -> Array:
+    """Return the L2 norm of a mixture over the sphere, shape (...). Exact."""
+    return np.asarray(np.sqrt(mixture_product_integral(mixture, mixture)))
+
+
+def mixture_approx_norm(mixture: SgMixture) -> Array:
+    """Return the L2 norm by `mixture_approx_product_integral`."""
+    return np.asarray(np.sqrt(mixture_approx_product_integral(mixture, mixture)))
+
+
+def mixture_similarity(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
+    """Return the L2-normalised product integral of two mixtures, in [0, 1]. Exact; 0 where one has no lobe at all."""
+    norms = mixture_norm(mixture_i) * mixture_norm(mixture_j)
+    value = divide_or(mixture_product_integral(mixture_i, mixture_j), norms, 0.0)
+    return np.asarray(np.clip(value, 0.0, 1.0))
+
+
+def mixture_approx_similarity(mixture_i: SgMixture, mixture_j: SgMixture, beta: ArrayLike = 1.0) -> Array:
+    """Return the similarity of sharp mixtures to the power ``beta``, in [0, 1]: what the image kernels compute.
+
+    `mixture_approx_product_integral` over the norms by the same formula; one lobe each is
+    `sg.sg_slide_similarity`. 0 where one mixture has no lobe at all.
+    """
+    (beta,) = as_reals(beta)
+    norms = mixture_approx_norm(mixture_i) * mixture_approx_norm(mixture_j)
+    value = np.clip(divide_or(mixture_approx_product_integral(mixture_i, mixture_j), norms, 0.0), 0.0, 1.0)
+    return np.asarray(value ** beta.astype(value.dtype))
+
+
+def spread_ggx_mixture(
+    area: ArrayLike, alpha_square: ArrayLike, albedo: ArrayLike, *, lobes: int, noise: float
+) -> tuple[Array, Array]:
+    """Return `lobewise.lobes.mixture.spread_ggx_mixture` as two arrays (..., ``lobes``)."""
+    area, square, albedo = as_reals(area, alpha_square, albedo)
+    numbers = NUMPY_SINGLE if square.dtype == np.float32 else NUMPY
+    found = spread(numbers, area, square, albedo, lobes=lobes, noise=noise)
+    sharpness, amplitude = (np.stack(np.broadcast_arrays(*each), axis=-1) for each in found)
+    return sharpness, amplitude
+
+
+def make_ggx_mixture(
+    view: ArrayLike,
+    normal: ArrayLike,
+    alpha: ArrayLike,
+    *,
+    lobes: int = 3,
+    albedo: ArrayLike = 1.0,
+    dominant: bool = False,
+    tau: float = 0.0,
+) -> SgMixture:
+    """Return the coaxial mixture for an isotropic GGX reflection.
+
+    Parameters
+    ----------
+    view, normal : array_like, shape (..., 3)
+        Unit vectors away from the surface.
+    alpha : array_like
+        Roughness in [0, 1].
+    lobes : {1, 2, 3, 4}
+        How many, see `GGX_MIXTURES`.
+    albedo : array_like
+        Directional albedo, the scale of the lobe: the integral over the sphere is ``albedo sum w / b``, which is all
+        of GGX but what no number of lobes reaches, 0.760, 0.918, 0.967 or 0.985 of it.
+    dominant : bool
+        False: mirror about the normal (Wang et al. 2009). True: about the dominant visible normal m, with sharpnesses
+        times ``m.n`` over ``v.m`` (see `brdf.ggx_dominant_visible_normal`).
+    tau : float
+        Radians; ``tau^2`` is added to every ``1 / sharpness`` (band-limit), the integral of each lobe kept. At least
+        1e-9 is added, so that a mirror is finite.
+
+    Returns
+    -------
+    SgMixture
+        ``axis`` (..., 1, 3), the others (..., ``lobes``).
+    """
+    view, normal, alpha, albedo = as_reals(view, normal, alpha, albedo)
+    square = alpha * alpha
+    cosine = dot(normal, view)
+    m, slope = normal, np.ones_like(cosine)
+    if dominant:
+        # the corrected dominant visible normal lies in the plane of n and v: m = normalize(a v + b n)
+        a = np.minimum(0.7 + 0.6 * alpha, 1.0) * square
+        b = np.sqrt(a + (1.0 - a) * cosine * cosine) + (1.0 - a) * cosine
+        inverse = 1.0 / np.sqrt(a * a + b * b + 2.0 * a * b * cosine)
+        m = (a * inverse)[..., None] * view + (b * inverse)[..., None] * normal
+        slope = (a * cosine + b) * inverse
+        cosine = (a + b * cosine) * inverse
+    warp = np.maximum(np.abs(cosine), MIN_WARP_COSINE) / slope
+    area = 2.0 * warp * square
+    sharpness, amplitude = spread_ggx_mixture(area, square, albedo, lobes=lobes, noise=max(tau * tau, MIN_VARIANCE))
+    return SgMixture(reflect(view, m)[..., None, :], sharpness, amplitude)
+
+
+def make_lambert_lobe(normal: ArrayLike, albedo: ArrayLike) -> SgMixture:
+    """Return one lobe for a Lambert surface: the least-squares spherical Gaussian of ``albedo max(n.w, 0) / pi``."""
+    normal, albedo = as_reals(normal, albedo)
+    albedo = np.broadcast_to(albedo, normal.shape[:-1])[..., None]
+    return SgMixture(
+        normal[..., None, :], np.full_like(albedo, LAMBERT_SHARPNESS), albedo * (LAMBERT_AMPLITUDE / math.pi)
+    )
+
+
+def combine_mixtures(mixture_i: SgMixture, mixture_j: SgMixture) -> SgMixture:
+    """Return the sum of two mixtures: all lobes of both, leading shapes broadcast."""
+    values = as_reals(*mixture_i, *mixture_j)
+    counts = [
+        np.broadcast_shapes(axis.shape[:-1], sharpness.shape, amplitude.shape)
+        for axis, sharpness, amplitude in (values[:3], values[3:])
+    ]
+    leading = np.broadcast_shapes(*(shape[:-1] for shape in counts))
+    shapes = [(*leading, shape[-1]) for shape in counts]
+
+    def join(k: int, tail: tuple[int, ...]) -> Array:
+        halves = [np.broadcast_to(values[k + 3 * side], shapes[side] + tail) for side in (0, 1)]
+        return np.concatenate(halves, axis=len(leading))
+
+    return SgMixture(join(0, (3,)), join(1, ()), join(2, ()))
