@@ -60,7 +60,7 @@ def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
 
     places = {
         "layers": (recipe, "make_layers"),
-        "marks": (past, "make_marks"),
+        "marks": (past, "make_validation_features"),
         "places": (past, "_find_all_places"),
         "reprojection": (past, "run_reprojection"),
         "trust": (SampleGrid, "find_trust"),

@@ -15,8 +15,8 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import Frame, GBuffer
-from lobewise.temporal.marks import Guides
 from lobewise.temporal.past import Past, pack_past, unpack_past
+from lobewise.temporal.validation import Guides
 
 SHAPE = (9, 13)
 # Made orthonormal once more it stays what it is.

@@ -18,8 +18,8 @@ from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import find_surface_places
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
-from lobewise.temporal.marks import Guides, Marks, make_marks
 from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
+from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 
 AGREES = 0.1
 """Agreement from which a pixel counts as found, and continues the frame before."""
@@ -39,25 +39,25 @@ class Past:
         What compared its lobes.
     sums : dict of array, shape (height, width, 7)
         Of every layer by its name; see `lobewise.filters.history.sums`.
-    marks : dict of Marks
+    validation : dict of ValidationFeatures
         Of every layer by its name, if they were made already.
     allowance : array, shape (height, width), optional
-        With which they are made; see `lobewise.temporal.marks.make_marks`.
+        With which they are made; see `lobewise.temporal.validation.make_validation_features`.
     """
 
     guides: Guides
     similarity: str
     sums: dict[str, FloatArray]
-    marks: dict[str, Marks] = field(default_factory=dict)
+    validation: dict[str, ValidationFeatures] = field(default_factory=dict)
     allowance: FloatArray | None = None
 
 
-class Recollection:
+class HistoryReprojection:
     """Finds the history of one frame's layers in the past.
 
     Attributes
     ----------
-    marks : dict of Marks
+    validation : dict of ValidationFeatures
         Of this frame.
     allowance : array, shape (height, width), or None
         With which they were made.
@@ -82,11 +82,11 @@ class Recollection:
         self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
             self._places, self.allowance = _find_all_places(guides, past.guides)
-        self.marks = make_marks(guides, settings, temporal, self.allowance, apart)
+        self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart)
         if past is None or self._places is None:
             return
-        # The marks of a past that was read from a file are made again.
-        self._old = past.marks or make_marks(past.guides, settings, temporal, past.allowance, apart)
+        # Those of a past that was read from a file are made again.
+        self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
         # What only place and normal tell apart tells how much of the image goes on.
         name = next((name for name in ("rest", "diffuse") if name in past.sums), None)
@@ -99,9 +99,9 @@ class Recollection:
             self.share = float(np.mean((found[..., AGREEMENT] > AGREES) & near))
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
-            self.marks = make_marks(guides, settings, temporal, None, apart)
+            self.validation = make_validation_features(guides, settings, temporal, None, apart)
 
-    def recall(self, name: str) -> FloatArray | None:
+    def reproject(self, name: str) -> FloatArray | None:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
         if self._past is None or name not in self._past.sums:
             return None
@@ -111,13 +111,13 @@ class Recollection:
         return found[..., :AGREEMENT]
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
-        old, new = self._old.get(name), self.marks[name]
+        old, new = self._old.get(name), self.validation[name]
         if old is None or not new.fits(old):
             return None
         assert self._places is not None
         masks = old.mask, new.mask
         surface, virtual = self._places
-        # Where the reflection was, all but the surface's own marks are compared.
+        # Where the reflection was, all but the surface's own features are compared.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
         features = old.surface, new.surface
         memory, device = self._temporal.memory, self._device
@@ -166,7 +166,7 @@ def pack_past(past: Past) -> dict[str, NDArray[Any]]:
 
 
 def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
-    """Return the past that `pack_past` took apart; its marks are made when they are needed.
+    """Return the past that `pack_past` took apart; its features are made when they are needed.
 
     Raises
     ------

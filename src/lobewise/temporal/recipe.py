@@ -23,8 +23,8 @@ from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
-from lobewise.temporal.marks import Guides
-from lobewise.temporal.past import Past, Recollection, pack_past, unpack_past
+from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
+from lobewise.temporal.validation import Guides
 from lobewise.upsampling import DEFAULT_RADIUS, spread
 
 if TYPE_CHECKING:
@@ -143,15 +143,17 @@ class TemporalFilter:
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         layers = self._make_layers(frame, chosen, features)
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
-        recollection = Recollection(guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers)
+        reprojection = HistoryReprojection(
+            guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers
+        )
         noise = self._estimate_noise(frame)
         outputs = {
-            name: self._accumulate(frame, layer, recollection.recall(name), chosen, noise)
+            name: self._accumulate(frame, layer, reprojection.reproject(name), chosen, noise)
             for name, layer in layers.items()
         }
-        result = self._make_result(frame, layers, outputs, chosen, bad, recollection.share)
+        result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
         kept = {name: output.sums for name, output in outputs.items()}
-        self._past = Past(guides, chosen.similarity, kept, recollection.marks, recollection.allowance)
+        self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
         return replace(result, seconds=time.perf_counter() - start)
 
     def _resolve(self, frame: AnyFrame) -> ResolvedSettings:

@@ -68,7 +68,7 @@ class Guides:
 
 
 @dataclass(frozen=True)
-class Marks:
+class ValidationFeatures:
     """What one layer is recognised by.
 
     Parameters
@@ -85,7 +85,7 @@ class Marks:
     surface: tuple[Feature, ...]
     virtual: tuple[Feature, ...] = ()
 
-    def fits(self, other: Marks) -> bool:
+    def fits(self, other: ValidationFeatures) -> bool:
         """Return whether both compare the same things in images of one size."""
 
         def describe(features: Sequence[Feature]) -> list[object]:
@@ -98,10 +98,10 @@ class Marks:
         )
 
 
-def make_marks(
+def make_validation_features(
     guides: Guides, settings: ResolvedSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
-) -> dict[str, Marks]:
-    """Return the marks of every layer by its name: ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
+) -> dict[str, ValidationFeatures]:
+    """Return what every layer is recognised by: ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def make_marks(
         backdrop = put_backdrop(surface, normal, position, guides.camera, FAR)
     plane = _make_plane(guides, temporal, surface, allowance, backdrop)
     facing = NormalFeature(backdrop.facing, settings.normal_exponent)
-    marks = {"rest": Marks(everywhere, (*plane, facing))}
+    validation = {"rest": ValidationFeatures(everywhere, (*plane, facing))}
     same = replace(
         settings,
         beta=temporal.beta,
@@ -139,11 +139,11 @@ def make_marks(
     lobes, mask = make_specular_features(frame, same, surface, apart)
     # Reflections that are mixed with diffuse light do not move as one.
     virtual = (*lobes, *_make_hit_features(guides)) if apart and same.hit_distance else ()
-    marks["specular" if apart else "color"] = Marks(mask, (*plane, *(virtual or lobes)), virtual)
+    validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or lobes)), virtual)
     if apart:
         diffuse = facing if settings.similarity == "normal" else DiffuseFeature(normal, temporal.beta)
-        marks["diffuse"] = Marks(surface, (*plane, diffuse))
-    return marks
+        validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse))
+    return validation
 
 
 def _make_plane(
