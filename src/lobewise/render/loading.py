@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from lobewise.errors import FileError, InputError, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
-from lobewise.scenes import BUILT_IN, MOVING, describe_movers, describe_scene
+from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes
+
+__all__ = ["MovingScene", "build_scene", "list_moving_scenes", "list_scenes", "load_scene"]
 
 DEFAULT_SIZE = 512
 """Pixels a side of a built-in scene."""
@@ -65,11 +67,11 @@ def load_scene(
     text = os.fspath(name_or_path)
     if time != 0.0:
         _require_moving(text)
-    if text in BUILT_IN:
+    if text in list_scenes():
         return _load_built_in(text, width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE, time)
     path = Path(text)
     if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
-        require_choice("scene", text, BUILT_IN)
+        require_choice("scene", text, list_scenes())
     return _load_file(path, width, height)
 
 
@@ -115,10 +117,10 @@ class MovingScene:
 
 
 def _require_moving(name: str) -> None:
-    if name not in MOVING:
+    if name not in list_moving_scenes():
         raise InputError(
             "scene",
-            expected=f"one whose objects move: {' or '.join(MOVING)}",
+            expected=f"one whose objects move: {' or '.join(list_moving_scenes())}",
             got=repr(name),
             action="take one of them, or let the camera move alone",
         )
