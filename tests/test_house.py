@@ -127,3 +127,17 @@ def test_imports_point_one_way(path: Path) -> None:
         owner = OWNERS.get(parts[0])
         owners = (owner,) if isinstance(owner, str) else owner
         assert owners is None or room in owners, f"{path.name} imports {parts[0]}, which belongs to {owner}"
+
+
+@pytest.mark.parametrize("path", sorted((SOURCE / "lobes").glob("[a-z]*.py")), ids=lambda path: path.stem)
+def test_no_file_of_the_lobes_is_for_tests_alone(path: Path) -> None:
+    """Every public name of the lobes is read by another file of the package, or by its own."""
+    tree = ast.parse(path.read_text())
+    names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    users = [
+        other for other in SOURCE.rglob("*.py") if other != path and f"lobes.{path.stem} import" in other.read_text()
+    ]
+    assert users, f"nothing in the package imports {path.stem}"
+    read = [node for other in [path, *users] for node in ast.walk(ast.parse(other.read_text()))]
+    used = {node.id for node in read if isinstance(node, ast.Name)}
+    assert {name for name in names if not name.startswith("_")} <= used

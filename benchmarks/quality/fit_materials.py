@@ -22,9 +22,10 @@ from typing import Any
 import numpy as np
 from benchmarks.common import ROOT, describe_machine, write_json
 
-from lobewise.fitting.fit import fit_lobes, make_nodes
+from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import make_merl
+from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.io.materials import write_merl
 

@@ -21,6 +21,7 @@ from lobewise.errors import InputError, MissingDependencyError, require_choice
 from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit_shapes import LobeFamily
 from lobewise.fitting.ggx import ggx_brdf
+from lobewise.fitting.nodes import Nodes, make_nodes
 from lobewise.fitting.table import order_lobes
 from lobewise.lobe_table import KINDS, LobeTable
 from lobewise.lobes.vectors import LUMINANCE
@@ -30,10 +31,6 @@ Evaluate = Callable[[Array, Array], Any]
 """``evaluate(view, light)``: BRDF in 1/sr, shape (n, 3) or (n,), of local unit vectors of shape (n, 3)."""
 COSINES = tuple(float((math.sqrt(0.05) + (1.0 - math.sqrt(0.05)) * i / 19.0) ** 2) for i in range(20))
 """n.v of the default views: 20 from 0.05 to 1, equally spaced in the square root, denser where lobes change faster."""
-# The concentration of nodes about the mirror direction, radians of the half vector: a fraction of the sharpest alpha.
-_CORE = 0.005
-# Nodes along a radius, above and below the horizon.
-_ABOVE, _BELOW = 48, 16
 # Range of log alpha: nothing sharper is resolved.
 _LOG_ALPHA = (math.log(0.003), 0.0)
 # How much better, in squared sine, a cold start must be than the neighbour's lobes: continuity over views is worth it.
@@ -41,58 +38,6 @@ _COLD_GAIN = 2e-4
 # Step of the shapes' derivatives; and the norm, over the nodes, below which a lobe of height 1 falls between them.
 _STEP = 1e-6
 _MIN_SIZE = 1e-6
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Directions over the whole sphere with solid angles, dense about the mirror direction, for one view.
-
-    Parameters
-    ----------
-    light : (n, 3)
-        Unit vectors in the view-aligned frame.
-    weight : (n,)
-        Solid angles, steradians; their sum is 4 pi.
-    """
-
-    light: Array
-    weight: Array
-
-
-def make_nodes(cosine: float, angular: int = 64) -> Nodes:
-    """Return nodes of a quadrature over the sphere for a view at n.v = ``cosine``.
-
-    They are half vectors in polar coordinates about the normal, mirrored. A solid angle of half vectors is seen
-    ``4 v.h`` times as large. The half vectors of all lights fill the half of the sphere about the view, up to the angle
-    ``atan2(v.z, -v.x cos(azimuth))`` from the normal; those of lights on the horizon are at half that angle. So the
-    radius has two Gauss-Legendre rules that meet at the horizon, where reflection has its edge: 48 nodes above it,
-    spaced evenly on a logarithmic scale from 0.005 radians outwards, and 16 below. The azimuth has the trapezoid rule.
-
-    Parameters
-    ----------
-    cosine : float
-        In (0, 1].
-    angular : int
-        Number of azimuths; not fewer than 128 are taken where n.v < 0.2, because the edge turns sharply there.
-    """
-    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
-    angular = max(angular, 128) if cosine < 0.2 else angular
-    azimuth = 2.0 * math.pi * (np.arange(angular) + 0.5) / angular
-    edge = np.arctan2(cosine, -sine * np.cos(azimuth))[:, None]
-    abscissa, share = np.polynomial.legendre.leggauss(_ABOVE)
-    stretch = np.arcsinh(0.5 * edge / _CORE)
-    u = 0.5 * (abscissa + 1.0) * stretch
-    above, above_share = _CORE * np.sinh(u), 0.5 * share * stretch * _CORE * np.cosh(u)
-    abscissa, share = np.polynomial.legendre.leggauss(_BELOW)
-    below, below_share = 0.25 * edge * (abscissa + 3.0), 0.25 * edge * share
-    theta = np.concatenate([above, below], axis=1)
-    measure = np.concatenate([above_share, below_share], axis=1) * np.sin(theta) * (2.0 * math.pi / angular)
-    half = np.stack(
-        [np.sin(theta) * np.cos(azimuth)[:, None], np.sin(theta) * np.sin(azimuth)[:, None], np.cos(theta)], axis=-1
-    )
-    across = half[..., 0] * sine + half[..., 2] * cosine
-    light = 2.0 * across[..., None] * half - np.asarray([sine, 0.0, cosine])
-    return Nodes(light.reshape(-1, 3), (4.0 * across * measure).ravel())
 
 
 def fit_lobes(

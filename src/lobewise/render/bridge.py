@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from lobewise.errors import MissingDependencyError
+from lobewise.lobes.numbers import Namespace
 
 try:
     import drjit
@@ -24,3 +25,22 @@ except ImportError as error:
 
 dr: Any = drjit
 mi: Any = mitsuba
+
+
+class _DrJit:
+    """Dr.Jit's functions by NumPy's names: what the formulas of `lobewise.lobes` are written in."""
+
+    number = staticmethod(float)
+    where = staticmethod(dr.select)
+    sqrt = staticmethod(dr.sqrt)
+    minimum = staticmethod(dr.minimum)
+    maximum = staticmethod(dr.maximum)
+    abs = staticmethod(dr.abs)
+
+    @staticmethod
+    def expm1(value: Any) -> Any:
+        """Return ``exp(value) - 1``, which loses digits near 0, where no formula here is."""
+        return dr.exp(value) - 1.0
+
+
+DRJIT: Namespace = _DrJit()

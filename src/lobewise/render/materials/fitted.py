@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.fitting.arrays import Array
-from lobewise.fitting.fit import Evaluate, fit_lobes, make_nodes
+from lobewise.fitting.fit import Evaluate, fit_lobes
+from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable

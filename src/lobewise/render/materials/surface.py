@@ -8,7 +8,8 @@ from typing import Any
 
 from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
-from lobewise.render.bridge import dr, mi
+from lobewise.lobes.roughness import find_principled_alphas
+from lobewise.render.bridge import DRJIT, dr, mi
 from lobewise.render.materials.bsdfs import FITTED, Material, make_diffuse_context
 from lobewise.render.materials.fitted import OPACITY
 
@@ -58,15 +59,6 @@ def find_f0_dielectric(eta: Any) -> Any:
 def find_f0_conductor(eta: Any, k: Any) -> Any:
     """Return the reflectance at normal incidence of a conductor of complex index ``eta - i k``."""
     return (dr.square(eta - 1.0) + dr.square(k)) / (dr.square(eta + 1.0) + dr.square(k))
-
-
-def find_principled_alphas(roughness: Any, anisotropic: Any) -> tuple[Any, Any]:
-    """Return ``(alpha_u, alpha_v)`` of the principled BSDF.
-
-    Source: Burley 2012, "Physically Based Shading at Disney", section 5.4; the floor of 0.001 is Mitsuba's.
-    """
-    aspect = dr.sqrt(1.0 - 0.9 * anisotropic)
-    return dr.maximum(0.001, dr.square(roughness) / aspect), dr.maximum(0.001, dr.square(roughness) * aspect)
 
 
 def find_principled_eta(material: Material) -> Any:
@@ -201,7 +193,7 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
     transmission = read_number(material, "spec_trans", si, active)
     tint = read_number(material, "spec_tint", si, active)
     alpha_u, alpha_v = find_principled_alphas(
-        read_number(material, "roughness", si, active), read_number(material, "anisotropic", si, active)
+        DRJIT, read_number(material, "roughness", si, active), read_number(material, "anisotropic", si, active)
     )
     dielectric = find_f0_dielectric(find_principled_eta(material))
     luminance = mi.luminance(base)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.fitting.arrays import Array
-from lobewise.fitting.fit import make_nodes
+from lobewise.fitting.nodes import make_nodes
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, sample_bsdf, spread_points
 
 _PLACES = 24

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lobewise.render.bridge import dr, mi
+from lobewise.lobes.covariance import find_dominant_normal
+from lobewise.render.bridge import DRJIT, dr, mi
 from lobewise.render.voxels.grid import DIRECTIONS, Grid
 
 DIFFUSE_CONES = 6
@@ -254,10 +255,7 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
     across = dr.cross(normal, tangent)
     local = mi.Vector3f(dr.dot(view, tangent), dr.dot(view, across), dr.maximum(dr.dot(view, normal), 1e-3))
     product = alpha_u * alpha_v
-    scale = dr.minimum(1.0, 0.7 + 0.6 * dr.sqrt(product))
-    x, y = scale * dr.square(alpha_u) * local.x, scale * dr.square(alpha_v) * local.y
-    z = dr.sqrt(x * local.x + y * local.y + dr.square(local.z)) + local.z
-    m = dr.normalize(mi.Vector3f(x, y, z))
+    m = mi.Vector3f(*find_dominant_normal(DRJIT, (local.x, local.y, local.z), (alpha_u, alpha_v)))
     cosine = dr.maximum(dr.dot(m, local), 0.1)
     sharpness = 2.0 * (1.0 - product) / dr.maximum(product, 1e-8) * m.z / (4.0 * cosine)
     half = 1.0 - dr.rcp(dr.maximum(sharpness, 1.0))

@@ -1,0 +1,67 @@
+"""Directions over the sphere to integrate reflection with: dense where lobes are, split where they have an edge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from lobewise.fitting.arrays import Array
+
+# The concentration of nodes about the mirror direction, radians of the half vector: a fraction of the sharpest alpha.
+_CORE = 0.005
+# Nodes along a radius, above and below the horizon.
+_ABOVE, _BELOW = 48, 16
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Directions over the whole sphere with solid angles, dense about the mirror direction, for one view.
+
+    Parameters
+    ----------
+    light : (n, 3)
+        Unit vectors in the view-aligned frame.
+    weight : (n,)
+        Solid angles, steradians; their sum is 4 pi.
+    """
+
+    light: Array
+    weight: Array
+
+
+def make_nodes(cosine: float, angular: int = 64) -> Nodes:
+    """Return nodes of a quadrature over the sphere for a view at n.v = ``cosine``.
+
+    They are half vectors in polar coordinates about the normal, mirrored. A solid angle of half vectors is seen
+    ``4 v.h`` times as large. The half vectors of all lights fill the half of the sphere about the view, up to the angle
+    ``atan2(v.z, -v.x cos(azimuth))`` from the normal; those of lights on the horizon are at half that angle. So the
+    radius has two Gauss-Legendre rules that meet at the horizon, where reflection has its edge: 48 nodes above it,
+    spaced evenly on a logarithmic scale from 0.005 radians outwards, and 16 below. The azimuth has the trapezoid rule.
+
+    Parameters
+    ----------
+    cosine : float
+        In (0, 1].
+    angular : int
+        Number of azimuths; not fewer than 128 are taken where n.v < 0.2, because the edge turns sharply there.
+    """
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    angular = max(angular, 128) if cosine < 0.2 else angular
+    azimuth = 2.0 * math.pi * (np.arange(angular) + 0.5) / angular
+    edge = np.arctan2(cosine, -sine * np.cos(azimuth))[:, None]
+    abscissa, share = np.polynomial.legendre.leggauss(_ABOVE)
+    stretch = np.arcsinh(0.5 * edge / _CORE)
+    u = 0.5 * (abscissa + 1.0) * stretch
+    above, above_share = _CORE * np.sinh(u), 0.5 * share * stretch * _CORE * np.cosh(u)
+    abscissa, share = np.polynomial.legendre.leggauss(_BELOW)
+    below, below_share = 0.25 * edge * (abscissa + 3.0), 0.25 * edge * share
+    theta = np.concatenate([above, below], axis=1)
+    measure = np.concatenate([above_share, below_share], axis=1) * np.sin(theta) * (2.0 * math.pi / angular)
+    half = np.stack(
+        [np.sin(theta) * np.cos(azimuth)[:, None], np.sin(theta) * np.sin(azimuth)[:, None], np.cos(theta)], axis=-1
+    )
+    across = half[..., 0] * sine + half[..., 2] * cosine
+    light = 2.0 * across[..., None] * half - np.asarray([sine, 0.0, cosine])
+    return Nodes(light.reshape(-1, 3), (4.0 * across * measure).ravel())
