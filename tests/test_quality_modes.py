@@ -13,7 +13,7 @@ from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.guided import make_noisy_layers, resolve_guided
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
-from lobewise.filters.compositing import resolve_light
+from lobewise.filters.compositing import composite_light
 from lobewise.frame import Frame, Radiance
 from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import QUALITIES, DenoiseSettings
@@ -270,7 +270,7 @@ class TestCoverage:
         expected[~known & (radiance[..., 0] == np.inf)] = np.nan
         apart = rng.random(light.shape).astype(np.float32) * light
         for images in ((light,), (light - apart, light + apart)):
-            resolved = resolve_light(images, lit, radiance, albedo, coverage.astype(np.float32))
+            resolved = composite_light(images, lit, radiance, albedo, coverage.astype(np.float32))
             np.testing.assert_allclose(resolved, expected, rtol=1e-5)
 
     def test_without_coverage_it_is_light_times_albedo(self, rng):
@@ -280,9 +280,9 @@ class TestCoverage:
         lit[2, 2] = lit[3, 3] = True
         tint = np.where(np.isfinite(albedo) & (albedo >= 0.0), albedo, 0.0)
         expected = np.where(lit[..., None], light * tint, radiance)
-        np.testing.assert_array_equal(resolve_light((light,), lit, radiance, albedo), expected)
+        np.testing.assert_array_equal(composite_light((light,), lit, radiance, albedo), expected)
         expected = np.where(lit[..., None], light, radiance)
-        np.testing.assert_array_equal(resolve_light((light,), lit, radiance), expected)
+        np.testing.assert_array_equal(composite_light((light,), lit, radiance), expected)
 
 
 class TestSettings:

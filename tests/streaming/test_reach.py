@@ -12,9 +12,8 @@ from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.denoising.refilling import REFILL_REACH, refill
 from lobewise.features import ScreenFeature
-from lobewise.filters import compositing as resolving
-from lobewise.filters import fireflies, mixing, noise_guides
-from lobewise.filters.compositing import resolve_light
+from lobewise.filters import compositing, fireflies, mixing, noise_guides
+from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
@@ -88,8 +87,8 @@ def test_proportions_are_read_off_averages_of_averages() -> None:
 def test_coverage_reaches_the_neighbours() -> None:
     light, lit = draw(1), np.ones((HEIGHT, WIDTH), bool)
     shares = np.full((HEIGHT, WIDTH, 9), 1.0 / 9.0, np.float32)
-    before, after = (resolve_light([image], lit, draw(2), draw(3), shares) for image in (light, alter(light)))
-    assert measure(before, after) == resolving.REACH
+    before, after = (composite_light([image], lit, draw(2), draw(3), shares) for image in (light, alter(light)))
+    assert measure(before, after) == compositing.REACH
 
 
 def test_levels_reach_twice_as_far_as_the_ones_before() -> None:

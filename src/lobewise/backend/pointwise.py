@@ -17,7 +17,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer, take_mask
+from lobewise.backend.buffers import download, take_mask
+from lobewise.backend.calls import run_kernel
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
@@ -174,7 +175,7 @@ def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.
 def _take_image(image: NDArray[Any]) -> NDArray[Any]:
     """Return an image as a kernel takes it."""
     if image.dtype == np.bool_:
-        return np.ascontiguousarray(image).view(np.uint8)
+        return take_mask(image)
     return np.ascontiguousarray(image, np.float32)
 
 
@@ -207,14 +208,13 @@ def run_pointwise(
     InputError
         If the images differ in size.
     """
-    # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held = {name: _take_image(image) for name, image in images.items() if image is not None}
+    held: dict[str, NDArray[Any]] = {name: _take_image(image) for name, image in images.items() if image is not None}
     sizes = {image.shape[:2] for image in held.values()}
     if len(sizes) != 1:
         raise InputError(
             "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
         )
-    ((height, width),) = sizes
+    ((_, width),) = sizes
     vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
     key = _Key(
         define,
@@ -225,13 +225,6 @@ def run_pointwise(
         narrow=width <= hl.get_host_target().natural_vector_size(hl.Float(32)),
     )
     kernel = get_kernel("cpu", key, partial(_make, key), strict=True)
-    results: dict[str, NDArray[Any]] = {
-        each.name: np.empty((height, width, *each.axes[2:]), np.bool_ if each.type == "uint8" else np.float32)
-        for each in kernel.outputs
-    }
-    kernel(
-        **{name: Buffer(image) for name, image in held.items()},
-        **{f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)},
-        **{name: Buffer(take_mask(result) if result.dtype == np.bool_ else result) for name, result in results.items()},
-    )
-    return tuple(results.values())
+    named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
+    results = map(download, run_kernel(kernel, "cpu", held, **named).values())
+    return tuple(result.view(np.bool_) if result.dtype == np.uint8 else result for result in results)

@@ -21,7 +21,7 @@ from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_fea
 from lobewise.denoising.noise import find_halves
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
-from lobewise.filters.compositing import resolve_light
+from lobewise.filters.compositing import composite_light
 from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
@@ -317,5 +317,5 @@ def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], suppor
         mean, coverage = albedo, None
     weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)
     lit = noisy.layer.mask & (weight_sum > 0.0)
-    image = resolve_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
+    image = composite_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
     return CleanLayer(image, weight_sum, effective_samples)

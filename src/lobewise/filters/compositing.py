@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
+from lobewise.filters.cross_pass import COLORS
 from lobewise.frame import FloatArray
 
 SMALLEST_SHARE = 1e-6
 """Sum of shares times albedos below which a pixel keeps the light at its own centre."""
-COLORS = 3
 REACH = 1
 """Pixels to each side whose light may fall on a pixel's area."""
 
 
-def resolve_light(
+def composite_light(
     images: Sequence[FloatArray],
     lit: NDArray[np.bool_],
     radiance: FloatArray,
@@ -52,11 +52,11 @@ def resolve_light(
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
-    (resolved,) = run_pointwise(_define_resolved, {**named, **others}, {})
-    return np.asarray(resolved)
+    (composite,) = run_pointwise(_define_composite, {**named, **others}, {})
+    return np.asarray(composite)
 
 
-def _define_resolved(grid: Grid) -> list[Vector]:
+def _define_composite(grid: Grid) -> list[Vector]:
     width, height = grid.size
     zero, half = hl.f32(0.0), hl.f32(0.5)
 

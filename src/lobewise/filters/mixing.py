@@ -24,12 +24,11 @@ from lobewise.backend.calls import run_kernel
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
-from lobewise.filters.cross_pass import find_luminance
+from lobewise.filters.cross_pass import COLORS, find_luminance
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
 
-COLORS = 3
 BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
 """Binomial weights over which squares are averaged, in rows and in columns."""
 STEPS = (1, 3)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import halide as hl
 
+from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 
@@ -29,7 +30,7 @@ def _schedule_blocks(funcs: MixingFuncs) -> None:
     key, c = funcs.key, PIXEL[2]
     thread = spread_channels(funcs.out, key.channels, PIXEL)
     for copied in funcs.copies:
-        keep_planes(copied, 6, PIXEL)
+        keep_planes(copied, 2 * COLORS, PIXEL)
     for func in (funcs.light, funcs.spread):
         keep_planes(func, key.candidates, PIXEL)
     for func in (funcs.sharp, *(each for blur in funcs.blurs for each in blur)):
