@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import halide as hl
@@ -25,6 +24,7 @@ from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.cross_pass import COLORS, find_luminance
+from lobewise.filters.network import Network
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
@@ -41,30 +41,6 @@ LEAST_SQUARE = 1e-8
 LEAST_LIGHT = 1e-3
 LEAK = 0.01
 """Slope of the network's units below 0."""
-LAYERS = 3
-
-
-class Network(NamedTuple):
-    """A perceptron with two hidden layers, its inputs centred and scaled.
-
-    Parameters
-    ----------
-    mean, scale : (inputs,)
-        What is subtracted from the inputs, and what they are multiplied by then.
-    weights : three arrays, (inputs, units), (units, units), (units, candidates)
-    biases : three arrays, (units,), (units,), (candidates,)
-    """
-
-    mean: FloatArray
-    scale: FloatArray
-    weights: tuple[FloatArray, FloatArray, FloatArray]
-    biases: tuple[FloatArray, FloatArray, FloatArray]
-
-    def name_arrays(self) -> dict[str, FloatArray]:
-        """Return its arrays by the names that the kernel knows them by."""
-        named = {"centre": self.mean, "scale": self.scale}
-        named |= {f"weights{number}": each for number, each in enumerate(self.weights)}
-        return named | {f"biases{number}": each for number, each in enumerate(self.biases)}
 
 
 def count_features(candidates: int, extras: int) -> int:
@@ -310,22 +286,6 @@ def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
         )
 
 
-def _require_fit(network: Network, inputs: int, candidates: int) -> None:
-    """Raise InputError unless a network's arrays fit each other: the kernels read and write where shapes tell them."""
-    sizes = [inputs, *(bias.size for bias in network.biases[:-1]), candidates]
-    expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
-    arrays = network.name_arrays().values()
-    if len(sizes) != LAYERS + 1 or 0 in sizes or [array.shape for array in arrays] != expected:
-        raise InputError(
-            describe_problem(
-                "network",
-                expected=f"{LAYERS} layers from {inputs} inputs to {candidates} outputs",
-                got="arrays of shapes " + ", ".join(str(array.shape) for array in arrays),
-                action="use one that was trained for these candidates and extras",
-            )
-        )
-
-
 @returns_host_images
 def _run(
     candidates: Sequence[tuple[Image, Image]],
@@ -346,7 +306,7 @@ def _run(
     }
     images["extras"] = take_image("extras", extras, extras.shape)
     if network is not None:
-        _require_fit(network, key.features, key.candidates)
+        network.require_fit(key.features, key.candidates)
         images |= {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in network.name_arrays().items()}
     level = max(level, 1e-30)
     kernel = get_kernel(device, key, partial(_make_mixing, key))
