@@ -377,7 +377,7 @@ class TestMistakes:
             ("--similarity", "gxx", "did you mean 'ggx'?"),
             ("--form", "ful", "did you mean 'full'?"),
             ("--radius", "-1", "radius"),
-            ("--beta", "strong", "beta: expected auto or a number above 0, got 'strong'"),
+            ("--beta", "strong", "beta: expected \"auto\" or a finite number above 0, got 'strong'"),
             ("--beta", "-2", "beta"),
             ("--beta", "nan", "beta"),
             ("--quality", "balancd", "did you mean 'balanced'?"),

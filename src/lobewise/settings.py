@@ -44,6 +44,8 @@ class Knob:
         Its name beside a control.
     unit : str
         Of a number.
+    opposite : str
+        Of a switch: the name of the option that turns it off.
     """
 
     text: str
@@ -52,6 +54,7 @@ class Knob:
     usual: str = "leave it out if unsure"
     label: str = ""
     unit: str = ""
+    opposite: str = ""
     # What the field itself tells.
     name: str = ""
     default: Any = None

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from lobewise.cli.shared import Output, parse_beta, parse_place, show_progress
+from lobewise.cli.options import with_settings
+from lobewise.cli.shared import Output, parse_place, show_progress
 from lobewise.cli.streaming import Bands, FileInBands, choose_bands
 from lobewise.errors import InputError, LobewiseError
+from lobewise.settings import DenoiseSettings, TemporalSettings, list_knobs
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
@@ -22,8 +24,6 @@ Source = Annotated[
     Path,
     typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
 ]
-Beta = Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")]
-Device = Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")]
 Adaptive = Annotated[
     str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
 ]
@@ -34,54 +34,18 @@ AdaptiveSpp = Annotated[int, typer.Option(metavar="N", help="With --adaptive: sa
 Light = Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")]
 Temporal = Annotated[bool, typer.Option("--temporal", help="With a sequence: let every frame know the ones before.")]
 Memory = Annotated[
-    float, typer.Option(metavar="0-1", help="With --temporal: share of its history that a frame keeps for the next.")
+    float, typer.Option(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
 ]
 
 
+@with_settings(
+    DenoiseSettings,
+    *("similarity", "quality", "with_oidn", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+)
 def denoise(
     source: Source,
     output: Output,
-    similarity: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|normal|sg|sg_mixture|asg|ggx",
-            help="What makes two pixels similar; auto takes the best that the file allows.",
-        ),
-    ] = "auto",
-    quality: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|fast|balanced|high",
-            help="fast weighs by the guides alone, in one pass; balanced also by what two halves of the samples, "
-            "filtered narrowly, tell of light and noise; high does so in several ways and mixes them pixel by pixel. "
-            "auto is balanced, or fast with another form than full and with --temporal.",
-        ),
-    ] = "auto",
-    with_oidn: Annotated[
-        bool,
-        typer.Option(
-            "--with-oidn",
-            help="Mix the result with that of Intel Open Image Denoise; implies --quality high; needs "
-            r"lobewise\[compare].",
-        ),
-    ] = False,
-    form: Annotated[
-        str,
-        typer.Option(
-            metavar="full|separable|atrous", help="full is best; separable and atrous, of quality fast, take less time."
-        ),
-    ] = "full",
-    radius: Annotated[int, typer.Option(metavar="N", help="Pixels from the centre to the edge of the kernel.")] = 8,
-    beta: Beta = "auto",
-    lobes: Annotated[int, typer.Option(metavar="1-4", help="With sg_mixture: Gaussians that stand for GGX.")] = 3,
-    hit_distance: Annotated[
-        bool | None,
-        typer.Option(
-            "--hit-distance/--no-hit-distance",
-            help="With sg, asg, ggx: compare what the lobes hit, where the file has hit distances.",
-            show_default="auto",
-        ),
-    ] = None,
+    settings: dict[str, Any],
     material: Annotated[
         list[Path] | None,
         typer.Option(
@@ -95,9 +59,8 @@ def denoise(
     adaptive_spp: AdaptiveSpp = 64,
     light: Light = "all",
     temporal: Temporal = False,
-    memory: Memory = 0.95,
+    memory: Memory = TemporalSettings.memory,
     bands: Bands = "auto",
-    device: Device = "auto",
 ) -> None:
     """Denoise an EXR file, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
@@ -107,19 +70,9 @@ def denoise(
 
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
-    settings: dict[str, Any] = {
-        "similarity": similarity,
-        "quality": quality,
-        "with_oidn": with_oidn,
-        "form": form,
-        "radius": radius,
-        "beta": parse_beta(beta),
-        "lobes": lobes,
-        "hit_distance": "auto" if hit_distance is None else hit_distance,
-        "device": device,
-    }
     alone = not is_pattern(source)
-    takers = {"--temporal": temporal, "--adaptive": _parse_percent(adaptive) > 0.0, "--with-oidn": with_oidn}
+    adapts, mixes = _parse_percent(adaptive) > 0.0, settings["with_oidn"]
+    takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
     whole = next((name for name, is_so in takers.items() if is_so), "")
 
     def read(path: Path) -> Any:
@@ -147,9 +100,11 @@ def denoise(
     )
 
 
+@with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", radius=5)
 def upsample(
     source: Source,
     output: Output,
+    settings: dict[str, Any],
     scale: Annotated[
         int | None,
         typer.Option(metavar="N", help="Pixels from shaded pixel to shaded pixel.", show_default="the file's"),
@@ -158,19 +113,13 @@ def upsample(
         str | None,
         typer.Option(metavar="ROW,COLUMN", help="The shaded pixel of each block.", show_default="the file's, or 0,0"),
     ] = None,
-    similarity: Annotated[
-        str, typer.Option(metavar="auto|normal|sg|sg_mixture|asg|ggx", help="What pixel and sample must share.")
-    ] = "auto",
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
-    radius: Annotated[int, typer.Option(metavar="N", help="Samples from the centre to the edge of the kernel.")] = 5,
-    beta: Beta = "auto",
     adaptive: Adaptive = "0%",
     scene: Scene = None,
     adaptive_spp: AdaptiveSpp = 64,
     light: Light = "all",
     temporal: Temporal = False,
-    memory: Memory = 0.95,
-    device: Device = "auto",
+    memory: Memory = TemporalSettings.memory,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
@@ -180,12 +129,6 @@ def upsample(
     if bilinear and temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
-    settings: dict[str, Any] = {
-        "similarity": similarity,
-        "radius": radius,
-        "beta": parse_beta(beta),
-        "device": device,
-    }
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
 
     def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:

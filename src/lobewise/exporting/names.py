@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from lobewise.errors import InputError
+from lobewise.settings import LARGEST_RADIUS, MAX_LOBES, Declared, Form, Knob, Similarity, document
+
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
 TARGETS = (
     "host",
@@ -29,3 +35,53 @@ TARGETS = (
     "x86-64-linux-avx2-fma-webgpu",
 )
 """Targets that a test compiles for. Others of these processors and systems are tried as well."""
+
+
+@dataclass(frozen=True)
+class ExportSettings(Declared):
+    """What of a filter is compiled."""
+
+    similarity: Annotated[
+        Similarity | Literal["diffuse"], Knob("What two pixels must share to be averaged, besides their places.")
+    ] = "ggx"
+    form: Annotated[Form, Knob("Which neighbours count.")] = "separable"
+    radius: Annotated[
+        int,
+        Knob(
+            'Pixels from the centre to the edge of the kernel; "atrous" does not use it.',
+            high=LARGEST_RADIUS,
+            usual="8 is usual",
+        ),
+    ] = 8
+    lobes: Annotated[
+        int,
+        Knob(
+            'With "sg_mixture": spherical Gaussians of a pixel.',
+            low=2,
+            high=MAX_LOBES,
+            usual="3 stand for GGX within 1 %, and one is similarity 'sg'",
+        ),
+    ] = 3
+    albedo: Annotated[
+        bool, Knob("Whether the radiance is divided by an albedo on the way in and multiplied by it on the way out.")
+    ] = True
+    anisotropic: Annotated[
+        bool,
+        Knob(
+            'With "asg" and "ggx": lobes from two roughnesses and a tangent instead of one roughness.',
+            opposite="isotropic",
+        ),
+    ] = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.anisotropic and self.similarity not in ("asg", "ggx"):
+            raise InputError(
+                "anisotropic lobes",
+                expected="similarity 'asg' or 'ggx'",
+                got=repr(self.similarity),
+                action="choose one of them, or leave it out",
+            )
+
+
+document(ExportSettings)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, require_choice
 from lobewise.exporting.arguments import PLANAR, Argument, list_arguments
+from lobewise.exporting.names import ExportSettings
 from lobewise.features import (
     AsgFeature,
     DiffuseFeature,
@@ -21,9 +21,6 @@ from lobewise.features import (
     SgFeature,
     SgMixtureFeature,
 )
-from lobewise.settings import FORMS, MAX_LOBES
-
-LARGEST_RADIUS = 64
 
 
 @dataclass(frozen=True)
@@ -54,49 +51,8 @@ SIMILARITIES = {
 
 
 @dataclass(frozen=True)
-class FilterPlan:
-    """What is compiled.
-
-    Parameters
-    ----------
-    similarity : {"normal", "diffuse", "sg", "sg_mixture", "asg", "ggx"}
-        What makes two pixels similar, besides their places.
-    form : {"full", "separable", "atrous"}
-        See `lobewise.filters.cross_filter.run_filter`.
-    radius : int
-        Kernel radius, pixels, 0 to 64; "atrous" does not use it.
-    lobes : int
-        With "sg_mixture": spherical Gaussians per pixel, 2 to 4.
-    albedo : bool
-        Whether the radiance is divided by an albedo on the way in and multiplied by it on the way out.
-    anisotropic : bool
-        With "asg" and "ggx": whether lobes are made from two roughnesses and a tangent instead of one roughness.
-
-    Raises
-    ------
-    InputError
-        If one of them is out of range.
-    """
-
-    similarity: str = "ggx"
-    form: str = "separable"
-    radius: int = 8
-    lobes: int = 3
-    albedo: bool = True
-    anisotropic: bool = False
-
-    def __post_init__(self) -> None:
-        require_choice("similarity", self.similarity, SIMILARITIES)
-        require_choice("form", self.form, FORMS)
-        _require_integer("radius", self.radius, 0, LARGEST_RADIUS, "8 is usual")
-        _require_integer("lobes", self.lobes, 2, MAX_LOBES, "3 stand for GGX within 1 %, and one is similarity 'sg'")
-        if self.anisotropic and self.similarity not in ("asg", "ggx"):
-            raise InputError(
-                "anisotropic lobes",
-                expected="similarity 'asg' or 'ggx'",
-                got=repr(self.similarity),
-                action="choose one of them, or leave it out",
-            )
+class FilterPlan(ExportSettings):
+    """What is compiled, and what follows from it; the fields and their checks are those of `ExportSettings`."""
 
     @property
     def makes_lobes(self) -> bool:
@@ -139,8 +95,3 @@ class FilterPlan:
 
     def _list(self, *names: str, role: str = "") -> list[Argument]:
         return list_arguments(*names, lobes=self.lobes if self.similarity == "sg_mixture" else PLANAR, role=role)
-
-
-def _require_integer(what: str, value: Any, least: int, most: int, action: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise InputError(what, expected=f"an integer from {least} to {most}", got=repr(value), action=action)
