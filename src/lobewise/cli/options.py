@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import wraps
 from typing import Annotated, Any
@@ -14,22 +14,22 @@ from lobewise.settings import Knob, list_knobs
 
 
 def with_settings(
-    kind: type, *names: str, only_given: bool = False, **defaults: Any
+    declared: type | Mapping[str, Knob], *names: str, only_given: bool = False, **defaults: Any
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a verb options for settings, in place of its parameter ``settings``, a dict of their values.
 
     Parameters
     ----------
-    kind : class of settings
-        Where they are declared.
+    declared : class of settings, or mapping
+        Where they are declared, or declarations by name.
     *names : str
         Which of its fields.
     only_given : bool
         Whether the dict holds only what the user gives; else all of them. What it holds is checked by its class.
     **defaults
-        Of this verb, where they are others than the declaration's.
+        Of this verb, where they are others than the declaration's; of what is not given, what the help says.
     """
-    knobs = list_knobs(kind)
+    knobs = declared if isinstance(declared, Mapping) else list_knobs(declared)
     chosen = {name: knobs[name] for name in names}
 
     def decorate(verb: Callable[..., None]) -> Callable[..., None]:

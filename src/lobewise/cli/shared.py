@@ -45,17 +45,6 @@ def parse_place(text: str) -> tuple[int, int]:
     raise InputError("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
 
 
-def parse_beta(text: str) -> str | float:
-    if text == "auto":
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(
-            "beta", expected="auto or a number above 0", got=repr(text), action="pass --beta auto"
-        ) from None
-
-
 def parse_size(text: str) -> tuple[int, int]:
     """Return columns and rows of ``WxH``.
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import parse_beta, parse_size
+from lobewise.cli.options import with_settings
+from lobewise.cli.shared import parse_size
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
+from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
 
 
+@with_settings(
+    KNOBS,
+    *("method", "scale", "similarity", "radius", "beta"),
+    only_given=True,
+    similarity="ggx",
+    radius="2, a frame's 8",
+)
 def view(
     target: Annotated[
         str,
@@ -21,6 +31,7 @@ def view(
             show_default=False,
         ),
     ],
+    settings: dict[str, Any],
     port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.")] = 8080,
     host: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.")
@@ -33,51 +44,22 @@ def view(
         bool,
         typer.Option("--fixed-size", help="Keep that size and its aspect whatever the window, also in motion."),
     ] = False,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="paths|voxel_cones|virtual_lights",
-            help="With a scene: where indirect light comes from.",
-            show_default="paths",
-        ),
-    ] = None,
-    scale: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, max=16, help="With a scene: shade one pixel of every NxN.", show_default="4"),
-    ] = None,
-    similarity: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ggx|sg|asg|sg_mixture|normal|none",
-            help="What makes two pixels similar; none filters nothing.",
-            show_default="ggx",
-        ),
-    ] = None,
-    radius: Annotated[
-        int | None, typer.Option(metavar="N", min=0, max=64, help="Of the kernel.", show_default="2, a frame's 8")
-    ] = None,
-    beta: Annotated[str, typer.Option(metavar="auto|X", help="Strictness; auto follows the noise.")] = "auto",
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Show a scene or a finished frame in the browser, with every setting as a slider."""
     is_frame = _is_frame(target)
-    if is_frame:
-        for name, given in (("--method", method), ("--scale", scale), ("--size", size), ("--fixed-size", fixed_size)):
-            if given not in (None, False):
-                raise InputError(name, expected="a scene beside it", got="a finished frame", action="leave it out")
+    given = [f"--{name}" for name in ("method", "scale") if name in settings]
+    given += ["--size"] * (size is not None) + ["--fixed-size"] * fixed_size
+    if is_frame and given:
+        raise InputError(given[0], expected="a scene beside it", got="a finished frame", action="leave it out")
     from lobewise.cli.output import print_line
     from lobewise.viewer import Viewer
-    from lobewise.viewer.looks import FRAME_SIMILARITIES, METHODS, SCENE_SIMILARITIES
 
-    changes: dict[str, Any] = {"beta": parse_beta(beta)}
-    if method is not None:
-        changes["method"] = require_choice("method", method, METHODS)
-    if similarity is not None:
-        known = FRAME_SIMILARITIES if is_frame else SCENE_SIMILARITIES
-        changes["similarity"] = require_choice("similarity", similarity, known)
-    for name, number in (("scale", scale), ("radius", radius)):
-        if number is not None:
-            changes[name] = number
+    for name, value in settings.items():
+        knob = KNOBS[name]
+        if name == "similarity":
+            knob = replace(knob, choices=FRAME_SIMILARITIES if is_frame else SCENE_SIMILARITIES)
+        knob.check(value)
     viewer = Viewer(
         target,
         is_frame=is_frame,
@@ -85,7 +67,7 @@ def view(
         port=port,
         size=None if size is None else parse_size(size),
         fixed_size=fixed_size,
-        changes=changes,
+        changes=settings,
     )
     try:
         with viewer:

@@ -1,8 +1,5 @@
-"""The browser viewer, the only importer of viser. Importing this package imports neither viser nor a renderer."""
+"""The browser viewer, the only importer of viser. Importing this package imports nothing else."""
 
-from __future__ import annotations
+import lazy_loader
 
-from lobewise.viewer.looks import FrameLook, SceneLook
-from lobewise.viewer.server import Viewer
-
-__all__ = ["FrameLook", "SceneLook", "Viewer"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -288,8 +288,10 @@ class Audience:
 def choose_other(found: Description, look: Look) -> Look:
     """Return what the right side of the wipe begins with: the usual filter, or nothing where that is on the left."""
     names = found.similarities
-    other = "normal" if "normal" in names and look.similarity != "normal" else names[-1]
-    return replace(look, similarity=other)
+    if "normal" in names and look.similarity != "normal":
+        return replace(look, similarity="normal")
+    # The last that there is, always: nothing at all.
+    return replace(look, similarity="none")
 
 
 def _make_blank() -> Any:

@@ -2,83 +2,75 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, Literal, get_args
 
-METHODS = ("paths", "voxel_cones", "virtual_lights")
-SCENE_SIMILARITIES = ("ggx", "sg", "asg", "sg_mixture", "normal", "none")
-FRAME_SIMILARITIES = ("auto", "ggx", "sg", "asg", "sg_mixture", "normal", "none")
+from lobewise.settings import SIMILARITIES, Auto, Declared, DenoiseSettings, Knob, Similarity, document, list_knobs
+
+Method = Literal["paths", "voxel_cones", "virtual_lights"]
+Unfiltered = Literal["none"]
+
+METHODS: tuple[Method, ...] = get_args(Method)
+SCENE_SIMILARITIES = (*reversed(SIMILARITIES), *get_args(Unfiltered))
+FRAME_SIMILARITIES = ("auto", *SCENE_SIMILARITIES)
 
 
 @dataclass(frozen=True)
-class SceneLook:
-    """How a scene is rendered and filtered; the fields are those of `lobewise.interactive.InteractiveSettings`.
+class SceneLook(Declared):
+    """How a scene is rendered and filtered; the fields are those of `lobewise.interactive`.
 
-    Parameters
-    ----------
-    method : {"paths", "voxel_cones", "virtual_lights"}
-        Where indirect light comes from.
-    scale : int
-        Indirect light is shaded at one pixel of every ``scale`` times ``scale``, 1 to 16.
-    spp : int
-        Samples of each such pixel.
-    similarity : {"ggx", "sg", "asg", "sg_mixture", "normal", "none"}
-        What pixel and sample must share; "none" interpolates on the screen alone.
-    beta : float or "auto"
-        Exponent of the similarity.
-    radius : int
-        Samples from the centre to the edge of the kernel.
-    temporal : bool
-        Whether a frame knows the ones before.
-    adaptive : float
-        Share of the pixels that are shaded again, 0 to 1.
-    filter_direct : bool
-        Whether direct light, which has one light sample a pixel, is filtered too.
+    Those of the filter are as in `lobewise.DenoiseSettings`; "none" interpolates on the screen alone.
     """
 
-    method: str = "paths"
-    scale: int = 4
-    spp: int = 1
-    similarity: str = "ggx"
-    beta: float | str = "auto"
+    method: Annotated[Method, Knob("How indirect light is computed.", label="Method")] = "paths"
+    scale: Annotated[
+        int,
+        Knob(
+            "Indirect light is shaded at one pixel of every n x n and upsampled.",
+            low=1,
+            high=16,
+            usual="4 is usual",
+            label="Every nth pixel",
+        ),
+    ] = 4
+    spp: Annotated[int, Knob("Samples of each shaded pixel.", low=1, high=1 << 16, label="Samples")] = 1
+    similarity: Similarity | Unfiltered = "ggx"
     radius: int = 2
-    temporal: bool = True
-    adaptive: float = 0.05
-    filter_direct: bool = True
+    beta: float | Auto = "auto"
+    temporal: Annotated[bool, Knob("A frame knows the ones before.", label="Temporal")] = True
+    adaptive: Annotated[
+        float,
+        Knob("Share of the pixels that is shaded again because nothing supports them.", high=1.0, label="Adaptive, %"),
+    ] = 0.05
+    filter_direct: Annotated[
+        bool, Knob("Direct light has one light sample a pixel; filter it too.", label="Filter direct light")
+    ] = True
 
 
 @dataclass(frozen=True)
 class FrameLook:
-    """How a finished frame is filtered; the fields are those of `lobewise.DenoiseSettings`.
+    """How a finished frame is filtered; the fields are as in `lobewise.DenoiseSettings`.
 
-    Parameters
-    ----------
-    similarity : {"auto", "ggx", "sg", "asg", "sg_mixture", "normal", "none"}
-        "none" shows the frame as it is.
-    quality : {"fast", "balanced", "high"}
-        Of a sparsely shaded frame always "fast".
-    form : {"full", "separable", "atrous"}
-        Other than "full" only with quality "fast"; of a sparsely shaded frame always "full".
-    radius : int
-        Pixels, or samples of a sparsely shaded frame.
-    beta, tau : float or "auto"
-        Exponent of the lobe similarity, and band-limit of the lobes in radians.
-    normal_exponent : float
-        Sharpness with which "normal" compares normals.
-    hit_distance : bool
-        Compare what lobes hit.
+    The similarity "none" shows the frame as it is. A sparsely shaded frame has the quality "fast" and the form "full".
     """
 
-    similarity: str = "auto"
+    similarity: Similarity | Auto | Unfiltered = "auto"
     quality: str = "balanced"
     form: str = "full"
     radius: int = 8
-    beta: float | str = "auto"
-    tau: float | str = "auto"
+    beta: float | Auto = "auto"
     normal_exponent: float = 64.0
+    tau: float | Auto = "auto"
     hit_distance: bool = False
 
 
+document(SceneLook)
+KNOBS = {**list_knobs(DenoiseSettings), **list_knobs(SceneLook)}
+"""What each field means."""
+_similarity = KNOBS["similarity"]
+KNOBS["similarity"] = replace(
+    _similarity, text=f'{_similarity.text} "none" filters nothing.', choices=FRAME_SIMILARITIES
+)
 Look = SceneLook | FrameLook
 
 

@@ -2,47 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
-from lobewise.viewer.looks import FrameLook, Look, SceneLook
+from lobewise.settings import Knob
+from lobewise.viewer.looks import KNOBS, FrameLook, Look, SceneLook
 from lobewise.viewer.messages import Description
 from lobewise.viewer.pictures import LEGENDS, MOST_STOPS, VIEWS
 from lobewise.viewer.status import write_message
 
-METHOD_NAMES = {"paths": "paths", "voxel_cones": "voxel cones", "virtual_lights": "virtual lights"}
-SIMILARITY_NAMES = {
-    "auto": "auto",
+NAMES = {
+    "paths": "paths",
+    "voxel_cones": "voxel cones",
+    "virtual_lights": "virtual lights",
     "ggx": "ggx (covariance)",
     "sg": "single SG",
     "asg": "anisotropic SG",
     "sg_mixture": "SG mixture",
     "normal": "normal-aware",
-    "none": "none",
+    "atrous": "à-trous",
 }
-QUALITY_NAMES = {"fast": "fast", "balanced": "balanced", "high": "high"}
-FORM_NAMES = {"full": "full", "separable": "separable", "atrous": "à-trous"}
+"""Words of settings that read otherwise in a list to choose from."""
 FLY_HINT = "Left drag orbits, right drag moves, the wheel zooms. W A S D E Q fly, the arrow keys turn."
 ZOOM_HINT = "The wheel zooms, right drag moves; W A S D fly."
 
-_HINTS = {
-    "method": "How indirect light is computed.",
-    "scale": "Indirect light is shaded at one pixel of every n x n and upsampled.",
-    "spp": "Samples of each shaded pixel.",
-    "similarity": "What two pixels must share to be averaged.",
-    "auto_beta": "The exponent follows the noise.",
-    "beta": "Exponent of the similarity: larger keeps more detail and more noise.",
-    "radius": "From the centre to the edge of the kernel, in samples (pixels where all are shaded).",
-    "temporal": "A frame knows the ones before.",
-    "adaptive": "Share of the pixels that is shaded again because nothing supports them.",
-    "filter_direct": "Direct light has one light sample a pixel; filter it too.",
-    "quality": "Fast weighs by the guides alone; balanced and high also by what the noise allows to tell apart.",
-    "form": "Full is best; separable and à-trous are faster.",
-    "auto_tau": "The band-limit follows the noise.",
-    "tau": "Band-limit of the lobes, base-10 logarithm of radians: what makes a mirror's lobe finite.",
-    "normal_exponent": "How strictly normals are compared.",
-    "hit_distance": "Compare what lobes hit, not only where they point.",
+
+class Slider(NamedTuple):
+    """What a slider offers for a number: ends and step, where it stands at "auto", and what its numbers mean."""
+
+    low: float
+    high: float
+    step: float
+    at_auto: float = 0.0
+    note: str = ""
+    to_slider: Callable[[float], float] = float
+    from_slider: Callable[[float], float] = float
+
+
+SLIDERS = {
+    "scale": Slider(1, 16, 1, from_slider=int),
+    "spp": Slider(1, 16, 1, from_slider=int),
+    "beta": Slider(0.5, 64.0, 0.5, 4.0),
+    "normal_exponent": Slider(1.0, 256.0, 1.0),
+    "tau": Slider(-5.0, 0.0, 0.05, -1.5, ", log", math.log10, lambda number: 10.0**number),
+    "adaptive": Slider(0.0, 25.0, 0.5, 0.0, "", lambda share: 100.0 * share, lambda percent: percent / 100.0),
 }
 
 
@@ -64,72 +69,59 @@ class LookPanel:
     def __init__(self, gui: Any, found: Description, look: Look, changed: Callable[[], None]) -> None:
         self._gui = gui
         self._changed = changed
+        self._look = look
         self._handles: dict[str, Any] = {}
-        self._scene = isinstance(look, SceneLook)
-        if isinstance(look, SceneLook):
-            self._choose("method", "Method", found.methods, METHOD_NAMES, look.method)
-            self._slide("scale", "Every nth pixel", 1, 16, 1, look.scale)
-            self._slide("spp", "Samples", 1, 16, 1, look.spp)
-        self._choose("similarity", "Similarity", found.similarities, SIMILARITY_NAMES, look.similarity)
-        if isinstance(look, FrameLook) and len(found.qualities) > 1:
-            self._choose("quality", "Quality", found.qualities, QUALITY_NAMES, look.quality)
-        if isinstance(look, FrameLook) and len(found.forms) > 1:
-            self._choose("form", "Kernel", found.forms, FORM_NAMES, look.form)
-        self._slide("radius", "Radius", 0, 16 if self._scene or found.sparse else 32, 1, look.radius)
-        self._check("auto_beta", "Auto beta", look.beta == "auto")
-        self._slide("beta", "Beta", 0.5, 64.0, 0.5, 4.0 if isinstance(look.beta, str) else look.beta)
-        if isinstance(look, SceneLook):
-            self._check("temporal", "Temporal", look.temporal)
-            self._slide("adaptive", "Adaptive, %", 0.0, 25.0, 0.5, 100.0 * look.adaptive)
-            self._check("filter_direct", "Filter direct light", look.filter_direct)
-        else:
-            self._slide("normal_exponent", "Normal exponent", 1.0, 256.0, 1.0, look.normal_exponent)
-            self._check("auto_tau", "Auto band-limit", look.tau == "auto")
-            self._slide("tau", "Band-limit, log", -5.0, 0.0, 0.05, -1.5)
-            if found.hit_distance:
-                self._check("hit_distance", "Hit distance", look.hit_distance)
+        limit = 16 if isinstance(look, SceneLook) or found.sparse else 32
+        self._sliders = {**SLIDERS, "radius": Slider(0, limit, 1, from_slider=int)}
+        choices = {
+            "method": found.methods,
+            "similarity": found.similarities,
+            "quality": found.qualities,
+            "form": found.forms,
+        }
+        for item in fields(look):
+            knob, value, words = KNOBS[item.name], getattr(look, item.name), choices.get(item.name, ())
+            # What leaves no choice has no control.
+            if item.name in choices and (len(words) > 1 or item.name in ("method", "similarity")):
+                names = [NAMES.get(word, word) for word in words]
+                given = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
+                self._keep(item.name, gui.add_dropdown(knob.label, names, **given))
+            elif item.name in self._sliders:
+                self._slide(knob, value)
+            elif item.name not in choices and (item.name != "hit_distance" or found.hit_distance):
+                self._keep(item.name, gui.add_checkbox(knob.label, value, hint=knob.hint))
         self._refresh()
 
     def get_look(self) -> Look:
         """Return what is set."""
-        value = {name: handle.value for name, handle in self._handles.items()}
-        similarity = _find_key(SIMILARITY_NAMES, value["similarity"])
-        beta = "auto" if value["auto_beta"] else float(value["beta"])
-        radius = int(value["radius"])
-        if self._scene:
-            return SceneLook(
-                method=_find_key(METHOD_NAMES, value["method"]),
-                scale=int(value["scale"]),
-                spp=int(value["spp"]),
-                similarity=similarity,
-                beta=beta,
-                radius=radius,
-                temporal=value["temporal"],
-                adaptive=value["adaptive"] / 100.0,
-                filter_direct=value["filter_direct"],
-            )
-        if similarity == "none":
+        values = {name: self._get(name) for name in self._handles if not name.startswith("auto_")}
+        look = replace(self._look, **values)
+        if isinstance(look, SceneLook):
+            return look
+        if look.similarity == "none":
             # One look for all settings that change nothing, so that it is computed once.
             return FrameLook(similarity="none")
-        quality = _find_key(QUALITY_NAMES, value["quality"]) if "quality" in value else "fast"
-        return FrameLook(
-            similarity=similarity,
-            quality=quality,
-            form=_find_key(FORM_NAMES, value["form"]) if "form" in value and quality == "fast" else "full",
-            radius=radius,
-            beta=beta,
-            tau="auto" if value["auto_tau"] else 10.0 ** value["tau"],
-            normal_exponent=float(value["normal_exponent"]),
-            hit_distance=bool(value.get("hit_distance")) and similarity in ("sg", "asg", "ggx"),
+        return replace(
+            look,
+            form=look.form if look.quality == "fast" else "full",
+            hit_distance=look.hit_distance and look.similarity in ("sg", "asg", "ggx"),
         )
+
+    def _get(self, name: str) -> Any:
+        """Return the value of a setting that has a control."""
+        value = self._handles[name].value
+        if name in self._sliders:
+            auto = self._handles.get(f"auto_{name}")
+            return "auto" if auto is not None and auto.value else self._sliders[name].from_slider(value)
+        return next((word for word, shown in NAMES.items() if shown == value), value)
 
     def _refresh(self) -> None:
         """Hide what changes nothing for the chosen settings."""
         handles = self._handles
-        similarity = _find_key(SIMILARITY_NAMES, handles["similarity"].value)
+        similarity = self._get("similarity")
         filtered = similarity != "none"
         # Another kernel than the full one has no other quality.
-        plain = "quality" not in handles or handles["quality"].value == QUALITY_NAMES["fast"]
+        plain = "quality" not in handles or self._get("quality") == "fast"
         shown = {
             "radius": filtered,
             "quality": filtered,
@@ -143,7 +135,7 @@ class LookPanel:
             "hit_distance": similarity in ("sg", "asg", "ggx"),
         }
         if "form" in handles:
-            shown["radius"] = filtered and not (plain and handles["form"].value == FORM_NAMES["atrous"])
+            shown["radius"] = filtered and not (plain and self._get("form") == "atrous")
         if "auto_tau" in handles:
             shown["tau"] = shown["auto_tau"] and not handles["auto_tau"].value
         if "adaptive" in handles:
@@ -152,17 +144,15 @@ class LookPanel:
             if name in handles and handles[name].visible != visible:
                 handles[name].visible = visible
 
-    def _choose(self, name: str, label: str, keys: Sequence[str], names: dict[str, str], value: str) -> None:
-        self._keep(
-            name,
-            self._gui.add_dropdown(label, [names[key] for key in keys], initial_value=names[value], hint=_HINTS[name]),
-        )
-
-    def _slide(self, name: str, label: str, low: float, high: float, step: float, value: float) -> None:
-        self._keep(name, self._gui.add_slider(label, low, high, step, value, hint=_HINTS[name]))
-
-    def _check(self, name: str, label: str, value: bool) -> None:
-        self._keep(name, self._gui.add_checkbox(label, value, hint=_HINTS[name]))
+    def _slide(self, knob: Knob, value: Any) -> None:
+        """Add a slider, and where the setting can be "auto" a box for that before it."""
+        slider, auto = self._sliders[knob.name], value == "auto"
+        if "auto" in knob.choices:
+            hint = f"{knob.label} follows the noise."
+            self._keep(f"auto_{knob.name}", self._gui.add_checkbox(f"Auto {knob.label.lower()}", auto, hint=hint))
+        first = slider.at_auto if auto else slider.to_slider(value)
+        label = knob.label + slider.note
+        self._keep(knob.name, self._gui.add_slider(label, slider.low, slider.high, slider.step, first, hint=knob.hint))
 
     def _keep(self, name: str, handle: Any) -> None:
         self._handles[name] = handle
@@ -256,7 +246,7 @@ class Panel:
     @property
     def view(self) -> str:
         """What is shown, a key of `VIEWS`."""
-        return _find_key(VIEWS, self._view.value)
+        return next(name for name, shown in VIEWS.items() if shown == self._view.value)
 
     @property
     def stops(self) -> float:
@@ -322,7 +312,3 @@ class Panel:
         reset.on_click(click_reset)
         self._expose.on_click(click_expose)
         save.on_click(click_save)
-
-
-def _find_key(names: dict[str, str], value: str) -> str:
-    return next(key for key, name in names.items() if name == value)
