@@ -125,9 +125,10 @@ def recompute(
         worth = worth * np.maximum(gathered, np.float32(1.0))[:, None]
     weight = result.weight_sum[where][:, None]
     image = _merge(result.image, new.color, where, weight, worth)
-    assert image is not None
-    diffuse = _merge(result.diffuse, new.diffuse, where, weight, worth)
-    specular = _merge(result.specular, new.specular, where, weight, worth)
+    diffuse, specular = (
+        old if old is None or fresh is None else _merge(old, fresh, where, weight, worth)
+        for old, fresh in ((result.diffuse, new.diffuse), (result.specular, new.specular))
+    )
     total, effective = result.weight_sum.copy(), result.effective_samples.copy()
     total[where] += worth[:, 0]
     effective[where] += worth[:, 0]
@@ -150,36 +151,30 @@ def _filter_among(
     if shape is None:
         return new, np.ones(where[0].size, np.float32)
 
-    def spread(part: FloatArray | None) -> FloatArray | None:
-        if part is None:
-            return None
+    def spread(part: FloatArray) -> FloatArray:
         # What is no number neither gives nor takes.
         image = np.full((*shape, 3), np.nan, np.float32)
         image[where] = part[:, 0]
         return image
 
-    color = spread(new.color)
-    assert color is not None
-    radiance = Radiance(color, diffuse=spread(new.diffuse), specular=spread(new.specular))
+    names = [name for name in ("color", "diffuse", "specular") if name in new.names]
+    radiance = Radiance(**{name: spread(getattr(new, name)) for name in names})
     if find_bad_pixels(Frame(radiance)).all():
         return new, np.ones(where[0].size, np.float32)
     spp = max(1, round(samples * (frame.spp or 1)))
     whole = Frame(radiance, frame.gbuffer, frame.camera, spp=spp, lobe_tables=frame.lobe_tables)
     clean = denoise(whole, quality="fast")
-    parts = [None if part is None else part[where][:, None] for part in (clean.image, clean.diffuse, clean.specular)]
-    assert parts[0] is not None
-    return Radiance(parts[0], diffuse=parts[1], specular=parts[2]), clean.weight_sum[where]
+    parts = [None if part is None else part[where][:, None] for part in (clean.diffuse, clean.specular)]
+    return Radiance(clean.image[where][:, None], *parts), clean.weight_sum[where]
 
 
 def _merge(
-    old: FloatArray | None,
-    new: FloatArray | None,
+    old: FloatArray,
+    new: FloatArray,
     where: tuple[NDArray[np.intp], ...],
     weight: FloatArray,
     worth: FloatArray,
-) -> FloatArray | None:
-    if old is None or new is None:
-        return old
+) -> FloatArray:
     fresh = new[:, 0]
     good = np.isfinite(fresh).all(axis=-1, keepdims=True) & (fresh >= 0.0).all(axis=-1, keepdims=True)
     n = np.where(good, worth, np.float32(0.0))

@@ -124,27 +124,9 @@ def filter_sequence(
         negative.
     """
     source, output = _parse(source), _parse(output)
-    if not checkpoint_seconds >= 0.0:
-        raise InputError(
-            "checkpoint_seconds", expected="a time >= 0", got=str(checkpoint_seconds), action="20 is usual"
-        )
     kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
-    if kept.suffix != ".npz":
-        raise InputError(
-            "checkpoint", expected="a name that ends in .npz", got=repr(str(kept)), action="add the ending"
-        )
     frames = source.find()
-    require_writable(output.name(frames[0][0]))
-    require_writable(kept, what="checkpoint")
-    sources = {path.resolve() for _, path in frames}
-    if any(output.name(number).resolve() in sources for number, _ in frames):
-        raise InputError(
-            f"output {str(output)!r}",
-            expected="files other than the sources",
-            got="the name of a source",
-            action="choose another name",
-        )
-
+    _check(frames, output, kept, checkpoint_seconds)
     # Not the folders: the sources prove themselves by size and time, and a project that was moved is the same one.
     names = [Path(str(pattern)).name for pattern in (source, output)]
     run = _Run(frames, output, json.dumps([fingerprint, *names, lobewise.__version__]))
@@ -155,8 +137,8 @@ def filter_sequence(
     elif remark is not None and note:
         remark(note)
 
-    if progress is not None:
-        progress("frames", start, len(frames))
+    tell = progress or (lambda what, done, total: None)
+    tell("frames", start, len(frames))
     last: ResultT | None = None
     saved = time.monotonic()
     for index in range(start, len(frames)):
@@ -177,11 +159,30 @@ def filter_sequence(
         if index + 1 < len(frames) and time.monotonic() - saved >= checkpoint_seconds:
             run.save(kept, active.get_state())
             saved = time.monotonic()
-        if progress is not None:
-            progress("frames", index + 1, len(frames))
+        tell("frames", index + 1, len(frames))
     with suppress(OSError):
         kept.unlink()
     return SequenceReport(len(frames), len(frames) - start, resumed_after, note, last)
+
+
+def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, seconds: float) -> None:
+    """Raise what `filter_sequence` raises before it begins."""
+    if not seconds >= 0.0:
+        raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(seconds), action="20 is usual")
+    if kept.suffix != ".npz":
+        raise InputError(
+            "checkpoint", expected="a name that ends in .npz", got=repr(str(kept)), action="add the ending"
+        )
+    require_writable(output.name(frames[0][0]))
+    require_writable(kept, what="checkpoint")
+    sources = {path.resolve() for _, path in frames}
+    if any(output.name(number).resolve() in sources for number, _ in frames):
+        raise InputError(
+            f"output {str(output)!r}",
+            expected="files other than the sources",
+            got="the name of a source",
+            action="choose another name",
+        )
 
 
 def name_checkpoint(output: FramePattern | PathLike) -> Path:

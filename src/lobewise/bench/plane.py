@@ -67,20 +67,18 @@ def make_frame(width: int, height: int) -> Frame:
 
 def make_place(frame: Frame) -> list[Feature]:
     """Return what all similarities have in common: distance on the screen and from the tangent plane."""
-    guides, camera = frame.gbuffer, frame.camera
-    assert camera is not None and guides.position is not None and guides.depth is not None
-    pixel_angle = camera.get_pixel_angle(frame.height)
-    return [ScreenFeature(5.0), PositionFeature(guides.position, guides.depth, pixel_angle=pixel_angle, sigma=16.0)]
+    position, depth = (frame.gbuffer.require(name, "the benchmark") for name in ("position", "depth"))
+    pixel_angle = frame.require_camera("the benchmark").get_pixel_angle(frame.height)
+    return [ScreenFeature(5.0), PositionFeature(position, depth, pixel_angle=pixel_angle, sigma=16.0)]
 
 
 def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[str, list[Feature]]:
     """Return the features of each of these similarities; position and screen distance are the same in all."""
-    guides, camera = frame.gbuffer, frame.camera
-    assert camera is not None and guides.normal is not None
+    guides, camera = frame.gbuffer, frame.require_camera("the benchmark")
     place = make_place(frame)
     found: dict[str, list[Feature]] = {}
     if "normal" in names:
-        found["normal"] = [*place, NormalFeature(guides.normal, 64.0)]
+        found["normal"] = [*place, NormalFeature(guides.require("normal", "the benchmark"), 64.0)]
     tau = default_tau(camera, frame.height)
     if "sg" in names:
         lobes = make_sg_field(guides, camera, tau=tau, diffuse_fallback=False)
@@ -100,7 +98,7 @@ def make_mixture(frame: Frame, lobes: int, *, coaxial: bool) -> Feature:
 
     Where it is not ``coaxial`` every lobe has an axis of its own, which happens to be the same: kernels cannot know.
     """
-    assert frame.camera is not None
-    field = make_mixture_field(frame.gbuffer, frame.camera, tau=default_tau(frame.camera, frame.height), lobes=lobes)
+    camera = frame.require_camera("the benchmark")
+    field = make_mixture_field(frame.gbuffer, camera, tau=default_tau(camera, frame.height), lobes=lobes)
     axis = field.axis if coaxial else np.tile(field.axis, (1, 1, lobes))
     return SgMixtureFeature(axis, field.sharpness, field.amplitude, BETA)

@@ -259,5 +259,4 @@ def _read_guides(path: Path) -> Guides:
             action="render them with the frames",
         )
     frame = read_whole(path, read_container(path))
-    assert frame.camera is not None
-    return frame.gbuffer, frame.camera
+    return frame.gbuffer, frame.require_camera("ghosting")

@@ -17,51 +17,56 @@ if TYPE_CHECKING:
 
 CAMERA_PATHS = ("orbit", "still")
 
+Scene = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
+]
+Place = Annotated[
+    str | None,
+    typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.", show_default="0,0"),
+]
+Scale = Annotated[int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")]
+Frames = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
+]
+CameraPath = Annotated[
+    str | None,
+    typer.Option(metavar="orbit|still|FILE.json", help="With --frames: where the camera goes.", show_default="orbit"),
+]
+Speed = Annotated[
+    float | None, typer.Option(metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25")
+]
+Start = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
+]
+MovingObjects = Annotated[
+    bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
+]
+Light = Annotated[str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")]
+AovOnly = Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")]
+Reference = Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")]
+
 
 def render(
-    scene: Annotated[
-        str,
-        typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
-    ],
+    scene: Scene,
     output: Output,
     spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4,
     width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None,
     height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0,
     max_depth: Annotated[int, typer.Option(metavar="N", help="Longest path, in vertices after the camera.")] = 8,
-    light: Annotated[
-        str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")
-    ] = "all",
-    aov_only: Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False,
-    reference: Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")] = False,
-    scale: Annotated[
-        int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")
-    ] = 1,
-    place: Annotated[
-        str | None,
-        typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.", show_default="0,0"),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
-    ] = None,
-    camera_path: Annotated[
-        str | None,
-        typer.Option(
-            metavar="orbit|still|FILE.json", help="With --frames: where the camera goes.", show_default="orbit"
-        ),
-    ] = None,
-    speed: Annotated[
-        float | None,
-        typer.Option(metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25"),
-    ] = None,
-    start: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
-    ] = None,
-    moving_objects: Annotated[
-        bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
-    ] = False,
+    light: Light = "all",
+    aov_only: AovOnly = False,
+    reference: Reference = False,
+    scale: Scale = 1,
+    place: Place = None,
+    frames: Frames = None,
+    camera_path: CameraPath = None,
+    speed: Speed = None,
+    start: Start = None,
+    moving_objects: MovingObjects = False,
     exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
 ) -> None:
     """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
@@ -82,46 +87,62 @@ def render(
     if speed is not None and camera_path not in (None, "orbit"):
         _refuse_beside(f"--camera-path {camera_path}", (("--speed", True),))
     common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "light": light}
+    size: dict[str, Any] = {"width": width, "height": height}
     if frames is not None:
-        _render_sequence(
-            scene,
-            output,
-            frames=frames,
-            start=start or 1,
-            camera_path=camera_path or "orbit",
-            speed=speed,
-            moving_objects=moving_objects,
-            width=width,
-            height=height,
-            half=not exact,
-            scale=scale,
-            reference=reference,
-            **common,
-        )
-        return
+        path = {"camera_path": camera_path or "orbit", "speed": speed, "moving_objects": moving_objects}
+        many: dict[str, Any] = {**common, **size, **path, "scale": scale, "reference": reference}
+        _render_sequence(scene, output, frames=frames, start=start or 1, half=not exact, **many)
+    elif scale != 1:
+        _render_sparse(scene, output, size, {**common, "scale": scale, "place": parse_place(place or "0,0")}, not exact)
+    else:
+        # A place that is none is told, whether it is used or not.
+        parse_place(place or "0,0")
+        _render_whole(scene, output, size, common, half=not exact, aov_only=aov_only, reference=reference)
+
+
+def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dict[str, Any], half: bool) -> None:
+    """Render a frame at some of its pixels only."""
     from lobewise.cli.output import print_line
-    from lobewise.io import write_frame, write_sparse_frame
+    from lobewise.io import write_sparse_frame
     from lobewise.io.files import require_writable
-    from lobewise.render import load_scene, render_frame, render_reference, render_sparse_frame
+    from lobewise.render import load_scene, render_sparse_frame
 
-    shaded = parse_place(place or "0,0")
     require_writable(output)
-    loaded = load_scene(scene, width=width, height=height)
+    loaded = load_scene(scene, **size)
     with show_progress() as advance:
+        settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
+        frame = render_sparse_frame(loaded, **settings)
+    write_sparse_frame(output, frame, half=half)
+    scale, spp = settings["scale"], settings["spp"]
+    share = f"one of {scale}x{scale} pixels shaded"
+    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {share}, {spp} spp.")
 
-        def progress(done: int, total: int) -> None:
-            advance(f"Rendering {scene}", done, total)
 
-        common["progress"] = progress
-        if scale != 1:
-            sparse = render_sparse_frame(loaded, scale=scale, place=shaded, **common)
-            write_sparse_frame(output, sparse, half=not exact)
-            share = f"one of {scale}x{scale} pixels shaded"
-            print_line(f"Wrote {output}: {sparse.width}x{sparse.height} pixels, {share}, {spp} spp.")
-            return
-        frame = render_reference(loaded, **common) if reference else render_frame(loaded, aov_only=aov_only, **common)
-    write_frame(output, frame, half=not exact, attributes={"lobewise/scene": scene})
-    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {spp} spp.")
+def _render_whole(
+    scene: str,
+    output: Path,
+    size: dict[str, Any],
+    settings: dict[str, Any],
+    *,
+    half: bool,
+    aov_only: bool,
+    reference: bool,
+) -> None:
+    """Render a frame, or a reference."""
+    from lobewise.cli.output import print_line
+    from lobewise.io import write_frame
+    from lobewise.io.files import require_writable
+    from lobewise.render import load_scene, render_frame, render_reference
+
+    require_writable(output)
+    loaded = load_scene(scene, **size)
+    with show_progress() as advance:
+        settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
+        frame = (
+            render_reference(loaded, **settings) if reference else render_frame(loaded, aov_only=aov_only, **settings)
+        )
+    write_frame(output, frame, half=half, attributes={"lobewise/scene": scene})
+    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {settings['spp']} spp.")
 
 
 def _render_sequence(

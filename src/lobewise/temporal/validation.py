@@ -14,7 +14,7 @@ from lobewise.denoising.automatic import can_use_hits
 from lobewise.denoising.layers import find_surface, make_specular_features
 from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
 from lobewise.filters.cross_pass import describe_structure
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
 from lobewise.guides.surfaces import (
     Backdrop,
     find_footprints,
@@ -35,8 +35,8 @@ HIT_TOLERANCE_PER_LOBE = 1.5
 """How much of it a lobe adds for each radian that it is wide: its hit distance is an average over what it sees."""
 
 
-@dataclass(frozen=True)
-class Guides:
+@dataclass(frozen=True, repr=False)
+class Guides(Guided):
     """What is known of a frame's surfaces, whatever was shaded."""
 
     gbuffer: GBuffer
@@ -46,8 +46,7 @@ class Guides:
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        assert self.gbuffer.shape is not None
-        return self.gbuffer.shape
+        return self.gbuffer.shape or (0, 0)
 
     @cached_property
     def frame(self) -> Frame:
@@ -58,13 +57,7 @@ class Guides:
     @cached_property
     def places(self) -> tuple[FloatArray, FloatArray]:
         """The surface points (height, width, 3) and their depths."""
-        assert self.camera is not None
-        return find_places(self.gbuffer, self.camera)
-
-    @property
-    def is_placed(self) -> bool:
-        """Whether every pixel's surface point is known."""
-        return self.gbuffer.is_placed and self.camera is not None
+        return find_places(self.gbuffer, self.require_camera("places"))
 
 
 @dataclass(frozen=True)
@@ -119,8 +112,7 @@ def make_validation_features(
     frame = guides.frame
     surface = find_surface(frame)
     everywhere = np.ones(guides.shape, dtype=bool)
-    normal = guides.gbuffer.normal
-    assert normal is not None
+    normal = guides.gbuffer.require("normal", "a history")
     position = guides.places[0] if guides.is_placed else None
     # The background faces the camera from far away, so that it is itself again and no surface.
     backdrop = Backdrop(normal, normal, position)
@@ -155,8 +147,7 @@ def _make_plane(
 ) -> tuple[Feature, ...]:
     if backdrop.position is None:
         return ()
-    assert guides.camera is not None
-    pixel_angle = guides.camera.get_pixel_angle(guides.shape[0])
+    pixel_angle = guides.require_camera("a plane").get_pixel_angle(guides.height)
     footprint = find_footprints(surface, guides.places[1], pixel_angle, allowance, 1.0 / temporal.plane_sigma)
     return (PlaneFeature(backdrop.position, backdrop.normal, footprint, temporal.plane_sigma),)
 

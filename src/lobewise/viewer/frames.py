@@ -174,17 +174,16 @@ class FrameTarget:
         if name == "sharpness":
             return _show_sharpness(frame, result)
         if name == "hit_distance":
-            assert guides.hit_distance is not None and guides.depth is not None
+            distance, depth = guides.require("hit_distance", "this view"), guides.require("depth", "this view")
             with np.errstate(invalid="ignore", divide="ignore"):
-                share = guides.hit_distance / (guides.hit_distance + guides.depth)
-            return np.where(np.isinf(guides.hit_distance), np.float32(1.0), np.nan_to_num(share))
+                share = distance / (distance + depth)
+            return np.where(np.isinf(distance), np.float32(1.0), np.nan_to_num(share))
         if name == "normal":
-            assert guides.normal is not None
-            there = np.any(guides.normal != 0.0, axis=-1, keepdims=True)
-            return np.where(there, 0.5 + 0.5 * guides.normal, np.float32(0.0))
-        assert guides.diffuse_albedo is not None and guides.specular_albedo is not None
-        albedo: FloatArray = np.clip(guides.diffuse_albedo + guides.specular_albedo, 0.0, 1.0)
-        return albedo
+            normal = guides.require("normal", "this view")
+            there = np.any(normal != 0.0, axis=-1, keepdims=True)
+            return np.where(there, 0.5 + 0.5 * normal, np.float32(0.0))
+        diffuse, specular = (guides.require(f"{part}_albedo", "this view") for part in ("diffuse", "specular"))
+        return np.asarray(np.clip(diffuse + specular, 0.0, 1.0), dtype=np.float32)
 
 
 def _spread(frame: Frame | SparseFrame, name: str = "color") -> FloatArray:
@@ -211,9 +210,7 @@ def _show_sharpness(frame: Frame | SparseFrame, result: Result) -> FloatArray:
 
 def resolve_tau(frame: Frame | SparseFrame) -> float:
     """Return the band-limit that "auto" stands for on a frame."""
-    assert frame.camera is not None
     try:
-        tau = resolve_settings(frame, DenoiseSettings()).tau
+        return resolve_settings(frame, DenoiseSettings()).tau
     except LobewiseError:
-        return default_tau(frame.camera, frame.height)
-    return float(tau)
+        return default_tau(frame.require_camera("lobe sharpness"), frame.height)
