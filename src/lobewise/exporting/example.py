@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.contents import Contents, Function
+from lobewise.exporting.folder import fill_template
 from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import Sample
 from lobewise.exporting.targets import get_gpu_api
-from lobewise.exporting.templating import fill_template
 
 LARGEST_DIFFERENCE = 1e-5
 """Relative, between C and Python."""

@@ -1,4 +1,4 @@
-"""A folder of files that appears whole or not at all."""
+"""A folder of files that appears whole or not at all, and the templates that its files are made of."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from lobewise.errors import FileError
 from lobewise.io.files import PathLike, read_mask, say_reason
@@ -88,3 +90,9 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
         for folder in made:
             with suppress(OSError):
                 shutil.rmtree(folder)
+
+
+def fill_template(file: str, **parts: object) -> str:
+    """Return a file of the folder ``templates`` with every ``${name}`` replaced."""
+    path = files("lobewise") / "exporting" / "templates" / file
+    return Template(path.read_text(encoding="utf-8")).substitute(parts)

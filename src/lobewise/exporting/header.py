@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from lobewise.exporting.contents import Contents, Function
-from lobewise.exporting.templating import fill_template
+from lobewise.exporting.folder import fill_template
 
 
 def find_prototype(header: str, function: str) -> list[str]:

@@ -9,9 +9,9 @@ from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.contents import Contents
 from lobewise.exporting.example import choose_bound
+from lobewise.exporting.folder import fill_template
 from lobewise.exporting.sample import Sample
 from lobewise.exporting.targets import get_gpu_api
-from lobewise.exporting.templating import fill_template
 
 DOCS = "https://github.com/lobewise/lobewise/blob/main/docs/export.md"
 

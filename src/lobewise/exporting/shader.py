@@ -9,9 +9,8 @@ from __future__ import annotations
 import re
 
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.folder import MARK, fill_template, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
-from lobewise.exporting.templating import fill_template
 from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
 from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS
