@@ -87,7 +87,7 @@ class Kernel:
             for each in self.outputs
         }
 
-    def __call__(self, *in_order: Any, **arguments: Any) -> None:
+    def __call__(self, **arguments: Any) -> None:
         """Run it with buffers (`lobewise.backend.buffers`) and numbers.
 
         Raises
@@ -97,10 +97,7 @@ class Kernel:
         DeviceError
             If the device fails; what it wrote is then of no use.
         """
-        if in_order:
-            arguments = dict(zip((each.name for each in self.parameters), in_order, strict=True))
-        else:
-            check_call(self.name, self.parameters, arguments)
+        check_call(self.name, self.parameters, arguments)
         # Held until the call has returned.
         held: list[Any] = [
             _SCALARS[each.type](arguments[each.name]) if each.role == "number" else arguments[each.name]
@@ -125,7 +122,7 @@ class _Kernels:
     def __len__(self) -> int:
         return len(self._kernels)
 
-    def get(self, device: str, key: Hashable, make: Callable[[hl.Target], Any], strict: bool) -> Kernel:
+    def get(self, device: str, key: Hashable, make: Callable[[hl.Target], Compilable], strict: bool) -> Kernel:
         """Return the kernel of ``key``, which ``make`` gives the scheduled functions of."""
         with self._lock:
             if (device, key) not in self._kernels:
@@ -145,12 +142,14 @@ def count_compiled_kernels() -> int:
     return len(_kernels)
 
 
-def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Any], *, strict: bool = False) -> Kernel:
+def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Compilable], *, strict: bool = False) -> Kernel:
     """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats."""
     return _kernels.get(device, key, make, strict)
 
 
-def _load(device: str, known: str | None, target: hl.Target, make: Callable[[hl.Target], Any], number: int) -> Kernel:
+def _load(
+    device: str, known: str | None, target: hl.Target, make: Callable[[hl.Target], Compilable], number: int
+) -> Kernel:
     runtime = get_runtime(device)
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
 
@@ -158,25 +157,12 @@ def _load(device: str, known: str | None, target: hl.Target, make: Callable[[hl.
         funcs = make(target)
         pipeline = hl.Pipeline(list(funcs.out) if isinstance(funcs.out, (list, tuple)) else [funcs.out])
         bare = target.with_feature(hl.TargetFeature.NoRuntime)
-        if not hasattr(funcs, "signature"):
-            return _compile_unnamed(funcs, pipeline, symbol, bare)
         arguments = funcs.signature.arguments
         content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
         return content, {"name": funcs.signature.name, "parameters": pack_parameters(funcs.signature.parameters)}
 
     content, head = fetch_object(known, compile_kernel)
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))
-
-
-def _compile_unnamed(funcs: Any, pipeline: hl.Pipeline, symbol: str, bare: hl.Target) -> tuple[bytes, dict[str, Any]]:
-    content = compile_object(lambda path: pipeline.compile_to_object(path, funcs.arguments, symbol, bare))
-    outs = list(funcs.out) if isinstance(funcs.out, (list, tuple)) else [funcs.out]
-    roles = ["input" if isinstance(each, hl.ImageParam) else "number" for each in funcs.arguments]
-    types = ["" if isinstance(each, hl.ImageParam) else str(each.type()) for each in funcs.arguments]
-    count = sum(len(out.output_buffers()) for out in outs)
-    pairs = zip([*roles, *["output"] * count], [*types, *[""] * count], strict=True)
-    parameters = [Parameter(f"{number}", role, kind) for number, (role, kind) in enumerate(pairs)]
-    return content, {"name": "unnamed", "parameters": pack_parameters(parameters)}
 
 
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:

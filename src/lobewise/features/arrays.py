@@ -31,8 +31,9 @@ def declare_features(signature: Signature, prefix: str, features: Sequence[Featu
 
 def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
     """Return what `declare_features` declared, by name; raise InputError where an array is none of this size."""
-    arrays = take_arrays(features, size)
-    return dict(zip(_name_arrays(prefix, features), arrays, strict=True))
+    owners = [feature for feature in features for _ in feature.get_arrays()]
+    named = zip(_name_arrays(prefix, features).items(), owners, strict=True)
+    return {name: _take_array(feature, array, size) for (name, array), feature in named}
 
 
 def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: str = "") -> list[list[hl.Param]]:
@@ -62,16 +63,6 @@ def _name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
 
 def _name_scalar(prefix: str, number: int, k: int) -> str:
     return f"{prefix}_feature{number}_scalar{k}".removeprefix("_")
-
-
-def take_arrays(features: Sequence[Feature], size: tuple[int, int]) -> list[Image]:
-    """Return the arrays of every feature, one after the other; raise InputError where one does not fit."""
-    return [_take_array(feature, array, size) for feature in features for array in feature.get_arrays()]
-
-
-def take_parameters(features: Sequence[Feature]) -> list[float]:
-    """Return the scalars of every feature, one after the other."""
-    return [value for feature in features for value in feature.get_parameters()]
 
 
 def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:

@@ -24,20 +24,6 @@ def begin_at_zero(image: hl.ImageParam) -> None:
         image.dim(axis).set_min(0)
 
 
-def list_inputs(name: str, features: Sequence[Feature], flat: bool = False) -> list[hl.ImageParam]:
-    """Return the parameters that hold the arrays of every feature; ``flat`` ones have one axis for all pixels."""
-    inputs = []
-    for number, feature in enumerate(features):
-        for slot, (array, count) in enumerate(zip(feature.get_arrays(), count_channels(feature), strict=True)):
-            param = hl.ImageParam(hl.Float(32), array.ndim - flat, f"{name}{number}_{slot}")
-            if array.ndim == 3:
-                # A known stride between pixels lets vectors of one channel be shuffled out of whole loads.
-                param.dim(1).set_stride(count)
-            begin_at_zero(param)
-            inputs.append(param)
-    return inputs
-
-
 def count_inputs(features: Sequence[Feature]) -> list[int]:
     """Return the channels of the arrays of every feature, one after the other."""
     return [count for feature in features for count in count_channels(feature)]
@@ -129,9 +115,8 @@ def _choose(values: Sequence[hl.Expr]) -> hl.Expr:
 
 @dataclass
 class GuidePlanes:
-    """The guides and planes of one grid of pixels, and the parameters that hold its arrays."""
+    """The guides and planes of one grid of pixels."""
 
-    arrays: list[hl.ImageParam]
     guides: hl.Func | None
     guide_count: int
     planes: hl.Func | None
@@ -152,12 +137,15 @@ def make_guide_planes(
     mask: hl.ImageParam,
     features: Sequence[Feature],
     scalars: Sequence[Sequence[hl.Expr]],
+    arrays: Sequence[hl.ImageParam],
+    *,
     inside: bool = False,
-    arrays: list[hl.ImageParam] | None = None,
     rows: Rows | None = None,
 ) -> GuidePlanes:
-    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for."""
-    arrays = list_inputs(name, features) if arrays is None else arrays
+    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for.
+
+    ``arrays`` are what `lobewise.features.arrays.declare_features` returned.
+    """
     count = sum(count_inputs(features))
 
     def read(guides: hl.Func | None, column: hl.Expr) -> list[hl.Expr]:
@@ -167,12 +155,12 @@ def make_guide_planes(
         at = (X, Y) if inside else (clamp_likely(X, mask.width()), hl.clamp(Y, 0, mask.height() - 1))
         guides = _make_guides(f"{name}_guides", mask, features, arrays, at)
         values, layouts = prepare_planes(features, scalars, read(guides, X))
-        return GuidePlanes(arrays, guides, count, _stack(f"{name}_planes", values), len(values), layouts)
+        return GuidePlanes(guides, count, _stack(f"{name}_planes", values), len(values), layouts)
 
     line = hl.clamp(Y, 0, mask.height() - 1)
     outside, layouts = prepare_planes(features, scalars, [hl.f32(v) for feature in features for v in feature.neutral])
     if not outside:
-        return GuidePlanes(arrays, None, 0, None, 0, layouts)
+        return GuidePlanes(None, 0, None, 0, layouts)
     parts = [
         _make_guides(f"{name}_guides{number}", mask, features, arrays, (X, line)) for number in range(len(rows.parts))
     ]
@@ -181,7 +169,7 @@ def make_guide_planes(
         _choose(outside),
         lambda number, column: _choose(prepare_planes(features, scalars, read(parts[number], column))[0]),
     )
-    return GuidePlanes(arrays, None, count, planes, len(outside), layouts, [part for part in parts if part is not None])
+    return GuidePlanes(None, count, planes, len(outside), layouts, [part for part in parts if part is not None])
 
 
 def make_image(
