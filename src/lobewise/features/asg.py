@@ -8,8 +8,7 @@ import halide as hl
 
 from lobewise.backend.expressions import LOG2_E, dot, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.covariance import CovarianceFeature
-from lobewise.features.lobe import HitPlanes, find_step
+from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
 
 
 class AsgPlanes(NamedTuple):

@@ -8,8 +8,7 @@ import halide as hl
 
 from lobewise.backend.expressions import dot, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.covariance import CovarianceFeature
-from lobewise.features.lobe import HitPlanes, find_step
+from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
 # eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves

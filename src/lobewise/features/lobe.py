@@ -1,14 +1,16 @@
-"""What the features of one lobe per pixel share: an axis, and what the lobe hits."""
+"""What the features of one lobe per pixel share: an axis, what the lobe hits, and for some a covariance."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
 import halide as hl
 
 from lobewise.backend.expressions import dot, subtract
 from lobewise.features.base import DeclaredFeature, Vector
+from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField, find_hit_shift
 
 
@@ -58,6 +60,26 @@ class LobeFeature(DeclaredFeature):
 
     def get_parameters(self) -> tuple[float, ...]:
         return (self.beta,)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CovarianceFeature(LobeFeature):
+    """What the features of a covariance across an axis share: their arrays, and two invariants of a pair.
+
+    Turned by a quarter about its axis, the covariance S is ``R = tr(S) P - S``, P the projection across the axis. The
+    determinant of ``A_i + A_j``, A the inverse of S in its plane, over ``det A_i det A_j`` is exactly
+    ``Q = d^T (R_i + R_j) d``, ``d = z_j - z_i``, because neither matrix has anything along its own axis; the second
+    invariant over the same is ``P = det_i + det_j + t_i t_j - R_i:R_j``, t the traces. Their quotient is, to first
+    order in itself, the smallest eigenvalue of ``A_i + A_j``, and exactly ``d^T (S_i + S_j)^-1 d`` in a plane. No
+    frame, no inverse.
+    """
+
+    harmless = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0)
+    axis: FloatArray
+    covariance: FloatArray
+    determinant: FloatArray
+    beta: float
+    hits: HitField | None = None
 
 
 def find_step(i: LobePlanes, j: LobePlanes) -> LobeStep:
