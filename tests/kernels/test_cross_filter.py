@@ -18,10 +18,10 @@ from lobewise.lobes.vectors import LUMINANCE
 from tests.kernels.frames import SIZES, make_feature, make_mask, make_radiance
 from tests.kernels.reference import ReferenceOutput, filter_reference
 
-# What features say is held against their oracles in tests/features; a form is the same code for all of them. These two
-# have all that a pass may meet: offsets, planes, an intermediate value, and weights that are approximate.
-LOBES = ("screen", "ggx")
-# These are simple; that of a pixel with itself is 1 exactly.
+# What features say is held against their oracles in tests/features; a form is the same code for all of them. Planes of
+# several features side by side, of which the second has an intermediate value and weights that are approximate.
+LOBES = ("position", "ggx")
+# An offset, and planes; the weight of a pixel with itself is 1 exactly.
 PLACE = ("screen", "position")
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4; ggx expands 1/|m|^2 to third order.
 RELATIVE = {LOBES: 1e-3, PLACE: 1e-4}
@@ -129,7 +129,7 @@ def test_bad_pixels_weigh_nothing_and_are_refilled(form: str) -> None:
 def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     shape = (16, 21)
     mask = np.random.default_rng(1).random(shape) > 0.4
-    screen, feature = make_features(LOBES, shape)
+    place, feature = make_features(LOBES, shape)
     poisoned = type(feature)(  # guides that are garbage where the mask says so
         np.where(mask[..., None], feature.axis, np.nan).astype(np.float32),  # type: ignore[attr-defined]
         np.where(mask[..., None], feature.covariance, np.inf).astype(np.float32),  # type: ignore[attr-defined]
@@ -137,8 +137,8 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
         4.0,
     )
     radiance = make_radiance(shape)
-    out = run_filter(radiance, mask, [screen, poisoned], form=form, radius=RADIUS)
-    image, total, *_ = filter_reference(radiance, mask, [screen, feature], form=form, radius=RADIUS)
+    out = run_filter(radiance, mask, [place, poisoned], form=form, radius=RADIUS)
+    image, total, *_ = filter_reference(radiance, mask, [place, feature], form=form, radius=RADIUS)
     assert (out.image[~mask] == 0.0).all()
     assert (out.weight_sum[~mask] == 0.0).all()
     np.testing.assert_allclose(out.weight_sum, total, rtol=get_tolerance(LOBES, form))
@@ -266,7 +266,7 @@ def test_another_size_or_parameter_does_not_compile_again() -> None:
     run_filter(make_radiance((8, 9)), make_mask((8, 9)), features, form="full", radius=RADIUS)
     before = count_compiled_kernels()
     shape = (31, 50)
-    other: list[Feature] = [ScreenFeature(5.0), make_feature("ggx", shape, beta=9.0)]
+    other: list[Feature] = [make_feature("position", shape), make_feature("ggx", shape, beta=9.0)]
     run_filter(make_radiance(shape), make_mask(shape), other, form="full", radius=RADIUS)
     assert count_compiled_kernels() == before
 
