@@ -11,7 +11,7 @@ from lobewise.features import GgxFeature
 from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.features.ggx import GGX_UNIT, TAIL_SQUARINGS
 from lobewise.filters.cross_filter import run_filter
-from tests.kernels.reference import filter_reference
+from tests.filters.reference import filter_reference
 
 
 def correlate_ggx(offset: float) -> float:

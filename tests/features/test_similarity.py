@@ -12,9 +12,9 @@ from lobewise.errors import InputError
 from lobewise.features import Feature, NormalFeature, PositionFeature, ScreenFeature, SgMixtureFeature
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from tests.features.frames import KINDS, make_covariances, make_feature
 from tests.features.oracles import get_similarity
 from tests.features.pairs import draw_pairs, weigh
-from tests.kernels.frames import KINDS, make_covariances, make_feature
 
 SHAPE = (40, 50)
 COUNT = 20_000

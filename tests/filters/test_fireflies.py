@@ -199,7 +199,7 @@ def test_images_of_other_sizes_are_refused() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_fireflies import *
+from tests.filters.test_fireflies import *
 bounded = bound_fireflies(*make_case((131, 67)))
 sys.stdout.buffer.write(bounded.a.tobytes() + bounded.b.tobytes() + bounded.tally.tobytes())
 """

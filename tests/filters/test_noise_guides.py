@@ -15,7 +15,7 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray
-from tests.kernels.frames import make_radiance
+from tests.features.frames import make_radiance
 
 DARKEST = 0.04
 LEVEL = 1.7
@@ -202,7 +202,7 @@ def test_images_of_another_size_are_refused() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_noise_guides import *
+from tests.filters.test_noise_guides import *
 light = measure_light(*make_samples((131, 67)))
 sys.stdout.buffer.write(make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() + light.tobytes())
 """

@@ -14,7 +14,7 @@ from lobewise.frame import Radiance, Result
 from lobewise.metrics import rel_mse
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import upsample
-from tests.test_upsampling import make_clean_frame
+from tests.denoising.test_upsampling import make_clean_frame
 
 SHAPE = (12, 15)
 

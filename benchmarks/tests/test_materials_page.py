@@ -15,7 +15,7 @@ from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import lobe_table_to_json, write_merl
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "materials.md").read_text()
 
 

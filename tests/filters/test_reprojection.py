@@ -13,8 +13,8 @@ from lobewise.filters.history.reprojection import run_reprojection
 from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
-from tests.kernels.frames import SIZES, make_feature, make_mask
-from tests.kernels.reference import reproject_reference
+from tests.features.frames import SIZES, make_feature, make_mask
+from tests.filters.reference import reproject_reference
 
 SQUARED_WEIGHT = 4
 # As in test_cross_filter; the sum of squared weights has twice the error.

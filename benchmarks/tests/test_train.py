@@ -14,7 +14,7 @@ from lobewise.filters.mixing import count_features, find_features, mix_candidate
 from lobewise.filters.network import Network
 from lobewise.frame import Frame
 from lobewise.metrics import EPSILON
-from tests.kernels.test_mixing import CANDIDATES, EXTRAS, make_inputs
+from tests.filters.test_mixing import CANDIDATES, EXTRAS, make_inputs
 
 SLOPE = 2e-5
 """Relative, of the largest: steps of 1e-5 in float64 leave 1e-10 of a value's rounding over 1e-5."""

@@ -22,8 +22,8 @@ from lobewise.features.base import Pixel, Stage
 from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.frame import FloatArray
+from tests.features.frames import make_directions, make_feature, make_mask, make_radiance
 from tests.features.oracles import Pixels, get_similarity
-from tests.kernels.frames import make_directions, make_feature, make_mask, make_radiance
 
 FloatImage = NDArray[np.float64]
 
@@ -586,7 +586,7 @@ def test_images_of_another_size_are_refused() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_dual_buffer import *
+from tests.filters.test_dual_buffer import *
 sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
 """
 

@@ -12,7 +12,7 @@ from lobewise.frame import GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 from lobewise.upsampling import upsample
-from tests.test_denoising import SHAPE, make_frame
+from tests.denoising.test_denoising import SHAPE, make_frame
 
 SLOW = pytest.mark.slow  # kernels are compiled
 

@@ -15,8 +15,8 @@ from lobewise.filters import cross_filter as engine
 from lobewise.filters.cross_filter import FilterOutput, _list_tiles, run_filter
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
-from tests.kernels.frames import SIZES, make_feature, make_mask, make_radiance
-from tests.kernels.reference import ReferenceOutput, filter_reference
+from tests.features.frames import SIZES, make_feature, make_mask, make_radiance
+from tests.filters.reference import ReferenceOutput, filter_reference
 
 # What features say is held against their oracles in tests/features; a form is the same code for all of them. Planes of
 # several features side by side, of which the second has an intermediate value and weights that are approximate.

@@ -16,8 +16,8 @@ from lobewise.filters.history.accumulation_stages import SMALLEST_WEIGHT, TRUST_
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
+from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
-from tests.kernels.frames import make_feature, make_mask, make_radiance
 from tests.temporal.sums import add_own_samples, fade, gather_samples, make_sums, summarize
 
 FloatImage = NDArray[np.float64]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from lobewise.filters.history.reprojection import run_reprojection as reproject
-from tests.kernels.frames import make_mask
-from tests.kernels.test_accumulation import accumulate, make_given, make_grid
-from tests.kernels.test_reprojection import make_pair, make_past, make_places
+from tests.features.frames import make_mask
+from tests.filters.test_accumulation import accumulate, make_given, make_grid
+from tests.filters.test_reprojection import make_pair, make_past, make_places
 
 SHAPE = (131, 67)
 
@@ -42,7 +42,7 @@ CALLS: dict[str, Callable[[], np.ndarray]] = {
 }
 PROGRAM = """
 import sys
-from tests.kernels.test_threads import CALLS
+from tests.filters.test_threads import CALLS
 import numpy as np
 np.savez(sys.argv[1], **{name: call() for name, call in CALLS.items()})
 """

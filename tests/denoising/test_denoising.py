@@ -346,7 +346,7 @@ def test_a_frame_without_a_good_pixel_is_refused(quality: str) -> None:
 
 SAME_BITS = """
 import hashlib
-from tests.test_denoising import make_frame
+from tests.denoising.test_denoising import make_frame
 from lobewise.denoising import denoise
 for form, similarity, quality in (
     ("full", "ggx", "fast"),

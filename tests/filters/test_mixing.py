@@ -19,7 +19,7 @@ from lobewise.errors import InputError
 from lobewise.filters.mixing import count_features, find_features, mix_candidates
 from lobewise.filters.network import Network
 from lobewise.frame import FloatArray
-from tests.kernels.frames import make_radiance
+from tests.features.frames import make_radiance
 
 Pairs = list[tuple[FloatArray, FloatArray]]
 Exact = NDArray[np.float64]
@@ -317,7 +317,7 @@ def test_every_size_has_one_kernel() -> None:
 
 PROGRAM = """
 import sys
-from tests.kernels.test_mixing import *
+from tests.filters.test_mixing import *
 sys.stdout.buffer.write(mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes())
 """
 

@@ -36,8 +36,8 @@ from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
-from tests.test_denoising import SHAPE, get_clean, make_frame
-from tests.test_quality_modes import FAR, make_shadowed, measure
+from tests.denoising.test_denoising import SHAPE, get_clean, make_frame
+from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ALBEDO_FLOOR = 1e-3

@@ -20,7 +20,7 @@ from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
-from tests.test_denoising import CAMERA, SHAPE, make_frame
+from tests.denoising.test_denoising import CAMERA, SHAPE, make_frame
 
 SHADOW = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.1, 1.0)[:, None, None], (*SHAPE, 3))
 """Light with an edge that no guide knows."""

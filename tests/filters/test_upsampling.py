@@ -10,8 +10,8 @@ from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import FloatArray
+from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
-from tests.kernels.frames import make_feature, make_mask, make_radiance
 
 RADIUS = 2
 SHAPES = [(1, 1), (3, 17), (21, 26)]
