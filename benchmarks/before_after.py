@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from benchmarks.same_bits import crop, enrich, load_bundled
 
 RESULTS = Path(__file__).parent / "results" / "before_after.json"

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import describe_machine, write_json
 
+from benchmarks.common import describe_machine, write_json
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session

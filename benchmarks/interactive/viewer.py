@@ -25,8 +25,8 @@ from statistics import mean, median
 from typing import Any
 
 import numpy as np
-from benchmarks.common import describe_machine, write_json
 
+from benchmarks.common import describe_machine, write_json
 from lobewise.viewer import Viewer
 
 SIZE = (512, 512)

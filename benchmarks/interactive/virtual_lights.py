@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import ROOT, describe_machine, fetch_frame, write_json
 
 import lobewise
+from benchmarks.common import ROOT, describe_machine, fetch_frame, write_json
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.png import encode_png

@@ -8,7 +8,6 @@ from typing import Any
 
 from benchmarks.common import ROOT
 from benchmarks.pages.tables import make_table
-
 from lobewise.bench.plots import PLOTS, draw_plots
 from lobewise.bench.summary import Section, describe_machine_in_words, make_sections
 

@@ -13,9 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, describe_machine, write_json
-
 import lobewise
+from benchmarks.common import RESULTS, describe_machine, write_json
 from lobewise.bench.kernels import make_kernel_calls, time_kernels
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best

@@ -11,9 +11,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, describe_machine, write_json
-
 import lobewise
+from benchmarks.common import RESULTS, describe_machine, write_json
 from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE, time_kernels
 from lobewise.bench.plane import make_frame
 

@@ -25,8 +25,8 @@ from typing import Any
 import halide as hl
 import llvmlite.binding as llvm
 import numpy as np
-from benchmarks.common import describe_machine, write_json
 
+from benchmarks.common import describe_machine, write_json
 from lobewise.backend.devices import make_target
 from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import describe_machine, write_json
-
 from lobewise.bench.kernels import make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import keep_best, open_pools, time_best

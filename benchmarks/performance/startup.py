@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.quality.frames import Bench
 from benchmarks.quality.measure import CACHE
-
-import lobewise
 from lobewise.bench.timing import time_best
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io import describe_file

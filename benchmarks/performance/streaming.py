@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import RESULTS, describe_machine, fetch_frame, write_json
 
+from benchmarks.common import RESULTS, describe_machine, fetch_frame, write_json
 from lobewise.io.exr.container import Chunk, Container, Part, Window
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part, encode_part

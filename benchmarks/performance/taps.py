@@ -25,9 +25,9 @@ from typing import Any
 
 import halide as hl
 import numpy as np
-from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_image, write_json
 from numpy.typing import NDArray
 
+from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_image, write_json
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Buffer, take_mask
 from lobewise.backend.jit import Kernel, Scheduled, get_kernel

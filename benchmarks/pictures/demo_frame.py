@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.common import ROOT
 
+from benchmarks.common import ROOT
 from lobewise.cli.demo import FRAME, REFERENCE, REFERENCE_SEED, restore_positions
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import lobewise
 from benchmarks.common import ROOT, describe_machine, fetch_frame, fetch_image, write_json
 from benchmarks.pictures import merl_bsdf
 from benchmarks.quality.similarities import fetch, fetch_reference, find_anisotropic
 from benchmarks.upsampling.over_time import run_alone, run_through
 from benchmarks.upsampling.shots import FLICKER_SPP, FLICKERING, ORBIT, SCALE, Cache
-
-import lobewise
 from lobewise.adaptive import recompute
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame, Radiance

@@ -10,9 +10,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+
 from benchmarks.common import ROOT
 from benchmarks.quality.similarities import fetch, fetch_reference
-
 from lobewise.denoising import denoise
 from lobewise.io.png import encode_png
 from lobewise.reporting.display import choose_exposure, map_tones

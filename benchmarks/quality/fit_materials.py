@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import ROOT, describe_machine, write_json
 
+from benchmarks.common import ROOT, describe_machine, write_json
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import make_merl

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import fetch_frame, write_json
-from benchmarks.quality.summary import HELD_OUT, TRAIN
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.common import fetch_frame, write_json
+from benchmarks.quality.summary import HELD_OUT, TRAIN
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind
 from lobewise.io.exr import read_image, write_image
 from lobewise.metrics import EPSILON

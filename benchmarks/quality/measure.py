@@ -24,14 +24,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
 from benchmarks.common import RESULTS, describe_machine
 from benchmarks.quality.frames import FEWEST, SAMPLES, SCENES, SEEDS, Bench, Mask, classify_pixels
 from benchmarks.quality.methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS, TUNING_SEED, Tuning, tune
 from benchmarks.quality.pictures import make_pictures
 from benchmarks.quality.summary import HELD_OUT, TRAIN, make_lines, summarise
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
-
 from lobewise.bench.timing import time_best
 from lobewise.errors import MissingDependencyError
 from lobewise.frame import FloatArray, Frame

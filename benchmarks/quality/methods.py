@@ -8,9 +8,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+
 from benchmarks.quality.frames import SAMPLES, Bench
 from benchmarks.quality.summary import TRAIN
-
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse

@@ -7,12 +7,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from benchmarks.common import ROOT, describe_machine
-from benchmarks.quality.frames import SAMPLES, SEEDS, Bench, Mask, classify_pixels
-from benchmarks.quality.methods import METHODS, Tuning
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from benchmarks.common import ROOT, describe_machine
+from benchmarks.quality.frames import SAMPLES, SEEDS, Bench, Mask, classify_pixels
+from benchmarks.quality.methods import METHODS, Tuning
 from lobewise.frame import FloatArray
 from lobewise.reporting.display import choose_exposure, map_tones
 

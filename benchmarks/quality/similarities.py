@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_image, write_json
 from numpy.typing import NDArray
 
 import lobewise
+from benchmarks.common import RESULTS, describe_machine, fetch_frame, fetch_image, write_json
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse, smape

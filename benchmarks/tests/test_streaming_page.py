@@ -61,6 +61,7 @@ def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_tiles_differ_from_each_other_in_their_light_alone() -> None:
     import numpy as np
+
     from benchmarks.performance import streaming
 
     rng = np.random.default_rng(1)

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from benchmarks.common import ROOT
 from benchmarks.training.materials import draw_log
 from benchmarks.training.settings import make_corridor, make_open_stage, make_room
-
 from lobewise.io.exr import write_frame
 from lobewise.render import load_mitsuba, render_frame, render_reference
 from lobewise.render.loading import build_scene

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
 from benchmarks.training.materials import (
     Array,
     Generator,
@@ -19,7 +20,6 @@ from benchmarks.training.materials import (
     draw_log,
     draw_material,
 )
-
 from lobewise.scenes import parts
 from lobewise.scenes.parts import Item, Vector
 

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from numpy.typing import NDArray
 
+from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from lobewise.denoising.combining import denoise_with_peer, find_level, join_extras, list_pairs
 from lobewise.denoising.guided import finish_layer, make_noisy_layers, resolve_guided
 from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
 from benchmarks.upsampling.shots import (
     Mask,
 )
-
 from lobewise.frame import FloatArray
 from lobewise.metrics import find_disoccluded, find_specular_pixels, rel_mse
 from lobewise.sparse_frame import AnyFrame

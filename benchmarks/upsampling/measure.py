@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.upsampling.over_time import (
     run_adaptive,
@@ -35,8 +36,6 @@ from benchmarks.upsampling.spatial import (
     run_spatial,
 )
 from benchmarks.upsampling.speed import run_speed
-
-import lobewise
 
 PARTS: dict[str, Callable[[Cache, dict[str, Any]], dict[str, Any]]] = {
     "spatial": run_spatial,

@@ -8,6 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from benchmarks.upsampling.errors import (
     make_ghost_masks,
     measure,
@@ -27,8 +29,6 @@ from benchmarks.upsampling.shots import (
 from benchmarks.upsampling.spatial import (
     list_spatial_settings,
 )
-from numpy.typing import NDArray
-
 from lobewise import TemporalFilter
 from lobewise.adaptive import find_unsupported, recompute
 from lobewise.camera import Camera

@@ -14,7 +14,6 @@ from benchmarks.upsampling.shots import (
     SCALE,
     Cache,
 )
-
 from lobewise.metrics import rel_mse
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import upsample

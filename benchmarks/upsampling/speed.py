@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+
 from benchmarks.common import fetch_frame
 from benchmarks.upsampling.shots import (
     SCALE,
@@ -16,7 +17,6 @@ from benchmarks.upsampling.shots import (
     SPP,
     Cache,
 )
-
 from lobewise import TemporalFilter
 from lobewise.bench.timing import time_best
 from lobewise.frame import Frame, Radiance

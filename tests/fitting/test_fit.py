@@ -17,9 +17,8 @@ from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.mixture import GGX_MIXTURES
-
-from .oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
-from .oracles.sg import sg_integral
+from tests.lobes.oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
+from tests.lobes.oracles.sg import sg_integral
 
 MIN_COSINE_L2 = 0.993
 """What three anisotropic lobes must reach for tabulated GGX at n.v >= 0.3."""

@@ -11,12 +11,11 @@ from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field
 from lobewise.lobes.band_limit import default_tau
-
-from .oracles.brdf import reflect, reflect_sg
-from .oracles.roughness import sg_sharpness_from_ggx
-from .oracles.sg import sg_bandlimit
-from .oracles.tangent import TangentLobe, make_tangent_lobe, tangent_ggx_similarity
-from .quadrature import normalize
+from tests.lobes.oracles.brdf import reflect, reflect_sg
+from tests.lobes.oracles.roughness import sg_sharpness_from_ggx
+from tests.lobes.oracles.sg import sg_bandlimit
+from tests.lobes.oracles.tangent import TangentLobe, make_tangent_lobe, tangent_ggx_similarity
+from tests.lobes.quadrature import normalize
 
 HEIGHT, WIDTH = 13, 17
 TAU = 0.01

@@ -13,9 +13,8 @@ from lobewise.fitting.table import evaluate_table
 from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.lobe_table import LobeTable
-
-from .oracles.mixture import make_ggx_mixture, make_lambert_lobe
-from .oracles.sg import sg_integral
+from tests.lobes.oracles.mixture import make_ggx_mixture, make_lambert_lobe
+from tests.lobes.oracles.sg import sg_integral
 
 TAU = 0.01
 SHAPE = (9, 13)

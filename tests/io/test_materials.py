@@ -7,7 +7,6 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from tests.lobes.oracles.brdf import lambert_brdf
 
 from lobewise.errors import FileError
 from lobewise.fitting.merl import make_merl
@@ -20,6 +19,7 @@ from lobewise.io.materials import (
     write_merl,
 )
 from lobewise.lobe_table import LobeTable
+from tests.lobes.oracles.brdf import lambert_brdf
 
 
 @pytest.fixture
