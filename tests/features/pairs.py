@@ -46,6 +46,13 @@ _kernels: dict[Hashable, _Kernel] = {}
 
 def weigh(feature: Feature, pairs: Pairs, known: Sequence[NDArray[np.bool_]] | None = None) -> FloatArray:
     """Return the weight of every pair; where a pixel is not ``known`` its channels are neutral."""
+    return compare(feature, pairs, known)[0]
+
+
+def compare(
+    feature: Feature, pairs: Pairs, known: Sequence[NDArray[np.bool_]] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the weight of every pair and its base-2 logarithm, which no clamp has seen."""
     structure = describe_structure(feature)
     if structure not in _kernels:
         _kernels[structure] = _compile(feature)
@@ -61,9 +68,9 @@ def weigh(feature: Feature, pairs: Pairs, known: Sequence[NDArray[np.bool_]] | N
     for param, array in (*given, (kernel.offset, steps), (kernel.scalars, numbers)):
         if array is not None:
             param.set(hl.Buffer(array))
-    out = np.empty(count, np.float32)
-    kernel.result.realize(hl.Buffer(out))
-    return out
+    weights, logs = np.empty(count, np.float32), np.empty(count, np.float32)
+    kernel.result.realize([hl.Buffer(weights), hl.Buffer(logs)])
+    return weights, logs
 
 
 def _compile(feature: Feature) -> _Kernel:
@@ -82,7 +89,8 @@ def _compile(feature: Feature) -> _Kernel:
         side.compute_root()
         sides.append(layout.read(partial(_read, side, len(planes), x)))
     result = hl.Func("weight")
-    result[x] = exp2(feature.log2_similarity(*sides, parameters, (offset[x, 0], offset[x, 1]), lambda value: value))
+    log = feature.log2_similarity(*sides, parameters, (offset[x, 0], offset[x, 1]), lambda value: value)
+    result[x] = hl.Tuple([exp2(log), log])
     return _Kernel(result, inputs, known, offset, scalars)
 
 

@@ -14,7 +14,7 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 from tests.features.frames import KINDS, make_covariances, make_feature
 from tests.features.oracles import get_similarity
-from tests.features.pairs import draw_pairs, weigh
+from tests.features.pairs import compare, draw_pairs, weigh
 
 SHAPE = (40, 50)
 COUNT = 20_000
@@ -92,10 +92,11 @@ def test_what_is_unknown_is_neutral(kind: str, rng: np.random.Generator) -> None
     changes = {name: poison(value) for name, value in vars(feature).items() if isinstance(value, np.ndarray)}
     if getattr(feature, "hits", None) is not None:
         changes["hits"] = HitField(*map(poison, feature.hits))
-    weights = weigh(replace(feature, **changes), pairs, [known[each] for each in pairs])
+    weights, logs = compare(replace(feature, **changes), pairs, [known[each] for each in pairs])
     both = known[pairs[0]] & known[pairs[1]]
     np.testing.assert_array_equal(weights[both], expected[both])
-    assert weights.min() >= 0.0  # and no NaN
+    assert np.isfinite(logs).all()  # a weight is clamped, whatever it is made of
+    assert weights.min() >= 0.0
     assert weights.max() <= 1.0 + ABOVE_ONE
     assert len(feature.neutral) == sum(1 if array.ndim == 2 else array.shape[2] for array in feature.get_arrays())
 
