@@ -7,6 +7,8 @@ that the checker says the same everywhere, the rest of this room takes the two m
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import field
 from typing import Any
 
 from lobewise.errors import MissingDependencyError
@@ -44,3 +46,32 @@ class _DrJit:
 
 
 DRJIT: Namespace = _DrJit()
+
+
+def starts_as(kind: str, value: Any = 0) -> Any:
+    """Return a field of a dataclass whose default is a new array of a type of Mitsuba's, which a variant brings."""
+
+    def make() -> Any:
+        return getattr(mi, kind)(value) if value else dr.zeros(getattr(mi, kind))
+
+    return field(default_factory=make)
+
+
+def follow(state: Any, step: Callable[[Any], Any], label: str) -> Any:
+    """Return a state, a dataclass, after ``step`` changed it in place again and again while its lane is ``active``."""
+
+    def take(state: Any) -> tuple[Any]:
+        step(state)
+        return (state,)
+
+    return dr.while_loop((state,), lambda state: state.active, take, label=label)[0]
+
+
+def repeat(take: Callable[..., tuple[Any, ...]], first: Any, end: Any, *state: Any, label: str) -> tuple[Any, ...]:
+    """Return the state after ``state = take(index, *state)`` for each index from ``first`` to below ``end``."""
+
+    def step(index: Any, *state: Any) -> tuple[Any, ...]:
+        return index + 1, *take(index, *state)
+
+    _, *found = dr.while_loop((first, *state), lambda index, *_: index < end, step, label=label)
+    return tuple(found)

@@ -8,14 +8,14 @@ a fixed pattern of them finds the shares, and with them averages of normals and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from lobewise.camera import Camera
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
-from lobewise.render.materials.surface import Surface, make_no_surface
+from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.points import MOST_LAYERS, OPAQUE_FROM, find_points
 from lobewise.render.tracing.rays import make_ray
 
@@ -73,24 +73,24 @@ class _Look:
 class _Sums:
     """Running sums over the rays of a pixel: how many each neighbour stands for, normals, albedos of both lobes."""
 
-    counts: list[Any]
-    normal: Any
-    diffuse_albedo: Any
-    specular_albedo: Any
+    counts: list[Any] = field(default_factory=lambda: [mi.Float(0) for _ in _NEIGHBOURS])
+    normal: Any = starts_as("Vector3f")
+    diffuse_albedo: Any = starts_as("Color3f")
+    specular_albedo: Any = starts_as("Color3f")
 
 
 @dataclass
 class _Layers:
     ray: Any
-    si: Any
-    surface: Surface
-    settled: Any
-    light: Any
-    normal: Any
-    diffuse_albedo: Any
-    specular_albedo: Any
-    count: Any
-    active: Any
+    si: Any = starts_as("SurfaceInteraction3f")
+    surface: Surface = field(default_factory=Surface)
+    settled: Any = starts_as("Bool")
+    light: Any = starts_as("Float", 1)
+    normal: Any = starts_as("Vector3f")
+    diffuse_albedo: Any = starts_as("Color3f")
+    specular_albedo: Any = starts_as("Color3f")
+    count: Any = starts_as("UInt32")
+    active: Any = starts_as("Bool", True)
 
 
 def trace_coverage(
@@ -133,10 +133,7 @@ def trace_coverage(
         neighbours.append(dr.gather(_Look, centres, index, there))
         inside.append(there)
 
-    def go_on(index: Any, sums: _Sums) -> Any:
-        return index < RAYS
-
-    def take(index: Any, sums: _Sums) -> tuple[Any, _Sums]:
+    def take(index: Any, sums: _Sums) -> tuple[_Sums]:
         x, y = find_place(index)
         ray = make_ray(scene, pixel, (width, height), mi.Point2f(x, y))
         layers = _look_through(scene, materials, ray)
@@ -153,10 +150,9 @@ def trace_coverage(
         sums.normal += layers.normal
         sums.diffuse_albedo += layers.diffuse_albedo
         sums.specular_albedo += layers.specular_albedo
-        return index + 1, sums
+        return (sums,)
 
-    start = _Sums([mi.Float(0) for _ in range(9)], mi.Vector3f(0), mi.Color3f(0), mi.Color3f(0))
-    sums = dr.while_loop((mi.UInt32(0), start), go_on, take, label="coverage")[1]
+    (sums,) = repeat(take, mi.UInt32(0), RAYS, _Sums(), label="coverage")
     found = {
         "coverage": [count / RAYS for count in sums.counts],
         "mean_normal": sums.normal / RAYS,
@@ -179,7 +175,7 @@ def find_place(index: Any) -> tuple[Any, Any]:
 def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Layers:
     """Return the first surface of a ray that is more opaque than not, and the sums over all, weighted by opacity."""
 
-    def add(state: _Layers) -> tuple[_Layers]:
+    def add(state: _Layers) -> _Layers:
         si = scene.ray_intersect(state.ray, mi.RayFlags.All, True, state.active)
         found = state.active & si.is_valid()
         surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
@@ -194,37 +190,25 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
         state.settled |= ~found | (surface.opacity >= OPAQUE_FROM)
         state.ray = si.spawn_ray(state.ray.d)
         state.active = found & (state.light > LEAST_LIGHT) & (state.count < MOST_LAYERS)
-        return (state,)
+        return state
 
-    start = _Layers(
-        ray=ray,
-        si=dr.zeros(mi.SurfaceInteraction3f),
-        surface=make_no_surface(),
-        settled=mi.Bool(False),
-        light=mi.Float(1),
-        normal=mi.Vector3f(0),
-        diffuse_albedo=mi.Color3f(0),
-        specular_albedo=mi.Color3f(0),
-        count=mi.UInt32(0),
-        active=mi.Bool(True),
-    )
     if not any(material.can_be_transparent for material in materials.values()):
-        return add(start)[0]
-    return dr.while_loop((start,), lambda state: state.active, add, label="layers")[0]  # type: ignore[no-any-return]
+        return add(_Layers(ray))
+    end: _Layers = follow(_Layers(ray), add, "layers")
+    return end
 
 
 def _make_look(si: Any, surface: Surface) -> _Look:
     found = si.is_valid()
-    alphas = mi.Vector2f(surface.alpha_u, surface.alpha_v)
-    return _Look(
-        found=found,
-        position=dr.select(found, mi.Vector3f(si.p), 0.0),
-        normal=dr.select(found, surface.normal, 0.0),
-        log_alpha=dr.select(found, dr.log(dr.maximum(alphas, LEAST_ALPHA)), 0.0),
-        albedo=dr.select(found, surface.diffuse_albedo + surface.specular_albedo, 0.0),
-        lobe_kind=dr.select(found, surface.lobe_kind, 0.0),
-        material=dr.select(found, surface.material, 0.0),
-    )
+    seen = {
+        "position": mi.Vector3f(si.p),
+        "normal": surface.normal,
+        "log_alpha": dr.log(dr.maximum(mi.Vector2f(surface.alpha_u, surface.alpha_v), LEAST_ALPHA)),
+        "albedo": surface.diffuse_albedo + surface.specular_albedo,
+        "lobe_kind": surface.lobe_kind,
+        "material": surface.material,
+    }
+    return _Look(found, **{name: dr.select(found, value, 0.0) for name, value in seen.items()})
 
 
 def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:

@@ -39,15 +39,11 @@ class Frozen:
         Takes Dr.Jit arrays and returns a list of them.
     find_state : callable
         Returns what it reads beside its arguments: the scene, Dr.Jit arrays.
-    can_replay : bool
-        Whether to record at all.
     """
 
-    def __init__(
-        self, function: Callable[..., list[Any]], find_state: Callable[[], Any], can_replay: bool = True
-    ) -> None:
+    def __init__(self, function: Callable[..., list[Any]], find_state: Callable[[], Any]) -> None:
         self._plain = function
-        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state()) if can_replay else function
+        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state())
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
@@ -203,12 +199,11 @@ class Stages:
                 light = method.shade(points, samples=samples, seed=seed)
                 return [light.diffuse, light.specular, light.hit_distance]
 
-            frozen = Frozen(shade, lambda: (self.scene, method.state), method.can_replay)
+            frozen = Frozen(shade, lambda: (self.scene, method.state))
             known = self._indirect[method.name] = method, frozen
         pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
         size = (dr.opaque(mi.UInt32, length) for length in (width, height))
-        numbers = (make_opaque(samples), make_opaque(seed)) if method.can_replay else (samples, seed)
-        diffuse, specular, distance = known[1](pixel, *size, *numbers)
+        diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
     def find_band_limit(self, method: IndirectMethod, samples: int) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.split import find_diffuse_share
-from lobewise.render.materials.surface import Surface, describe_material, make_no_surface
+from lobewise.render.materials.surface import Surface, describe_material
 
 
 def _dispatch(
@@ -28,7 +28,7 @@ def _make_black() -> Any:
 
 def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Surface:
     """Return the guides at hits on any of the materials; lanes that are not active get zeros."""
-    surface: Surface = _dispatch(materials, describe_material, make_no_surface, bsdf, si, active)
+    surface: Surface = _dispatch(materials, describe_material, Surface, bsdf, si, active)
     return surface
 
 

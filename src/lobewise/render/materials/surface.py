@@ -9,7 +9,7 @@ from typing import Any
 from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.roughness import find_principled_alphas
-from lobewise.render.bridge import DRJIT, dr, mi
+from lobewise.render.bridge import DRJIT, dr, mi, starts_as
 from lobewise.render.materials.bsdfs import FITTED, Material, make_diffuse_context
 from lobewise.render.materials.fitted import OPACITY
 
@@ -20,18 +20,18 @@ class Surface:
 
     ``normal`` and ``tangent`` are unit vectors of the world, the normal on the viewer's side; ``lobe_kind`` holds
     `LobeKind` values; ``opacity`` is the chance that a ray notices the surface at all; ``material`` the number of its
-    lobe table, or 0.
+    lobe table, or 0. Without arguments it is that of nothing: all zero.
     """
 
-    normal: Any
-    tangent: Any
-    alpha_u: Any
-    alpha_v: Any
-    lobe_kind: Any
-    diffuse_albedo: Any
-    specular_albedo: Any
-    opacity: Any
-    material: Any
+    normal: Any = starts_as("Vector3f")
+    tangent: Any = starts_as("Vector3f")
+    alpha_u: Any = starts_as("Float")
+    alpha_v: Any = starts_as("Float")
+    lobe_kind: Any = starts_as("Float")
+    diffuse_albedo: Any = starts_as("Color3f")
+    specular_albedo: Any = starts_as("Color3f")
+    opacity: Any = starts_as("Float")
+    material: Any = starts_as("Float")
 
 
 @dataclass
@@ -100,34 +100,15 @@ def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v
     return mi.Color3f(dr.clip(ggx_directional_albedo(cos_view, alpha, f0), 0.0, 1.0))
 
 
-def make_no_surface() -> Surface:
-    """Return the guides of nothing: all zero."""
-    return Surface(
-        normal=mi.Vector3f(0),
-        tangent=mi.Vector3f(0),
-        alpha_u=mi.Float(0),
-        alpha_v=mi.Float(0),
-        lobe_kind=mi.Float(0),
-        diffuse_albedo=mi.Color3f(0),
-        specular_albedo=mi.Color3f(0),
-        opacity=mi.Float(0),
-        material=mi.Float(0),
-    )
-
-
-def _make_surface(material: Material, si: Any, frame: WorldFrame, /, **found: Any) -> Surface:
-    return replace(
-        make_no_surface(),
-        normal=mi.Vector3f(frame.n),
-        lobe_kind=mi.Float(int(material.lobe_kind)),
-        **{"tangent": mi.Vector3f(frame.s), "opacity": mi.Float(1), **found},
-    )
+def _make_surface(of: Material, frame: WorldFrame, **found: Any) -> Surface:
+    usual = {"tangent": mi.Vector3f(frame.s), "opacity": mi.Float(1)}
+    return Surface(normal=mi.Vector3f(frame.n), lobe_kind=mi.Float(int(of.lobe_kind)), **{**usual, **found})
 
 
 def _describe_diffuse(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     front = si.wi.z > 0
     return _make_surface(
-        material, si, frame, diffuse_albedo=read_color(material, "reflectance", si, active & front) & front
+        material, frame, diffuse_albedo=read_color(material, "reflectance", si, active & front) & front
     )
 
 
@@ -138,10 +119,10 @@ def _describe_conductor(material: Material, si: Any, frame: WorldFrame, active: 
     tint = read_color(material, "specular_reflectance", si, active) & front
     if material.plugin == "conductor":
         fresnel = [mi.fresnel_conductor(cos_view, mi.Complex2f(eta[i], k[i])) for i in range(3)]
-        return _make_surface(material, si, frame, specular_albedo=mi.Color3f(*fresnel) * tint)
+        return _make_surface(material, frame, specular_albedo=mi.Color3f(*fresnel) * tint)
     alpha_u, alpha_v = _read_alphas(material, si, active)
     albedo = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, find_f0_conductor(eta, k))
-    return _make_surface(material, si, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo * tint)
+    return _make_surface(material, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo * tint)
 
 
 def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
@@ -161,7 +142,7 @@ def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active:
         outside = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
         reflected = dr.select(si.wi.z > 0, outside, reflected)
     albedo = reflected * tint + (1.0 - reflected) * tint_through
-    return _make_surface(material, si, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo)
+    return _make_surface(material, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo)
 
 
 def _describe_plastic(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
@@ -176,7 +157,6 @@ def _describe_plastic(material: Material, si: Any, frame: WorldFrame, active: An
     upward = material.bsdf.eval(make_diffuse_context(), si, mi.Vector3f(0, 0, 1), active)
     return _make_surface(
         material,
-        si,
         frame,
         alpha_u=alpha,
         alpha_v=alpha,
@@ -204,7 +184,6 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
     specular = reflected + through * dr.sqrt(base) * (1.0 - reflected)
     return _make_surface(
         material,
-        si,
         frame,
         alpha_u=alpha_u,
         alpha_v=alpha_v,
@@ -215,7 +194,7 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
 
 
 def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
-    return _make_surface(material, si, frame, opacity=mi.Float(0))
+    return _make_surface(material, frame, opacity=mi.Float(0))
 
 
 def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
@@ -227,7 +206,6 @@ def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any
     seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
     return _make_surface(
         material,
-        si,
         frame,
         tangent=frame.to_world(fitted.find_tangent(si)),
         alpha_u=row[0],
@@ -277,17 +255,13 @@ def enter_perturbed(material: Material, si: Any, frame: WorldFrame, active: Any)
     return inner, world, local
 
 
-def _pick(mask: Any, first: Surface, second: Surface) -> Surface:
-    return dr.select(mask, first, second)  # type: ignore[no-any-return]  # Dr.Jit ships no precise types
-
-
 def _describe_twosided(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     inner, turned = enter_twosided(si, frame)
     front, back = material.nested
     first = _describe(front, inner, turned, active)
-    if front.bsdf.ptr == back.bsdf.ptr:
-        return first
-    return _pick(si.wi.z > 0, first, _describe(back, inner, turned, active))
+    if front.bsdf.ptr != back.bsdf.ptr:
+        first = dr.select(si.wi.z > 0, first, _describe(back, inner, turned, active))
+    return first
 
 
 def _describe_perturbed(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
@@ -309,7 +283,9 @@ def _describe_blend(material: Material, si: Any, frame: WorldFrame, active: Any)
     specular = [share * mi.luminance(side.specular_albedo) for share, side in zip(shares, (first, second), strict=True)]
     diffuse = [share * mi.luminance(side.diffuse_albedo) for share, side in zip(shares, (first, second), strict=True)]
     neither = (specular[0] == 0) & (specular[1] == 0)
-    dominant = _pick(dr.select(neither, diffuse[0] >= diffuse[1], specular[0] >= specular[1]), first, second)
+    dominant: Surface = dr.select(
+        dr.select(neither, diffuse[0] >= diffuse[1], specular[0] >= specular[1]), first, second
+    )
     opacity = shares[0] + shares[1]
     norm = dr.select(opacity > 0, dr.rcp(opacity), 0.0)
     return replace(

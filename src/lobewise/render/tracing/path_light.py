@@ -26,7 +26,6 @@ class PathLight:
 
     name = "paths"
     worth = 1.0
-    can_replay = True
     state = None
 
     def __init__(self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8) -> None:

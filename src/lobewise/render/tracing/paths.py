@@ -7,15 +7,15 @@ bit of the result.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
-from lobewise.render.tracing.rays import draw_point, make_rng
+from lobewise.render.tracing.rays import draw_point, make_opaque, make_ray, make_rng
 from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
 ROULETTE_DEPTH = 5
@@ -52,18 +52,18 @@ class PathSettings:
 class _Path:
     """State of the loop over bounces."""
 
-    active: Any
     ray: Any
     rng: Any
-    throughput: Any
-    share: Any
-    eta: Any
-    depth: Any
-    bounces: Any
-    last: Vertex
-    looks_specular: Any
-    seeks: Any
-    sample: Sample
+    active: Any = starts_as("Bool", True)
+    throughput: Any = starts_as("Color3f", 1)
+    share: Any = starts_as("Color3f")
+    eta: Any = starts_as("Float", 1)
+    depth: Any = starts_as("UInt32")
+    bounces: Any = starts_as("UInt32")
+    last: Vertex = field(default_factory=make_eye)
+    looks_specular: Any = starts_as("Bool")
+    seeks: Any = starts_as("Bool")
+    sample: Sample = field(default_factory=make_sample)
 
 
 def trace_path(
@@ -77,44 +77,29 @@ def trace_path(
     that the lobes have of ``f``.
     """
     bounces = _Bounces(scene, materials, settings, max_depth)
-    start = _Path(
-        active=mi.Bool(True),
-        ray=ray,
-        rng=rng,
-        throughput=mi.Color3f(1),
-        share=mi.Color3f(0),
-        eta=mi.Float(1),
-        depth=mi.UInt32(0),
-        bounces=mi.UInt32(0),
-        last=make_eye(),
-        looks_specular=mi.Bool(False),
-        seeks=mi.Bool(False),
-        sample=make_sample(),
-    )
-    end = dr.while_loop((start,), lambda path: path.active, bounces.take, label="bounces")[0]
-    sample: Sample = end.sample
+    sample: Sample = follow(_Path(ray, rng), bounces.take, "bounces").sample
     return sample
 
 
+@dataclass(frozen=True)
 class _Bounces:
     """The loop's body, stage by stage."""
 
-    def __init__(self, scene: Any, materials: dict[int, Material], settings: PathSettings, max_depth: Any) -> None:
-        self._scene = scene
-        self._materials = materials
-        self._settings = settings
-        self._max_depth = max_depth
+    scene: Any
+    materials: dict[int, Material]
+    settings: PathSettings
+    max_depth: Any
 
-    def take(self, path: _Path) -> tuple[_Path]:
+    def take(self, path: _Path) -> None:
         """Go to the next hit, gather light there, and choose where to go on."""
-        settings = self._settings
-        si = self._scene.ray_intersect(path.ray)
+        settings = self.settings
+        si = self.scene.ray_intersect(path.ray)
         if settings.guides:
             self._count_hit(path, si)
         if settings.radiance:
-            emitted, weight = meet_emitter(self._scene, si, path.last, path.last.pdf > 0)
+            emitted, weight = meet_emitter(self.scene, si, path.last, path.last.pdf > 0)
             self._add_light(path, path.bounces, path.share, path.throughput * emitted * weight)
-        going = si.is_valid() & (path.depth + 1 < self._max_depth)
+        going = si.is_valid() & (path.depth + 1 < self.max_depth)
         bsdf = si.bsdf(path.ray)
         found = self._scatter(path, si, bsdf, going)
         if settings.radiance:
@@ -125,7 +110,6 @@ class _Bounces:
         self._go_on(path, found, going, seen)
         if seen is not None and settings.surfaces:
             self._add_seen(path, si, seen)
-        return (path,)
 
     def _count_hit(self, path: _Path, si: Any) -> None:
         """Add what the first bounce's specular lobe sees: 1/t and position/t, so that a miss counts as infinity."""
@@ -138,9 +122,9 @@ class _Bounces:
     def _add_light(self, path: _Path, bounces: Any, share: Any, value: Any) -> None:
         """Add what the camera sees after ``bounces`` scatterings, ``share`` of it by the diffuse lobe."""
         lobes, totals = path.sample.lobes, path.sample.totals
-        if self._settings.fewest_bounces:
-            value = dr.select(bounces >= self._settings.fewest_bounces, value, 0.0)
-        if not self._settings.guides:
+        if self.settings.fewest_bounces:
+            value = dr.select(bounces >= self.settings.fewest_bounces, value, 0.0)
+        if not self.settings.guides:
             lobes.emitted += value
             return
         lobes.emitted += dr.select(bounces == 0, value, 0.0)
@@ -152,34 +136,34 @@ class _Bounces:
 
     def _scatter(self, path: _Path, si: Any, bsdf: Any, going: Any) -> Scattering:
         """Sample a light, if light is asked for, and the BSDF."""
-        settings = self._settings
+        settings = self.settings
         lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         if settings.fewest_bounces:
             lit &= path.bounces + 1 >= settings.fewest_bounces
         light_point = draw_point(path.rng) if settings.radiance else None
         choice, point = path.rng.next_float32(), draw_point(path.rng)
         return scatter(
-            self._scene, si, bsdf, going, lit=lit, light_point=light_point, choice=choice, point=point, alone=False
+            self.scene, si, bsdf, going, lit=lit, light_point=light_point, choice=choice, point=point, alone=False
         )
 
     def _add_sampled_light(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> None:
         arriving = path.throughput * found.value * found.radiance * found.weight
         share = path.share
-        if self._settings.guides:
-            own = dispatch_share(self._materials, bsdf, found.si, found.to_light, first & found.lit)
+        if self.settings.guides:
+            own = dispatch_share(self.materials, bsdf, found.si, found.to_light, first & found.lit)
             share = dr.select(first, own, share)
         self._add_light(path, path.bounces + 1, share, dr.select(found.lit, arriving, 0.0))
 
     def _describe(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> _Seen:
         """Find the diffuse share of the first scattering and albedos, and whether a look into a mirror goes further."""
         scatters = first & ~found.is_null
-        share = dispatch_share(self._materials, bsdf, found.si, found.chosen.wo, scatters & ~found.is_delta)
+        share = dispatch_share(self.materials, bsdf, found.si, found.chosen.wo, scatters & ~found.is_delta)
         path.share = dr.select(scatters, dr.select(found.is_delta, 0.0, share), path.share)
         seen = _Seen(path.seeks, None, mi.Bool(False))
         reflects = dr.max(found.factor) > 0
-        if self._settings.surfaces:
+        if self.settings.surfaces:
             seen.seeks = path.seeks & found.si.is_valid()
-            seen.surface = dispatch_surface(self._materials, bsdf, found.si, scatters | seen.seeks)
+            seen.surface = dispatch_surface(self.materials, bsdf, found.si, scatters | seen.seeks)
             totals = path.sample.totals
             totals.diffuse_albedo += dr.select(scatters, seen.surface.diffuse_albedo, 0.0)
             totals.specular_albedo += dr.select(scatters, seen.surface.specular_albedo, 0.0)
@@ -196,11 +180,11 @@ class _Bounces:
         path.eta *= found.chosen.eta
         path.last = found.vertex
         path.depth += dr.select(found.si.is_valid(), mi.UInt32(1), 0)
-        if not self._settings.radiance:
+        if not self.settings.radiance:
             further = mi.Bool(False) if seen is None else seen.further
             path.active = going & (((path.bounces == 0) & (found.is_null | path.looks_specular)) | further)
         path.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
-        if self._settings.radiance:
+        if self.settings.radiance:
             strongest = dr.max(path.throughput)
             keep = dr.minimum(strongest * dr.square(path.eta), 0.95)
             gamble = path.depth >= ROULETTE_DEPTH
@@ -256,48 +240,23 @@ def add_samples(
         The pixels themselves (row-major, of the whole image) that ``pixels`` counts, in place of a regular grid.
     """
     # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
-    width, height = (dr.opaque(mi.UInt32, length) for length in size)
+    film = width, height = dr.opaque(mi.UInt32, size[0]), dr.opaque(mi.UInt32, size[1])
     counted = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     if listed is not None:
         pixel = dr.gather(mi.UInt32, listed, counted)
-        return _add_samples(scene, materials, sums, pixel, (width, height), samples, seed, settings)
-    step, first_row, first_column = (dr.opaque(mi.UInt32, number) for number in (scale, *place))
-    columns = (width - first_column + step - 1) // step
-    pixel = (first_row + step * (counted // columns)) * width + first_column + step * (counted % columns)
-    return _add_samples(scene, materials, sums, pixel, (width, height), samples, seed, settings)
+    else:
+        step, first_row, first_column = (dr.opaque(mi.UInt32, number) for number in (scale, *place))
+        columns = (width - first_column + step - 1) // step
+        pixel = (first_row + step * (counted // columns)) * width + first_column + step * (counted % columns)
+    first, end, max_depth = (dr.opaque(mi.UInt32, number) for number in (*samples, settings.max_depth))
+    seed_value = make_opaque(seed)
 
-
-def _add_samples(
-    scene: Any,
-    materials: dict[int, Material],
-    sums: Sums,
-    pixel: Any,
-    size: tuple[Any, Any],
-    samples: tuple[int, int],
-    seed: int,
-    settings: PathSettings,
-) -> Sums:
-    """Return ``sums`` with samples of the pixels ``pixel`` added, evaluated; ``size`` is opaque."""
-    sensor = scene.sensors()[0]
-    width, height = size
-    column, row = pixel % width, pixel // width
-    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
-    end = dr.opaque(mi.UInt32, samples[1])
-    seed_value = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
-
-    def go_on(index: Any, sums: Sums) -> Any:
-        return index < end
-
-    def take(index: Any, sums: Sums) -> tuple[Any, Sums]:
+    def take(index: Any, sums: Sums) -> tuple[Sums]:
         rng = make_rng(pixel, index, seed_value)
-        x = (mi.Float(column) + rng.next_float32()) / mi.Float(width)
-        y = (mi.Float(row) + rng.next_float32()) / mi.Float(height)
-        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-        sample = trace_path(scene, materials, ray, rng, settings, max_depth)
-        add_sample(sums, sample, index)
-        return index + 1, sums
+        ray = make_ray(scene, pixel, film, draw_point(rng))
+        add_sample(sums, trace_path(scene, materials, ray, rng, settings, max_depth), index)
+        return (sums,)
 
-    index = dr.opaque(mi.UInt32, samples[0])
-    _, sums = dr.while_loop((index, sums), go_on, take, label="samples")
+    (sums,) = repeat(take, first, end, sums, label="samples")
     dr.eval(sums)
     return sums

@@ -7,13 +7,13 @@ that filters and shows it knows no more of it than that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
-from lobewise.render.materials.surface import Surface, make_no_surface
+from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.rays import make_centre_ray
 
 MOST_LAYERS = 32
@@ -65,10 +65,10 @@ def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], sam
     """
 
     def take(index: Any, *sums: Any) -> tuple[Any, ...]:
-        return index + 1, *(total + value for total, value in zip(sums, take_sample(index), strict=True))
+        return tuple(total + value for total, value in zip(sums, take_sample(index), strict=True))
 
-    start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0))
-    _, diffuse, specular, hits, inverse = dr.while_loop(start, lambda index, *_: index < samples, take, label="samples")
+    start = mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0)
+    diffuse, specular, hits, inverse = repeat(take, mi.UInt32(0), samples, *start, label="samples")
     share = dr.rcp(mi.Float(samples))
     distance = dr.select(inverse > 0, hits / inverse, dr.inf)
     return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0))
@@ -86,12 +86,8 @@ class IndirectMethod(Protocol):
         """How many paths one of its samples is worth, by their noise: what filters adapt to."""
 
     @property
-    def can_replay(self) -> bool:
-        """Whether what `shade` computes can be recorded once and replayed with other arguments (``dr.freeze``)."""
-
-    @property
     def state(self) -> Any:
-        """The Dr.Jit arrays that a replay reads beside the scene (a PyTree), or None."""
+        """The Dr.Jit arrays that a replay of `shade` (``dr.freeze``) reads beside the scene (a PyTree), or None."""
 
     def find_band_limit(self, points: Points, samples: int) -> float:
         """Return the angle, radians, below which a lobe shows the method's samples instead of the scene; 0 for none.
@@ -116,10 +112,10 @@ class IndirectMethod(Protocol):
 @dataclass
 class _Layers:
     ray: Any
-    si: Any
-    surface: Surface
-    count: Any
-    active: Any
+    si: Any = starts_as("SurfaceInteraction3f")
+    surface: Surface = field(default_factory=Surface)
+    count: Any = starts_as("UInt32")
+    active: Any = starts_as("Bool", True)
 
 
 def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
@@ -132,18 +128,13 @@ def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> t
     if not any(material.can_be_transparent for material in materials.values()):
         return look(ray, mi.Bool(True))
 
-    def go_on(state: _Layers) -> Any:
-        return state.active
-
-    def pass_through(state: _Layers) -> tuple[_Layers]:
+    def pass_through(state: _Layers) -> None:
         state.si, state.surface = look(state.ray, state.active)
         state.ray = state.si.spawn_ray(state.ray.d)
         state.count += 1
         state.active = state.si.is_valid() & (state.surface.opacity < OPAQUE_FROM) & (state.count < MOST_LAYERS)
-        return (state,)
 
-    start = _Layers(ray, dr.zeros(mi.SurfaceInteraction3f), make_no_surface(), mi.UInt32(0), mi.Bool(True))
-    end = dr.while_loop((start,), go_on, pass_through, label="layers")[0]
+    end = follow(_Layers(ray), pass_through, "layers")
     return end.si, end.surface
 
 

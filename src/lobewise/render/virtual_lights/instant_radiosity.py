@@ -8,13 +8,13 @@ Krivanek, Walter and Bala 2009, "Virtual Spherical Lights for Many-Light Renderi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from lobewise.errors import InputError, require_integer
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.camera import get_image_size
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
@@ -40,20 +40,20 @@ class _Walk:
     """State of the loop that follows mirrors, refractions and what is compensated."""
 
     active: Any
-    start: Any
     ray: Any
     rng: Any
-    throughput: Any
-    share: Any
-    depth: Any
-    bounces: Any
-    last: Vertex
-    last_cosine: Any
-    diffuse: Any
-    specular: Any
-    looks: Any
-    hit_count: Any
-    hit_inverse: Any
+    start: Any = starts_as("Bool", True)
+    throughput: Any = starts_as("Color3f", 1)
+    share: Any = starts_as("Color3f")
+    depth: Any = starts_as("UInt32")
+    bounces: Any = starts_as("UInt32")
+    last: Vertex = field(default_factory=make_eye)
+    last_cosine: Any = starts_as("Float", 1)
+    diffuse: Any = starts_as("Color3f")
+    specular: Any = starts_as("Color3f")
+    looks: Any = starts_as("Bool")
+    hit_count: Any = starts_as("Float")
+    hit_inverse: Any = starts_as("Float")
 
 
 class VirtualLights:
@@ -99,7 +99,6 @@ class VirtualLights:
     # Variance of a path's light over that of a sample, the median over pixels: 1.7 to 39 for diffuse light in three
     # built-in scenes, 1.5 to 6 for specular light.
     worth = 4.0
-    can_replay = True
 
     def __init__(
         self,
@@ -221,38 +220,15 @@ class VirtualLights:
 
     def _walk(self, points: Points, rng: Any, run: Any, runs: Any) -> _Walk:
         """Return what one run of the lights brings, in the sums of the last state."""
-        walk = _Walk(
-            active=points.active,
-            start=mi.Bool(True),
-            ray=mi.Ray3f(points.ray),
-            rng=rng,
-            throughput=mi.Color3f(1),
-            share=mi.Color3f(0),
-            depth=mi.UInt32(0),
-            bounces=mi.UInt32(0),
-            last=make_eye(),
-            last_cosine=mi.Float(1),
-            diffuse=mi.Color3f(0),
-            specular=mi.Color3f(0),
-            looks=mi.Bool(False),
-            hit_count=mi.Float(0),
-            hit_inverse=mi.Float(0),
-        )
-        if not self._follows:
-            walk.diffuse, walk.specular = self._lighting.gather(
-                points.si, points.bsdf, run, runs, self._numbers["max_depth"] - 2, rng, points.active
-            )
-            return walk
+        walk = _Walk(points.active, mi.Ray3f(points.ray), rng)
         max_depth = self._numbers["max_depth"]
-
-        def go_on(walk: _Walk) -> Any:
-            return walk.active
-
-        def visit(walk: _Walk) -> tuple[_Walk]:
-            self._visit(walk, points, run, runs, max_depth)
-            return (walk,)
-
-        return dr.while_loop((walk,), go_on, visit, label="mirrors")[0]  # type: ignore[no-any-return]
+        if self._follows:
+            walk = follow(walk, lambda walk: self._visit(walk, points, run, runs, max_depth), "mirrors")
+        else:
+            walk.diffuse, walk.specular = self._lighting.gather(
+                points.si, points.bsdf, run, runs, max_depth - 2, rng, points.active
+            )
+        return walk
 
     def _visit(self, walk: _Walk, points: Points, run: Any, runs: Any, max_depth: Any) -> None:
         """Add what reaches the next surface of a walk, and choose where to go on."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, starts_as
 
 QUASI_BOUNCES = 6
 """Bounces that are drawn from the quasi-random sequence; later ones, which few paths reach, are random."""
@@ -46,11 +46,11 @@ class LightSet:
 
 @dataclass
 class _Walk:
-    active: Any
     ray: Any
     rng: Any
-    throughput: Any
-    bounce: Any
+    active: Any = starts_as("Bool", True)
+    throughput: Any = starts_as("Color3f", 1)
+    bounce: Any = starts_as("UInt32")
 
 
 def _find_primes(number: int) -> list[int]:
@@ -185,10 +185,7 @@ class LightPaths:
         state, sequence = mi.sample_tea_32(path, dr.opaque(mi.UInt32, self._seed & 0xFFFFFFFF))
         rng.seed(initstate=state, initseq=sequence)
 
-        def go_on(walk: _Walk) -> Any:
-            return walk.active
-
-        def bounce(walk: _Walk) -> tuple[_Walk]:
+        def bounce(walk: _Walk) -> None:
             si = scene.ray_intersect(walk.ray)
             bsdf = si.bsdf(walk.ray)
             found = si.is_valid()
@@ -215,10 +212,8 @@ class LightPaths:
             walk.active = going & (numbers[3] < chance)
             walk.throughput *= dr.select(walk.active, dr.rcp(chance), 0.0)
             walk.bounce += 1
-            return (walk,)
 
-        start = _Walk(mi.Bool(True), ray, rng, mi.Color3f(1), mi.UInt32(0))
-        dr.while_loop((start,), go_on, bounce, label="light paths")
+        follow(_Walk(ray, rng), bounce, "light paths")
         dr.eval(origin, direction, flux)
         return origin, direction, flux
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
 from lobewise.render.tracing.points import MOST_LAYERS, Points
@@ -67,26 +67,17 @@ class Lighting:
         first = self._find_first(run, runs)
         end = dr.select(active, self._find_first(run + 1, runs), first)
 
-        def go_on(index: Any, *rest: Any) -> Any:
-            return index < end
+        # Points draw nothing, so their loop carries no random numbers.
+        shine = self._shine_sphere if self._has_spheres else self._shine_point
 
-        if self._has_spheres:
+        def add(index: Any, diffuse: Any, specular: Any, *rng: Any) -> tuple[Any, ...]:
+            more = shine(si, bsdf, index, most_depth, *rng)
+            return diffuse + more[0], specular + more[1], *rng
 
-            def add_sphere(index: Any, diffuse: Any, specular: Any, rng: Any) -> tuple[Any, ...]:
-                more = self._shine_sphere(si, bsdf, index, most_depth, rng)
-                return index + 1, diffuse + more[0], specular + more[1], rng
-
-            none = (first, mi.Color3f(0), mi.Color3f(0), rng)
-            _, diffuse, specular, advanced = dr.while_loop(none, go_on, add_sphere, label="spheres")
-            rng.state, rng.inc = advanced.state, advanced.inc
-        else:
-
-            def add_point(index: Any, diffuse: Any, specular: Any) -> tuple[Any, ...]:
-                more = self._shine_point(si, bsdf, index, most_depth)
-                return index + 1, diffuse + more[0], specular + more[1]
-
-            start = (first, mi.Color3f(0), mi.Color3f(0))
-            _, diffuse, specular = dr.while_loop(start, go_on, add_point, label="lights")
+        start = mi.Color3f(0), mi.Color3f(0), *([rng] if self._has_spheres else [])
+        diffuse, specular, *advanced = repeat(add, first, end, *start, label="lights")
+        for used in advanced:
+            rng.state, rng.inc = used.state, used.inc
         scale = mi.Float(runs)
         return diffuse * scale, specular * scale
 
@@ -96,9 +87,6 @@ class Lighting:
         first = self._find_first(run, runs)
         end = dr.select(points.active, self._find_first(run + 1, runs), first)
 
-        def go_on(index: Any, *rest: Any) -> Any:
-            return index < end
-
         def add(index: Any, total: Any, squares: Any) -> tuple[Any, ...]:
             light = self._fetch(index)
             towards, inverse = self._aim(si, light)
@@ -106,9 +94,9 @@ class Lighting:
             value = mi.luminance(value * dr.minimum(dr.abs(dr.dot(light.si.n, towards)) * inverse, self.bound))
             value *= dr.select(dr.dot(si.n, towards) * dr.dot(si.n, si.to_world(si.wi)) > 0, 1.0, 0.0)
             value *= mi.luminance(self._see(si, light, value > 0))
-            return index + 1, total + value, squares + dr.square(value)
+            return total + value, squares + dr.square(value)
 
-        _, total, squares = dr.while_loop((first, mi.Float(0), mi.Float(0)), go_on, add, label="worth")
+        total, squares = repeat(add, first, end, mi.Float(0), mi.Float(0), label="worth")
         return dr.select(squares > 0, dr.square(total) / squares, 0.0)
 
     def _find_first(self, run: Any, runs: Any) -> Any:
@@ -199,9 +187,6 @@ class Lighting:
         if self._is_clear:
             return mi.Color3f(dr.select(active & ~self._scene.ray_test(ray, active), 1.0, 0.0))
 
-        def go_on(ray: Any, through: Any, layers: Any) -> Any:
-            return layers > 0
-
         def pass_through(ray: Any, through: Any, layers: Any) -> tuple[Any, Any, Any]:
             hit = self._scene.ray_intersect(ray)
             met = hit.is_valid()
@@ -214,4 +199,4 @@ class Lighting:
             return onward, through, layers
 
         start = (ray, mi.Color3f(dr.select(active, 1.0, 0.0)), dr.select(active, mi.UInt32(MOST_LAYERS), 0))
-        return dr.while_loop(start, go_on, pass_through, label="visibility")[1]
+        return dr.while_loop(start, lambda *state: state[2] > 0, pass_through, label="visibility")[1]

@@ -12,7 +12,7 @@ import numpy as np
 
 from lobewise.errors import InputError, require_integer
 from lobewise.frame import LobeKind
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.tracing.points import Indirect, Points
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
@@ -77,7 +77,6 @@ class VoxelCones:
 
     name = "voxel_cones"
     worth = 8.0
-    can_replay = True
 
     def __init__(
         self,
@@ -163,10 +162,7 @@ class VoxelCones:
         alphas = (dr.select(mirror, 0.0, alpha) for alpha in (surface.alpha_u, surface.alpha_v))
         axis, tangent = find_reflection(view, shading, surface.tangent, *alphas)
 
-        def go_on(index: Any, diffuse: Any, specular: Any, inverse: Any) -> Any:
-            return index < end
-
-        def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any, Any]:
+        def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)
             jitter = draw_jitter(rng)
             cone = trace_cone(grid, origin, normal, axis, tangent, jitter, shiny, smooth=True)
@@ -176,10 +172,10 @@ class VoxelCones:
             else:
                 specular += cone.radiance * surface.specular_albedo
             diffuse += gather_diffuse(grid, origin, normal, shading, rng, matte)
-            return index + 1, diffuse, specular, inverse + cone.inverse
+            return diffuse, specular, inverse + cone.inverse
 
-        start = (mi.UInt32(0), mi.Color3f(0), mi.Color3f(0), mi.Float(0))
-        _, diffuse, specular, inverse = dr.while_loop(start, go_on, take, label="cone sets")
+        start = mi.Color3f(0), mi.Color3f(0), mi.Float(0)
+        diffuse, specular, inverse = repeat(take, mi.UInt32(0), end, *start, label="cone sets")
         share = dr.rcp(mi.Float(end))
         met = dr.select(inverse > 0, dr.rcp(inverse * share), dr.inf)
         return Indirect(
@@ -204,20 +200,16 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
     lane = dr.arange(mi.UInt32, len(hits))
     end = dr.opaque(mi.UInt32, samples)
 
-    def go_on(index: Any, first: Any, second: Any) -> Any:
-        return index < end
-
-    def take(index: Any, first: Any, second: Any) -> tuple[Any, Any, Any]:
-        rng = make_rng(lane, index, mi.UInt32(0))
-        point = draw_point(rng)
+    def take(index: Any, first: Any, second: Any) -> tuple[Any, Any]:
+        point = draw_point(make_rng(lane, index, mi.UInt32(0)))
         light, radiance = scene.sample_emitter_direction(si, point, True, mi.Bool(True))
         # A place inside a light source gets no number from it.
         arriving = mi.Color3f(radiance) * dr.dot(light.d, hits.normal)
         arriving = dr.select((light.pdf > 0) & dr.isfinite(dr.sum(arriving)), arriving, 0.0)
-        return index + 1, first + dr.maximum(arriving, 0.0), second + dr.maximum(-arriving, 0.0)
+        return first + dr.maximum(arriving, 0.0), second + dr.maximum(-arriving, 0.0)
 
-    start = (mi.UInt32(0), dr.zeros(mi.Color3f, len(hits)), dr.zeros(mi.Color3f, len(hits)))
-    _, first, second = dr.while_loop(start, go_on, take, label="light samples")
+    dark = (dr.zeros(mi.Color3f, len(hits)) for _ in hits.sides)
+    first, second = repeat(take, mi.UInt32(0), end, *dark, label="light samples")
     scale = dr.inv_pi / mi.Float(end)
     reflected = first * hits.sides[0].albedo * scale, second * hits.sides[1].albedo * scale
     dr.eval(reflected)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from lobewise.lobes.covariance import find_dominant_normal
-from lobewise.render.bridge import DRJIT, dr, mi
+from lobewise.render.bridge import DRJIT, dr, mi, repeat, starts_as
+from lobewise.render.tracing.rays import draw_point
 from lobewise.render.voxels.grid import DIRECTIONS, Grid
 
 DIFFUSE_CONES = 6
@@ -60,10 +61,10 @@ class Cone:
 
 @dataclass
 class _March:
-    distance: Any
-    radiance: Any
-    transmittance: Any
-    inverse: Any
+    distance: Any = starts_as("Float")
+    radiance: Any = starts_as("Color3f")
+    transmittance: Any = starts_as("Float", 1)
+    inverse: Any = starts_as("Float")
 
 
 def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
@@ -184,8 +185,7 @@ def trace_cone(
         march.distance += edge * share
         return (march,)
 
-    start = _March(distance=mi.Float(0), radiance=mi.Color3f(0), transmittance=mi.Float(1), inverse=mi.Float(0))
-    march = dr.while_loop((start,), go_on, step, label="cone")[0]
+    march = dr.while_loop((_March(),), go_on, step, label="cone")[0]
     # What is left when a cone ends early counts as met.
     whole = dr.select(march.transmittance > ENOUGH, 1.0, dr.rcp(1.0 - march.transmittance))
     left = dr.select(march.transmittance > ENOUGH, march.transmittance, 0.0)
@@ -231,16 +231,12 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any,
     """
     turn = rng.next_float32()
 
-    def go_on(number: Any, total: Any, rng: Any) -> Any:
-        return number < DIFFUSE_CONES
-
-    def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any, Any]:
-        point = mi.Point2f(rng.next_float32(), rng.next_float32())
-        axis = find_diffuse_axis(shading, number, turn, point)
+    def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any]:
+        axis = find_diffuse_axis(shading, number, turn, draw_point(rng))
         cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), draw_jitter(rng), active)
-        return number + 1, total + cone.radiance, rng
+        return total + cone.radiance, rng
 
-    _, total, _ = dr.while_loop((mi.UInt32(0), mi.Color3f(0), rng), go_on, take, label="diffuse cones")
+    total, _ = repeat(take, mi.UInt32(0), DIFFUSE_CONES, mi.Color3f(0), rng, label="diffuse cones")
     return total / DIFFUSE_CONES
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.probe import make_context
 from lobewise.render.tracing.rays import draw_point
 
@@ -32,12 +32,11 @@ class Crossing:
 @dataclass
 class _State:
     ray: Any
-    si: Any
     weight: Any
-    count: Any
     rng: Any
     active: Any
-    going: Any
+    si: Any = starts_as("SurfaceInteraction3f")
+    count: Any = starts_as("UInt32", 1)
 
 
 def _bends(flags: Any) -> Any:
@@ -69,23 +68,18 @@ def cross_glass(scene: Any, si: Any, rng: Any, active: Any) -> Crossing:
     chosen, first = refract(si.bsdf(), si, rng, active)
     going = active & (dr.max(first) > 0)
 
-    def go_on(state: _State) -> Any:
-        return state.going
-
-    def cross(state: _State) -> tuple[_State]:
-        state.si = scene.ray_intersect(state.ray, state.going)
+    def cross(state: _State) -> None:
+        state.si = scene.ray_intersect(state.ray, state.active)
         bsdf = state.si.bsdf()
-        clear = state.going & state.si.is_valid() & _bends(bsdf.flags()) & (state.count < MOST_BOUNDARIES)
+        clear = state.active & state.si.is_valid() & _bends(bsdf.flags()) & (state.count < MOST_BOUNDARIES)
         chosen, weight = refract(bsdf, state.si, state.rng, clear)
         state.ray = dr.select(clear, state.si.spawn_ray(state.si.to_world(chosen.wo)), state.ray)
         state.weight = dr.select(clear, state.weight * weight, state.weight)
         state.count += dr.select(clear, mi.UInt32(1), 0)
-        state.going = clear & (dr.max(state.weight) > 0)
-        return (state,)
+        state.active = clear & (dr.max(state.weight) > 0)
 
     ray = si.spawn_ray(si.to_world(chosen.wo))
-    start = _State(ray, dr.zeros(mi.SurfaceInteraction3f), mi.Color3f(first), mi.UInt32(1), rng, mi.Bool(active), going)
-    end = dr.while_loop((start,), go_on, cross, label="boundaries")[0]
+    end = follow(_State(ray, mi.Color3f(first), rng, mi.Bool(going)), cross, "boundaries")
     shines = going & (end.count >= 2)
     return Crossing(
         ray=end.ray,
