@@ -107,7 +107,7 @@ def find_errors(image: FloatArray, frame: Frame, references: Mapping[str, FloatA
 def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """Return the figures of a scene, and its images."""
     from lobewise.render import render_frame
-    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.tracing.paths import PathLight
     from lobewise.render.virtual_lights.instant_radiosity import LIGHTS_PER_SAMPLE, VirtualLights, find_sharpness_limit
 
     (scene, materials), look = open_scene(name, SIZE)
@@ -174,7 +174,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
 
 def run_box() -> dict[str, Any]:
     """Return how the diffuse Cornell box comes near paths as the lights grow in number, all of them used."""
-    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.tracing.paths import PathLight
     from lobewise.render.virtual_lights.instant_radiosity import VirtualLights
 
     (scene, materials), look = open_scene("cornell box", BOX_SIZE)

@@ -223,7 +223,7 @@ class TestArguments:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            ({"lobes": 0}, "lobes: expected a whole number from 1 to 4"),
+            ({"lobes": 0}, "lobes: expected an integer from 1 to 4"),
             ({"lobes": 5}, "lobes"),
             ({"lobes": True}, "lobes"),
             ({"lobes": 2.0}, "lobes"),

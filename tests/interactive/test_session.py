@@ -70,7 +70,7 @@ def test_the_same_calls_give_the_same_bits(session: Session, base: Session, path
 
 def render_centres(session: Session, camera: Camera) -> np.ndarray:
     """Return the truth that the chain is after: light at the centres of pixels, by many samples."""
-    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.tracing.paths import PathLight
 
     stages = session._stages
     stages.place_camera(camera, *session.size)

@@ -33,7 +33,7 @@ def stages(showroom: Any) -> Stages:
 
 
 def get_path_light(stages: Stages, max_depth: int = 8) -> Any:
-    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.tracing.paths import PathLight
 
     return PathLight(stages.scene, stages.materials, max_depth=max_depth)
 

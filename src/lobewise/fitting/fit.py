@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, MissingDependencyError, require_choice
+from lobewise.errors import InputError, MissingDependencyError, require_choice, require_integer
 from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit_shapes import LobeFamily
 from lobewise.fitting.ggx import ggx_brdf
@@ -87,43 +87,17 @@ def fit_lobes(
         If SciPy is not installed.
     """
     require_choice("kind of lobes", kind, KINDS)
-    if isinstance(lobes, bool) or not isinstance(lobes, int | np.integer) or not 1 <= lobes <= MAX_LOBES:
-        raise InputError(
-            "lobes", expected=f"a whole number from 1 to {MAX_LOBES}", got=repr(lobes), action="pass lobes=3"
-        )
+    lobes = require_integer("lobes", lobes, 1, MAX_LOBES)
     grid = _check_grid("cosines", cosines, "numbers above 0 and at most 1", lambda c: (c > 0.0) & (c <= 1.0))
     turns = np.zeros(1)
     if azimuths is not None:
         turns = _check_grid("azimuths", azimuths, "angles from 0 to below 2 pi", lambda a: (a >= 0) & (a < 2 * math.pi))
     _require_scipy()
     family = LobeFamily(kind, flat=azimuths is None)
-    views, columns = grid.size, turns.size
-    found: dict[tuple[int, int], _Found] = {}
-    samples: dict[tuple[int, int], _Data] = {}
-
-    def report(done: int) -> None:
-        if progress is not None:
-            progress(done, 2 * views * columns)
-
-    # Down to grazing, then back up: a better set of lobes that is found on the way down reaches the views above it.
-    for v in range(views - 1, -1, -1):
-        nodes = make_nodes(float(grid[v]), angular=64 if azimuths is None else 96)
-        for p, azimuth in enumerate(turns):
-            samples[v, p] = _sample(evaluate, float(grid[v]), float(azimuth), nodes)
-            neighbour = found.get((v + 1, p))
-            if neighbour is None and p > 0:
-                # Seen from above the azimuths show the same lobes, turned.
-                last = found[v, p - 1]
-                neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
-            found[v, p] = _fit_view(samples[v, p], family, int(lobes), neighbour)
-            report((views - 1 - v) * columns + p + 1)
-    for v in range(1, views):
-        for p in range(columns):
-            found[v, p] = _refit_view(samples[v, p], family, found[v, p], found[v - 1, p])
-            report((views + v) * columns + p + 1)
+    found = _fit_views(evaluate, family, lobes, grid, turns, progress)
 
     def collect(field: str) -> Array:
-        return np.stack([[getattr(found[v, p], field) for p in range(columns)] for v in range(views)])
+        return np.stack([[getattr(found[v, p], field) for p in range(turns.size)] for v in range(grid.size)])
 
     axis, sharpness, twist = family.to_frames(collect("shapes"))
     table = LobeTable(
@@ -134,12 +108,45 @@ def fit_lobes(
         axis=axis,
         sharpness=sharpness,
         twist=twist,
-        amplitude=collect("amplitude"),
-        alpha=collect("alpha"),
-        albedo=collect("albedo"),
-        cosine_l2=collect("cosine_l2"),
+        **{field: collect(field) for field in ("amplitude", "alpha", "albedo", "cosine_l2")},
     )
     return order_lobes(table)
+
+
+def _fit_views(
+    evaluate: Evaluate,
+    family: LobeFamily,
+    lobes: int,
+    grid: Array,
+    turns: Array,
+    progress: Callable[[int, int], None] | None,
+) -> dict[tuple[int, int], _Found]:
+    """Return the lobes of every view, by its places among the cosines and the azimuths."""
+    views, columns = grid.size, turns.size
+    found: dict[tuple[int, int], _Found] = {}
+    samples: dict[tuple[int, int], _Data] = {}
+
+    def report(done: int) -> None:
+        if progress is not None:
+            progress(done, 2 * views * columns)
+
+    # Down to grazing, then back up: a better set of lobes that is found on the way down reaches the views above it.
+    for v in range(views - 1, -1, -1):
+        nodes = make_nodes(float(grid[v]), angular=64 if family.flat else 96)
+        for p, azimuth in enumerate(turns):
+            samples[v, p] = _sample(evaluate, float(grid[v]), float(azimuth), nodes)
+            neighbour = found.get((v + 1, p))
+            if neighbour is None and p > 0:
+                # Seen from above the azimuths show the same lobes, turned.
+                last = found[v, p - 1]
+                neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
+            found[v, p] = _fit_view(samples[v, p], family, lobes, neighbour)
+            report((views - 1 - v) * columns + p + 1)
+    for v in range(1, views):
+        for p in range(columns):
+            found[v, p] = _refit_view(samples[v, p], family, found[v, p], found[v - 1, p])
+            report((views + v) * columns + p + 1)
+    return found
 
 
 @dataclass(frozen=True)

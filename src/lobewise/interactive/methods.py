@@ -11,7 +11,7 @@ from lobewise.render.stages import Stages
 from lobewise.render.tracing.points import IndirectMethod
 
 _HOMES = {
-    "paths": ("tracing.path_light", "PathLight"),
+    "paths": ("tracing.paths", "PathLight"),
     "voxel_cones": ("voxels.cones", "VoxelCones"),
     "virtual_lights": ("virtual_lights.instant_radiosity", "VirtualLights"),
 }

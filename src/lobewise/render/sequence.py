@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from lobewise.camera import Camera
@@ -68,73 +69,57 @@ def render_sequence(
         See `render_frame`.
     """
     if not 0 <= first < len(cameras):
-        raise InputError(
-            "first",
-            expected=f"the index of one of the {len(cameras)} cameras",
-            got=repr(first),
-            action="pass a longer path",
-        )
+        known = f"the index of one of the {len(cameras)} cameras"
+        raise InputError("first", expected=known, got=repr(first), action="pass a longer path")
     if reference and scale != 1:
         raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
     light_settings = {"spp": spp, "max_depth": max_depth, "light": light}
-    path = _Path(scene, cameras, scale, seed, guide_spp, reference, light_settings)
+    moving = scene if isinstance(scene, MovingScene) else None
+    path = _Path(None if moving else scene, moving, cameras, scale, seed, guide_spp, reference, light_settings)
     return (path.render(index) for index in range(first, len(cameras)))
 
 
+@dataclass
 class _Path:
     """Renders the frames of a path in turn; what it is made with is told in `render_sequence`."""
 
-    def __init__(
-        self,
-        scene: Any,
-        cameras: Sequence[Camera],
-        scale: int,
-        seed: int,
-        guide_spp: int,
-        reference: bool,
-        light: dict[str, Any],
-    ) -> None:
-        self._moving = scene if isinstance(scene, MovingScene) else None
-        self._scene = None if self._moving else scene
-        self._cameras = cameras
-        self._scale = scale
-        self._places = list_places(scale)
-        self._seed = seed
-        self._guide_spp = guide_spp
-        self._is_reference = reference
-        self._light = light
-        self._previous: Camera | None = None
+    scene: Any
+    moving: MovingScene | None
+    cameras: Sequence[Camera]
+    scale: int
+    seed: int
+    guide_spp: int
+    is_reference: bool
+    light: dict[str, Any]
+    previous: Camera | None = None
 
     def render(self, index: int) -> AnyFrame:
         """Return the frame of a place in the path, as it follows the one before."""
-        if self._moving is not None:
+        if self.moving is not None:
             # Dr.Jit compiles for every BSDF that lives: the scene of the frame before must go first.
-            self._scene = None
-            self._scene = self._moving.load(index)
+            self.scene = None
+            self.scene = self.moving.load(index)
         since: dict[str, Any] = {}
         if index > 0:
             # As the sensor has it, in single precision: what stands still must not seem to move.
-            since["previous_camera"] = self._previous or _round_camera(self._scene, self._cameras[index - 1])
-            since["moves"] = self._moving.find_moves(index, index - 1) if self._moving is not None else None
-        set_camera(self._scene, self._cameras[index])
+            since["previous_camera"] = self.previous or _round_camera(self.scene, self.cameras[index - 1])
+            since["moves"] = self.moving.find_moves(index, index - 1) if self.moving is not None else None
+        set_camera(self.scene, self.cameras[index])
         frame = self._render(index, since)
-        self._previous = frame.camera
+        self.previous = frame.camera
         return frame
 
     def _render(self, index: int, since: dict[str, Any]) -> AnyFrame:
-        common = {**self._light, "seed": (self._seed + index) % (1 << 32)}
-        if self._is_reference:
-            return render_reference(self._scene, **common)
-        if self._scale > 1:
-            place = self._places[index % len(self._places)]
-            guides: dict[str, Any] = {"guide_spp": self._guide_spp, "guide_seed": self._seed}
-            return render_sparse_frame(self._scene, scale=self._scale, place=place, **guides, **common, **since)
-        depth = self._light["max_depth"]
-        guides_alone = render_frame(
-            self._scene, spp=self._guide_spp, seed=self._seed, max_depth=depth, aov_only=True, **since
-        )
-        frame = render_frame(self._scene, coverage=False, **common)
-        return frame.with_changes(gbuffer=guides_alone.gbuffer)
+        common = {**self.light, "seed": (self.seed + index) % (1 << 32)}
+        if self.is_reference:
+            return render_reference(self.scene, **common)
+        if self.scale > 1:
+            place = list_places(self.scale)[index % self.scale**2]
+            guides: dict[str, Any] = {"guide_spp": self.guide_spp, "guide_seed": self.seed}
+            return render_sparse_frame(self.scene, scale=self.scale, place=place, **guides, **common, **since)
+        alone = {"spp": self.guide_spp, "seed": self.seed, "max_depth": self.light["max_depth"]}
+        guides_alone = render_frame(self.scene, **alone, aov_only=True, **since)
+        return render_frame(self.scene, coverage=False, **common).with_changes(gbuffer=guides_alone.gbuffer)
 
 
 def _round_camera(scene: Any, camera: Camera) -> Camera:

@@ -40,7 +40,7 @@ def evaluate(mi: Any, bsdf: Any, si: Any, wo: Any, lobes: Any = None) -> np.ndar
 
 def find_share(mi: Any, bsdf: Any, si: Any, wo: Any) -> np.ndarray:
     from lobewise.render.materials.bsdfs import read_material
-    from lobewise.render.materials.split import find_diffuse_share
+    from lobewise.render.materials.dispatch import find_diffuse_share
 
     share = np.array(find_diffuse_share(read_material(bsdf), si, wo, mi.Bool(True)), dtype=np.float64).T
     return np.broadcast_to(share, (COUNT, 3))
@@ -91,7 +91,7 @@ def test_principled_diffuse_is_all_that_is_left_without_a_boundary(
 ) -> None:
     """With ``specular`` 0 nothing is reflected at the boundary: Mitsuba's value is the diffuse part, and known."""
     from lobewise.render.materials.bsdfs import read_material
-    from lobewise.render.materials.split import evaluate_principled_diffuse
+    from lobewise.render.materials.dispatch import evaluate_principled_diffuse
 
     extra = {"specular": 0.0, "flatness": flatness, "sheen": sheen, "sheen_tint": 0.6, "metallic": 0.0}
     bsdf = mi.load_dict({**PRINCIPLED, **extra})

@@ -53,7 +53,7 @@ def make_lights(scene: Any, **options: Any) -> Any:
 def find_paths(scene: Any, points: Any, *, samples: int, max_depth: int = 8) -> Any:
     """Return indirect light of the same points by paths."""
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.path_light import PathLight
+    from lobewise.render.tracing.paths import PathLight
 
     return PathLight(scene, read_scene_materials(scene), max_depth=max_depth).shade(points, samples=samples, seed=3)
 

@@ -1,4 +1,7 @@
-"""What is asked of the BSDFs at hits, whichever of a scene's materials each hit lies on."""
+"""How much of a reflection is diffuse: the share that splits radiance by the lobe of its first bounce.
+
+And what is asked of the BSDFs at hits, whichever of a scene's materials each hit lies on.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,94 @@ from collections.abc import Callable
 from typing import Any
 
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.bsdfs import Material
-from lobewise.render.materials.split import find_diffuse_share
-from lobewise.render.materials.surface import Surface, describe_material
+from lobewise.render.materials.bsdfs import Material, make_diffuse_context
+from lobewise.render.materials.surface import (
+    Surface,
+    describe_material,
+    enter_perturbed,
+    enter_twosided,
+    make_world_frame,
+    read_color,
+    read_number,
+)
+
+
+def _divide(part: Any, total: Any) -> Any:
+    return dr.select(total > 0, dr.clip(part / total, 0.0, 1.0), 0.0)
+
+
+def evaluate_principled_diffuse(material: Material, si: Any, wo: Any, active: Any) -> Any:
+    """Return diffuse, retro-reflection, fake subsurface and sheen of the principled BSDF, times the cosine.
+
+    Mitsuba's plugin does not heed the lobes asked for in its context, so its diffuse part is evaluated here.
+
+    Source: Burley 2012, section 5.3, and 2015, "Extending the Disney BRDF", section 4 (flatness).
+    """
+    cos_i, cos_o = dr.abs(si.wi.z), dr.abs(wo.z)
+    half = dr.normalize(si.wi + wo)
+    cos_d = dr.abs(dr.dot(half, wo))
+    base = read_color(material, "base_color", si, active)
+    opaque = 1.0 - read_number(material, "metallic", si, active)
+    weight = opaque * (1.0 - read_number(material, "spec_trans", si, active))
+    roughness = read_number(material, "roughness", si, active)
+    flatness = read_number(material, "flatness", si, active)
+
+    def schlick(cosine: Any) -> Any:
+        rest = dr.clip(1.0 - cosine, 0.0, 1.0)
+        return dr.square(dr.square(rest)) * rest
+
+    f_i, f_o = schlick(cos_i), schlick(cos_o)
+    retro = 2.0 * roughness * dr.square(cos_d)
+    plain = (1.0 - 0.5 * f_i) * (1.0 - 0.5 * f_o) + retro * (f_o + f_i + f_o * f_i * (retro - 1.0))
+    flat = dr.lerp(1.0, 0.5 * retro, f_o) * dr.lerp(1.0, 0.5 * retro, f_i)
+    flat = 1.25 * (flat * (dr.rcp(cos_o + cos_i) - 0.5) + 0.5)
+    value = base * (weight * cos_o * dr.inv_pi * dr.lerp(plain, flat, flatness))
+
+    luminance = mi.luminance(base)
+    hue = dr.select(luminance > 0, base / luminance, 1.0)
+    sheen = read_number(material, "sheen", si, active) * opaque * schlick(cos_d) * cos_o
+    value += dr.lerp(mi.Color3f(1), hue, read_number(material, "sheen_tint", si, active)) * sheen
+    return dr.select((si.wi.z > 0) & (wo.z > 0), value, 0.0)
+
+
+def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any:
+    """Return which part of ``f(wi, wo)`` is diffuse, per colour, in [0, 1]; smooth (non-delta) lobes only.
+
+    ``wo`` is local to ``si``, as Mitsuba's BSDFs take it. Shares rather than values are passed up from nested BSDFs,
+    so what a wrapper multiplies both lobes by (opacity, shadow terminator) cancels.
+    """
+    flags = material.bsdf.flags()
+    if not mi.has_flag(flags, mi.BSDFFlags.Diffuse):
+        return mi.Color3f(0)
+    if not mi.has_flag(flags, mi.BSDFFlags.Glossy):
+        return mi.Color3f(1)
+    everything = mi.BSDFContext()
+    if material.plugin == "principled":
+        total = material.bsdf.eval(everything, si, wo, active)
+        return _divide(evaluate_principled_diffuse(material, si, wo, active), total)
+    if material.fitted is not None and not material.fitted.fit.parts.diffuse:
+        return mi.Color3f(0)
+    if material.heeds_context:
+        part = material.bsdf.eval(make_diffuse_context(), si, wo, active)
+        return _divide(part, material.bsdf.eval(everything, si, wo, active))
+    frame = make_world_frame(si)
+    if material.plugin == "twosided":
+        inner, _ = enter_twosided(si, frame)
+        turned = mi.Vector3f(wo.x, wo.y, dr.mulsign(wo.z, si.wi.z))
+        shares = [find_diffuse_share(child, inner, turned, active) for child in material.nested]
+        return dr.select(si.wi.z > 0, shares[0], shares[1])
+    if material.plugin in ("normalmap", "bumpmap"):
+        inner, _, local = enter_perturbed(material, si, frame, active)
+        turned = mi.Vector3f(dr.dot(local.s, wo), dr.dot(local.t, wo), dr.dot(local.n, wo))
+        return find_diffuse_share(material.nested[0], inner, turned, active)
+    if material.plugin == "mask":
+        return find_diffuse_share(material.nested[0], si, wo, active)
+    weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
+    first, second = material.nested
+    value = first.bsdf.eval(everything, si, wo, active) * (1.0 - weight)
+    other = second.bsdf.eval(everything, si, wo, active) * weight
+    part = value * find_diffuse_share(first, si, wo, active) + other * find_diffuse_share(second, si, wo, active)
+    return _divide(part, value + other)
 
 
 def _dispatch(

@@ -15,6 +15,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.points import Indirect, Points, average_samples
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_ray, make_rng
 from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
@@ -240,7 +241,7 @@ def add_samples(
         The pixels themselves (row-major, of the whole image) that ``pixels`` counts, in place of a regular grid.
     """
     # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
-    film = width, height = dr.opaque(mi.UInt32, size[0]), dr.opaque(mi.UInt32, size[1])
+    width, height = (dr.opaque(mi.UInt32, length) for length in size)
     counted = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     if listed is not None:
         pixel = dr.gather(mi.UInt32, listed, counted)
@@ -253,10 +254,52 @@ def add_samples(
 
     def take(index: Any, sums: Sums) -> tuple[Sums]:
         rng = make_rng(pixel, index, seed_value)
-        ray = make_ray(scene, pixel, film, draw_point(rng))
+        ray = make_ray(scene, pixel, (width, height), draw_point(rng))
         add_sample(sums, trace_path(scene, materials, ray, rng, settings, max_depth), index)
         return (sums,)
 
     (sums,) = repeat(take, first, end, sums, label="samples")
     dr.eval(sums)
     return sums
+
+
+class PathLight:
+    """Indirect light by path tracing: noisy, right in expectation, and what the other methods are held against.
+
+    Paths from the pixel's centre: BSDF importance sampling, next-event estimation, Russian roulette.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        What lights the points.
+    materials : dict
+        Of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
+    max_depth : int
+        Longest path, in vertices after the camera, >= 3.
+    """
+
+    name = "paths"
+    worth = 1.0
+    state = None
+
+    def __init__(self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._max_depth = max_depth
+
+    def find_band_limit(self, points: Points, samples: int) -> float:
+        """Return 0: directions follow the lobes; see `lobewise.render.tracing.points.IndirectMethod`."""
+        return 0.0
+
+    def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
+        """Return the mean of ``samples`` paths; see `lobewise.render.tracing.points.IndirectMethod`."""
+        settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, surfaces=False)
+        max_depth = dr.opaque(mi.UInt32, self._max_depth)
+        seed_value = make_opaque(seed)
+
+        def take(index: Any) -> tuple[Any, Any, Any, Any]:
+            rng = make_rng(points.pixel, index, seed_value)
+            found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
+            return found.lobes.diffuse, found.lobes.specular, found.totals.hit_count, found.totals.hit_inverse
+
+        return average_samples(take, make_opaque(samples))
