@@ -45,45 +45,32 @@ WHAT = {
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured.
-
-    Parameters
-    ----------
-    size : (int, int)
-        Columns and rows of "forms", "lobes" and "threads"; that of "radius" is the paper's.
-    sizes : tuple of (int, int)
-        Those of "pixels".
-    recipe_size : (int, int)
-        That of "upsampling" and "denoising".
-    radii, lobes, scales : tuple of int
-        Those of "radius", "lobes" and "upsampling".
-    forms, qualities : tuple of str
-        Those of "forms" and "denoising".
-    similarities, core : tuple of str
-        Those of "forms" and of the paper's radii, and those of everything else; both with "normal".
-    seconds : float
-        Least time of each job's rounds.
-    rounds, recipe_rounds : int
-        Least number of rounds of kernels, and of whole recipes and what Open Image Denoise takes part in.
-    peer_pixels : int
-        Larger images are not given to it: it would take most of the time.
-    """
+    """How much is measured."""
 
     size: Size = (1024, 1024)
+    """Columns and rows of "forms", "lobes" and "threads"; that of "radius" is the paper's."""
     sizes: tuple[Size, ...] = ((512, 512), (1024, 1024), (1920, 1080), (2560, 1440), (3840, 2160))
+    """Those of "pixels"."""
     recipe_size: Size = (1920, 1080)
+    """That of "upsampling" and "denoising"."""
     radius_size: Size = (PAPER_SIZE, PAPER_SIZE)
+    # Those of "radius", "lobes" and "upsampling".
     radii: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
     lobes: tuple[int, ...] = (1, 2, 3, 4)
     scales: tuple[int, ...] = (2, 4)
+    # Those of "forms" and "denoising".
     forms: tuple[str, ...] = FORMS
     qualities: tuple[str, ...] = ("fast", "balanced", "high")
+    # Those of "forms" and of the paper's radii, and those of everything else; both with "normal".
     similarities: tuple[str, ...] = SIMILARITIES
     core: tuple[str, ...] = CORE
     seconds: float = 3.0
+    """Least time of each job's rounds."""
+    # Least number of rounds of kernels, and of whole recipes and what Open Image Denoise takes part in.
     rounds: int = 5
     recipe_rounds: int = 2
     peer_pixels: int = 1920 * 1080
+    """Larger images are not given to it: it would take most of the time."""
 
 
 FULL = Extent()
@@ -105,30 +92,20 @@ QUICK = Extent(
 
 @dataclass(frozen=True)
 class Job:
-    """Candidates that run in turn.
-
-    Parameters
-    ----------
-    part : str
-        One of `WHAT`.
-    facts : dict
-        What they have in common: ``device``, ``width``, ``height``, ``form``, ``radius`` and the like.
-    make : callable
-        Returns the candidates by name, when they are about to run, so that no two jobs' images are held at once.
-    rounds : int
-        Least number of rounds, all turns together.
-    turns : int
-        In how many parts, between which the other jobs run: a disturbance then bends no curve.
-    effort : float
-        About how many seconds it takes on two cores, for the progress alone.
-    """
+    """Candidates that run in turn."""
 
     part: str
+    """One of `WHAT`."""
     facts: dict[str, Any]
+    """What they have in common: ``device``, ``width``, ``height``, ``form``, ``radius`` and the like."""
     make: Callable[[], Calls]
+    """Returns the candidates by name, when they are about to run, so that no two jobs' images are held at once."""
     rounds: int
+    """Least number of rounds, all turns together."""
     turns: int
+    """In how many parts, between which the other jobs run: a disturbance then bends no curve."""
     effort: float
+    """About how many seconds it takes on two cores, for the progress alone."""
 
 
 @lru_cache(maxsize=1)

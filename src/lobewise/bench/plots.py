@@ -27,10 +27,7 @@ MARKS = {"cpu": "o", "cuda": "s", "vulkan": "^", "metal": "D"}
 def draw_plots(data: Mapping[str, Any]) -> dict[str, bytes]:
     """Return a PNG of every plot that there are rows for, by its name.
 
-    Raises
-    ------
-    MissingDependencyError
-        If Matplotlib is not installed.
+    Raises MissingDependencyError if Matplotlib is not installed.
     """
     rows = data["rows"]
     found = {name: pick(rows, name) for name in PLOTS}

@@ -14,25 +14,17 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Section:
-    """A table of figures.
-
-    Parameters
-    ----------
-    key : str
-        Short name; that of the plot beside it, where there is one.
-    title, note : str
-        Its head, and how to read it.
-    header : list of str
-        Names of the columns; the first column is text, the others are figures.
-    rows : list of list of str
-        Its cells.
-    """
+    """A table of figures."""
 
     key: str
+    """Short name; that of the plot beside it, where there is one."""
+    # Its head, and how to read it.
     title: str
     note: str
     header: list[str]
+    """Names of the columns; the first column is text, the others are figures."""
     rows: list[list[str]]
+    """Its cells."""
 
 
 def make_sections(data: Mapping[str, Any]) -> list[Section]:

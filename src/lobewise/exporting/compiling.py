@@ -46,6 +46,8 @@ def _refusing(target: str) -> Iterator[None]:
 def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, header: Path) -> None:
     """Compile a filter into a static library, Halide's runtime included, with a C header.
 
+    Raises InputError or DeviceError if the target is none, or Halide cannot compile the kernel for it.
+
     Parameters
     ----------
     plan : FilterPlan
@@ -56,11 +58,6 @@ def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, h
         Name of the function.
     library, header : Path
         The files to write.
-
-    Raises
-    ------
-    InputError, DeviceError
-        If the target is none, or Halide cannot compile the kernel for it.
     """
     chosen = parse_target(target)
     outputs = {hl.OutputFileType.static_library: str(library), hl.OutputFileType.c_header: str(header)}

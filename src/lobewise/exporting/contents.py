@@ -21,24 +21,16 @@ class Function:
 
 @dataclass(frozen=True)
 class Contents:
-    """What stands in the folder of an export.
-
-    Parameters
-    ----------
-    plan : FilterPlan
-        The filter.
-    name : str
-        What files and functions begin with.
-    target : str
-        What it is compiled for, in full.
-    sample : Sample
-        The frame of the example.
-    """
+    """What stands in the folder of an export."""
 
     plan: FilterPlan
+    """The filter."""
     name: str
+    """What files and functions begin with."""
     target: str
+    """What it is compiled for, in full."""
     sample: Sample
+    """The frame of the example."""
 
     @property
     def title(self) -> str:

@@ -21,10 +21,8 @@ MARK = "lobewise-export.json"
 def require_folder(path: PathLike, *, force: bool) -> Path:
     """Return the real path of a folder that may be made, or replaced; nothing is created or changed.
 
-    Raises
-    ------
-    FileError
-        If it is a file, its parent cannot be written, or it holds something; with ``force`` only if that is no export.
+    Raises FileError if it is a file, its parent cannot be written, or it holds something; with ``force`` only if that
+    is no export.
     """
     target = Path(os.path.realpath(path))
     parent = target.parent

@@ -34,10 +34,7 @@ _VALUE = re.compile(r"^(\s+)(let|var) (\w+) (\w+)(?: = (.*))?;$")
 def make_shader(language: str) -> str:
     """Return the functions in "hlsl", "glsl" or "wgsl".
 
-    Raises
-    ------
-    InputError
-        If there is no such language.
+    Raises InputError if there is no such language.
     """
     require_choice("shader language", language, SHADER_LANGUAGES)
     lines, inside = [], False

@@ -28,12 +28,7 @@ def parse_target(text: str) -> hl.Target:
 
     A Vulkan target gets what its mask of bytes needs of the device.
 
-    Raises
-    ------
-    InputError
-        If it names none.
-    DeviceError
-        If it is one that this Halide cannot compile for.
+    Raises InputError if it names none; DeviceError if it is one that this Halide cannot compile for.
     """
     words = text.split("-")
     if text != "host" and "-".join(words[:2]) not in PROCESSORS and words[0] != "host":

@@ -18,10 +18,7 @@ PathLike = str | os.PathLike[str]
 def require_readable(path: PathLike, *, what: str = "input", holds: str = "an image") -> Path:
     """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
 
-    Raises
-    ------
-    FileError
-        If it does not exist, is a directory or a device, is empty, or may not be read.
+    Raises FileError if it does not exist, is a directory or a device, is empty, or may not be read.
     """
     file = Path(path)
     try:
@@ -47,10 +44,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "an im
 def read_bytes(path: PathLike, limit: int, *, holds: str) -> bytes:
     """Return at most ``limit`` bytes of a file that should hold ``holds``.
 
-    Raises
-    ------
-    FileError
-        As `require_readable`, or if the disk refuses.
+    Raises FileError as `require_readable`, or if the disk refuses.
     """
     file = require_readable(path, holds=holds)
     try:
@@ -67,10 +61,7 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
 
     A symbolic link is followed, so that writing replaces what it points at and not the link.
 
-    Raises
-    ------
-    FileError
-        If it is a directory or a device, its folder does not exist, or may not be written to.
+    Raises FileError if it is a directory or a device, its folder does not exist, or may not be written to.
     """
     try:
         target = Path(os.path.realpath(path))
@@ -96,10 +87,7 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
 def make_folder(path: PathLike, *, what: str = "output") -> Path:
     """Return the folder ``path``, made now if there is none, in which files can be written.
 
-    Raises
-    ------
-    FileError
-        If it cannot be made, or may not be written to.
+    Raises FileError if it cannot be made, or may not be written to.
     """
     folder = Path(path)
     try:
@@ -121,10 +109,7 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 
     A reader sees the old file or the whole new one, never a part; an existing target keeps its permissions.
 
-    Raises
-    ------
-    FileError
-        If the path cannot be written or the disk refuses, for example because it is full.
+    Raises FileError if the path cannot be written or the disk refuses, for example because it is full.
     """
     target = require_writable(path, what=what)
     name = f"{what} {str(path)!r}"
@@ -151,10 +136,7 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     """Open a file without a name, on the disk that ``path`` is on, for what an output is made of; it leaves no trace.
 
-    Raises
-    ------
-    FileError
-        As `open_atomic`.
+    Raises FileError as `open_atomic`.
     """
     target = require_writable(path, what=what)
     try:
@@ -176,10 +158,7 @@ def _refuse(name: str, problem: OSError) -> FileError:
 def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
     """Write ``text`` as UTF-8, whole or not at all.
 
-    Raises
-    ------
-    FileError
-        If the path cannot be written.
+    Raises FileError if the path cannot be written.
     """
     with open_atomic(path, what=what) as stream:
         stream.write(text.encode("utf-8"))

@@ -13,17 +13,14 @@ from lobewise.errors import InputError
 def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
     """Return a PNG file.
 
+    Raises InputError if the arrays are not of these types and shapes, or there is no pixel.
+
     Parameters
     ----------
     image : ndarray of uint8
         Shape (height, width, 3): sRGB colour. With a palette, shape (height, width): indices into it.
     palette : ndarray of uint8, shape (up to 256, 3), optional
         sRGB colours.
-
-    Raises
-    ------
-    InputError
-        If the arrays are not of these types and shapes, or there is no pixel.
     """
     from PIL import Image
 

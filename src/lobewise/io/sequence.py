@@ -21,31 +21,21 @@ def is_pattern(text: PathLike) -> bool:
 
 @dataclass(frozen=True)
 class FramePattern:
-    """The name of numbered files.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the files are.
-    before, after : str
-        What stands before and after the number, the ending included.
-    width : int
-        Digits that a number has at least; smaller numbers begin with zeros, larger ones have more digits.
-    """
+    """The name of numbered files."""
 
     folder: Path
+    """Where the files are."""
+    # What stands before and after the number, the ending included.
     before: str
     width: int
+    """Digits that a number has at least; smaller numbers begin with zeros, larger ones have more digits."""
     after: str
 
     @classmethod
     def parse(cls, text: PathLike) -> FramePattern:
         """Return the pattern of a path such as ``out/render.####.exr`` or ``out/render.%04d.exr``.
 
-        Raises
-        ------
-        InputError
-            If the name of the file has no run of ``#`` and no ``%04d``, or more than one.
+        Raises InputError if the name of the file has no run of ``#`` and no ``%04d``, or more than one.
         """
         path = Path(text)
         runs = list(_RUN.finditer(path.name))
@@ -73,10 +63,7 @@ class FramePattern:
         Numbers may be missing: a number that is not the one before it plus 1 begins a new take, and whoever follows
         motion from frame to frame must begin anew there.
 
-        Raises
-        ------
-        FileError
-            If there is no file, or the folder cannot be read.
+        Raises FileError if there is no file, or the folder cannot be read.
         """
         try:
             names = [entry.name for entry in self.folder.iterdir() if entry.is_file()]

@@ -23,10 +23,7 @@ _RAMP = ((8, 8, 20), (46, 28, 104), (122, 34, 118), (196, 58, 88), (240, 122, 60
 def choose_exposure(reference: ArrayLike) -> float:
     """Return the factor that puts the 98th percentile of the luminance at the display value 0.8.
 
-    Raises
-    ------
-    InputError
-        If no pixel is finite.
+    Raises InputError if no pixel is finite.
     """
     image = np.asarray(reference, dtype=np.float64)
     luminance = image @ np.array([0.2126, 0.7152, 0.0722])

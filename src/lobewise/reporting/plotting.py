@@ -14,10 +14,7 @@ DOTS = 110
 def require_matplotlib(what: str) -> None:
     """Find out whether ``what`` can be drawn.
 
-    Raises
-    ------
-    MissingDependencyError
-        If Matplotlib is not installed.
+    Raises MissingDependencyError if Matplotlib is not installed.
     """
     try:
         import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is there

@@ -28,69 +28,46 @@ SPOT = 64
 
 @dataclass(frozen=True)
 class Picture:
-    """One image of a report.
-
-    Parameters
-    ----------
-    key : str
-        Short name: lower-case letters, digits and hyphens.
-    title : str
-        What the reader sees.
-    image : ndarray, shape (height, width, 3)
-        Linear radiance, finite.
-    note : str
-        What it is, in a sentence or two.
-    settings : mapping
-        Parameters that it was made with.
-    seconds : float or None
-        How long that took.
-    """
+    """One image of a report."""
 
     key: str
+    """Short name: lower-case letters, digits and hyphens."""
     title: str
+    """What the reader sees."""
     image: FloatArray
+    """Linear radiance, finite, shape (height, width, 3)."""
     note: str = ""
+    """What it is, in a sentence or two."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters that it was made with."""
     seconds: float | None = None
+    """How long that took."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a page shows.
+    """What a page shows."""
 
-    Parameters
-    ----------
-    title, subtitle : str
-        Its head.
-    pictures : sequence of Picture
-        What is compared, in order.
-    reference : Picture
-        What is right.
-    baseline : str
-        Key of the picture that figures are given relative to.
-    left, right : str
-        Keys of the two pictures that the slider shows first.
-    mask : ndarray of bool, shape (height, width), optional
-        Pixels of the second table, the specular ones.
-    command : str
-        What makes the page again.
-    facts : mapping
-        Machine, versions and the like.
-    remarks : sequence of str
-        Further sentences for the reader.
-    """
-
+    # Its head.
     title: str
     subtitle: str
     pictures: Sequence[Picture]
+    """What is compared, in order."""
     reference: Picture
+    """What is right."""
     baseline: str
+    """Key of the picture that figures are given relative to."""
+    # Keys of the two pictures that the slider shows first.
     left: str
     right: str
     mask: NDArray[np.bool_] | None
+    """Pixels of the second table, the specular ones, shape (height, width)."""
     command: str
+    """What makes the page again."""
     facts: Mapping[str, str]
+    """Machine, versions and the like."""
     remarks: Sequence[str] = ()
+    """Further sentences for the reader."""
 
 
 def make_page(report: Report, *, progress: Callable[[int, int], None] | None = None) -> str:
@@ -98,10 +75,7 @@ def make_page(report: Report, *, progress: Callable[[int, int], None] | None = N
 
     ``progress`` is called with (done, total) while the figures are taken, which is what takes long.
 
-    Raises
-    ------
-    InputError
-        If a key is unknown, twice there or not a plain word, the sizes differ, or a pixel is not finite.
+    Raises InputError if a key is unknown, twice there or not a plain word, the sizes differ, or a pixel is not finite.
     """
     everything = [*report.pictures, report.reference]
     _check(report, everything)

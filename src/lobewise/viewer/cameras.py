@@ -21,20 +21,14 @@ _DISTANCE = 4.0
 
 @dataclass(frozen=True)
 class Pose:
-    """A camera of the browser, in its own unit of length.
+    """A camera of the browser, in its own unit of length."""
 
-    Parameters
-    ----------
-    position, look_at, up : (3,)
-        Where it is, the point about which it orbits, and the axis of that.
-    fov : float
-        Full vertical angle of view, radians.
-    """
-
+    # Where it is, the point about which it orbits, and the axis of that, shape (3,).
     position: Vector
     look_at: Vector
     up: Vector
     fov: float
+    """Full vertical angle of view, radians."""
 
 
 class CameraMap:

@@ -37,15 +37,12 @@ _MOST_RESULTS = 8
 class FrameTarget:
     """An EXR file with guides, shaded everywhere or sparsely; all browsers share its results.
 
+    Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`.
+
     Parameters
     ----------
     path : str
         The file.
-
-    Raises
-    ------
-    FileError, MissingChannelError, InputError
-        As `lobewise.read_frame`.
     """
 
     def __init__(self, path: str) -> None:
@@ -99,10 +96,7 @@ class FrameTarget:
     def render(self, request: Request) -> list[Shot]:
         """Return the frame, filtered by one or two looks.
 
-        Raises
-        ------
-        LobewiseError
-            If the file lacks what a look compares.
+        Raises LobewiseError if the file lacks what a look compares.
         """
         assert isinstance(request.look, FrameLook)
         self._shown[request.client] = request.look

@@ -13,119 +13,80 @@ from lobewise.viewer.looks import Look
 
 @dataclass(frozen=True)
 class Target:
-    """What is looked at.
-
-    Parameters
-    ----------
-    name : str
-        A built-in scene, a Mitsuba XML file or an EXR file.
-    is_frame : bool
-        Whether it is a finished frame.
-    size : (int, int) or None
-        Columns and rows of a rendered scene, None for those of the scene.
-    """
+    """What is looked at."""
 
     name: str
+    """A built-in scene, a Mitsuba XML file or an EXR file."""
     is_frame: bool
+    """Whether it is a finished frame."""
     size: tuple[int, int] | None = None
+    """Columns and rows of a rendered scene, None for those of the scene."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """What the worker found: enough to build the controls of a page.
-
-    Parameters
-    ----------
-    look : SceneLook or FrameLook
-        The settings to begin with.
-    width, height : int
-        Pixels of the picture.
-    camera : Camera or None
-        Where a scene is seen from first; None for a finished frame.
-    look_at : tuple of 3 floats
-        The point about which an orbit turns.
-    methods, similarities, qualities, forms, views : tuple of str
-        What can be chosen. Views are named by `lobewise.viewer.pictures.VIEWS`.
-    sparse, hit_distance : bool
-        Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
-    """
+    """What the worker found: enough to build the controls of a page."""
 
     look: Look
+    """The settings to begin with."""
+    # Pixels of the picture.
     width: int
     height: int
     camera: Camera | None = None
+    """Where a scene is seen from first; None for a finished frame."""
     look_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The point about which an orbit turns."""
+    # What can be chosen. Views are named by `lobewise.viewer.pictures.VIEWS`.
     methods: tuple[str, ...] = ()
     similarities: tuple[str, ...] = ()
     qualities: tuple[str, ...] = ()
     forms: tuple[str, ...] = ()
     views: tuple[str, ...] = ("image",)
+    # Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
     sparse: bool = False
     hit_distance: bool = False
 
 
 @dataclass(frozen=True)
 class Window:
-    """The browser's picture area, and which part of a finished frame it shows.
+    """The browser's picture area, and which part of a finished frame it shows."""
 
-    Parameters
-    ----------
-    width, height : int
-        Pixels of the picture area.
-    zoom : float
-        1 shows the whole picture.
-    centre : (float, float)
-        What is in the middle: 0, 0 is the picture's middle, +-1 half the height that is seen at zoom 1; x right, y up.
-    fill : bool
-        Whether a picture of another aspect is cut instead of getting bars.
-    """
-
+    # Pixels of the picture area.
     width: int = 1
     height: int = 1
     zoom: float = 1.0
+    """1 shows the whole picture."""
     centre: tuple[float, float] = (0.0, 0.0)
+    """The middle of what is seen: 0, 0 is the picture's, +-1 half the height that is seen at zoom 1; x right, y up."""
     fill: bool = False
+    """Whether a picture of another aspect is cut instead of getting bars."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """One picture for one browser.
+    """One picture for one browser."""
 
-    Parameters
-    ----------
-    client, number : int
-        Whose, and which of its requests.
-    window : Window
-    look, other : Look
-        Settings, and those right of the wipe; None without a wipe.
-    wipe : float
-        Where the line is, 0 at the left to 1 at the right.
-    view : str
-        What is shown.
-    stops : float or None
-        Exposure, base-2 logarithm; None to choose it from the image.
-    camera : Camera or None
-        Of a scene.
-    size : (int, int)
-        Columns and rows to render.
-    fresh : bool
-        Whether a scene is rendered, or only what was rendered last is shown anew.
-    accumulate : bool
-        Whether frames of a camera that stands still are averaged.
-    """
-
+    # Whose, and which of its requests.
     client: int
     number: int
     window: Window
+    # Settings, and those right of the wipe; None without a wipe.
     look: Look
     other: Look | None = None
     wipe: float = 0.5
+    """Where the line is, 0 at the left to 1 at the right."""
     view: str = "image"
+    """What is shown."""
     stops: float | None = None
+    """Exposure, base-2 logarithm; None to choose it from the image."""
     camera: Camera | None = None
+    """Of a scene."""
     size: tuple[int, int] = (512, 512)
+    """Columns and rows to render."""
     fresh: bool = True
+    """Whether a scene is rendered, or only what was rendered last is shown anew."""
     accumulate: bool = True
+    """Whether frames of a camera that stands still are averaged."""
 
 
 @dataclass(frozen=True)
@@ -159,36 +120,25 @@ class Progress:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture to show, and its figures.
+    """A picture to show, and its figures."""
 
-    Parameters
-    ----------
-    client, number : int
-        Those of the request.
-    pixels : uint8, (height, width, 3)
-        sRGB.
-    seconds : dict
-        Wall time by stage; "total" is the whole.
-    size : (int, int)
-        Columns and rows that were rendered.
-    stops : float
-        Exposure that was used.
-    accumulated, recomputed, memory : int
-        Frames averaged, pixels shaded again, bytes that the worker holds.
-    final : bool
-        Whether the request is done; of a frame that is filtered for the first time the noisy input comes before.
-    """
-
+    # Those of the request.
     client: int
     number: int
     pixels: NDArray[np.uint8]
+    """sRGB, shape (height, width, 3)."""
     size: tuple[int, int]
+    """Columns and rows that were rendered."""
     stops: float
+    """Exposure that was used."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time by stage; "total" is the whole."""
+    # Frames averaged, pixels shaded again, bytes that the worker holds.
     accumulated: int = 1
     recomputed: int = 0
     memory: int = 0
     final: bool = True
+    """Whether the request is done; of a frame that is filtered for the first time the noisy input comes before."""
 
 
 @dataclass(frozen=True)

@@ -58,10 +58,7 @@ _MOST_MAGNIFIED = 24
 def choose_stops(image: NDArray[np.float32]) -> float:
     """Return the exposure of an image, base-2 logarithm, as the page's slider can show and ask for it.
 
-    Raises
-    ------
-    InputError
-        If no pixel is finite.
+    Raises InputError if no pixel is finite.
     """
     stops = math.log2(choose_exposure(np.ascontiguousarray(image[::4, ::4])))
     return round(min(max(stops, -MOST_STOPS), MOST_STOPS), 1)

@@ -22,6 +22,8 @@ from lobewise.viewer.shots import Shot
 class SceneTarget:
     """A built-in scene or a Mitsuba file.
 
+    Raises LobewiseError as `lobewise.interactive.Session`.
+
     Parameters
     ----------
     name : str
@@ -30,11 +32,6 @@ class SceneTarget:
         Columns and rows; by default those of the scene.
     progress : callable
         Called with ``(done, total)`` while a method prepares the scene.
-
-    Raises
-    ------
-    LobewiseError
-        As `lobewise.interactive.Session`.
     """
 
     def __init__(self, name: str, size: tuple[int, int] | None, progress: Callable[[int, int], None]) -> None:
@@ -74,10 +71,7 @@ class SceneTarget:
     def render(self, request: Request) -> list[Shot]:
         """Return the next frame of a browser, or what it had last where nothing is to be rendered.
 
-        Raises
-        ------
-        LobewiseError
-            If the method finds nothing to work with, or the camera is not one.
+        Raises LobewiseError if the method finds nothing to work with, or the camera is not one.
         """
         looks = [_to_settings(look, request.accumulate) for look in (request.look, request.other) if look is not None]
         last = self._last.get(request.client, [])
@@ -103,10 +97,7 @@ class SceneTarget:
     def write(self, client: int) -> tuple[str, bytes]:
         """Return name and bytes of an EXR file of a browser's last image, with its guides.
 
-        Raises
-        ------
-        InputError
-            If it has none yet.
+        Raises InputError if it has none yet.
         """
         if client not in self._last:
             raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")

@@ -149,10 +149,7 @@ class Viewer:
 def find_port(host: str, port: int) -> int:
     """Return ``port``, or the next one that is free on the host.
 
-    Raises
-    ------
-    InputError
-        If there is no such host here, or no port of the next hundred is free.
+    Raises InputError if there is no such host here, or no port of the next hundred is free.
     """
     reason = ""
     for candidate in range(port, min(port + _LAST_PORT_AFTER, 65536)) if port else (0,):

@@ -12,26 +12,17 @@ from lobewise.viewer.messages import Description, Request
 
 @dataclass(frozen=True)
 class Shot:
-    """One image and how it was made.
-
-    Parameters
-    ----------
-    image : (height, width, 3)
-        Linear radiance.
-    get_view : callable
-        Returns the array of a view by its name: radiance and colours (height, width, 3), numbers (height, width).
-    size : (int, int)
-        Columns and rows.
-    seconds : dict
-        Wall time by stage, "total" among them.
-    accumulated, recomputed : int
-        Frames averaged, pixels shaded again.
-    """
+    """One image and how it was made."""
 
     image: FloatArray
+    """Linear radiance, shape (height, width, 3)."""
     get_view: Callable[[str], FloatArray]
+    """Returns the array of a view by its name: radiance and colours (height, width, 3), numbers (height, width)."""
     size: tuple[int, int]
+    """Columns and rows."""
     seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time by stage, "total" among them."""
+    # Frames averaged, pixels shaded again.
     accumulated: int = 1
     recomputed: int = 0
 

@@ -49,6 +49,9 @@ def count_slab_rows(part: Part) -> int:
 class BandReader:
     """A frame in a file, read some rows at a time; every row is decoded once and kept until it is forgotten.
 
+    Raises FileError, MissingChannelError or InputError as `lobewise.io.exr.read_frame`, as far as the header tells; and
+    FileError if a part that is read has subsampled channels, whose rows are not those of the image.
+
     Parameters
     ----------
     path : path
@@ -57,12 +60,6 @@ class BandReader:
         As in `lobewise.io.exr.read_frame`.
     wanted : collection of (owner, field), optional
         The images that frames shall have, where the file has them; by default all.
-
-    Raises
-    ------
-    FileError, MissingChannelError, InputError
-        As `lobewise.io.exr.read_frame`, as far as the header tells; and FileError if a part that is read has
-        subsampled channels, whose rows are not those of the image.
     """
 
     def __init__(
@@ -186,6 +183,8 @@ class BandWriter:
 
     What becomes of the file is what `lobewise.io.exr.write_result` says.
 
+    Raises FileError if the part of an image is of a kind that cannot be written.
+
     Parameters
     ----------
     reader : BandReader
@@ -194,11 +193,6 @@ class BandWriter:
         Which images are going to be given: of ``color``, ``diffuse`` and ``specular``.
     spool : binary file
         Where chunks lie until all are there.
-
-    Raises
-    ------
-    FileError
-        If the part of an image is of a kind that cannot be written.
     """
 
     def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
@@ -235,10 +229,7 @@ class BandWriter:
     def finish(self, path: PathLike, settings: Mapping[str, Any]) -> None:
         """Write the file, whole or not at all, with ``settings`` in its header.
 
-        Raises
-        ------
-        FileError
-            If the path cannot be written.
+        Raises FileError if the path cannot be written.
         """
         container = self._reader.container
         headers = make_headers(container, self._reader.beauty, settings)

@@ -29,10 +29,7 @@ def make_headers(container: Container, beauty: Part, settings: Mapping[str, Any]
 def read_camera(part: Part) -> Camera | None:
     """Return the camera of a part's header, or None.
 
-    Raises
-    ------
-    InputError
-        If some of its attributes are missing, or make no sense.
+    Raises InputError if some of its attributes are missing, or make no sense.
     """
     found = {item.name[len(CAMERA) :]: item for item in part.attributes if item.name.startswith(CAMERA)}
     if not found:
@@ -61,10 +58,7 @@ def read_spp(part: Part) -> int | None:
 def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
     """Return the lobe tables of a part's header, in the order of their numbers.
 
-    Raises
-    ------
-    FileError
-        If one is missing before the last, or is no lobe table.
+    Raises FileError if one is missing before the last, or is no lobe table.
     """
     found = [item for item in part.attributes if item.name.startswith(LOBES)]
     tables = []

@@ -129,10 +129,7 @@ def put_images(
 def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Slot]]]:
     """Return which images of a frame are read from which part.
 
-    Raises
-    ------
-    MissingChannelError
-        If an image has only some of its channels.
+    Raises MissingChannelError if an image has only some of its channels.
     """
     known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
     plan: dict[int, list[Slot]] = {}

@@ -51,10 +51,7 @@ class _Damaged(Exception):
 def read_container(path: PathLike) -> Container:
     """Read the structure of an OpenEXR file and check that every chunk lies inside it.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be opened, is not OpenEXR, or is damaged, truncated or unfinished.
+    Raises FileError if the file cannot be opened, is not OpenEXR, or is damaged, truncated or unfinished.
     """
     file = require_readable(path)
     try:
@@ -76,10 +73,7 @@ def read_container(path: PathLike) -> Container:
 def parse_bytes(data: bytes) -> Container:
     """Return the structure of a file that is held in memory.
 
-    Raises
-    ------
-    FileError
-        If it is not a whole OpenEXR file.
+    Raises FileError if it is not a whole OpenEXR file.
     """
     try:
         return _parse(Path("memory"), io.BytesIO(data))

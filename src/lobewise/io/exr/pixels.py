@@ -30,10 +30,7 @@ _quiet = threading.Lock()
 def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
     """Return every channel of a part, each (height, width) in its own type: uint32, float16 or float32.
 
-    Raises
-    ------
-    FileError
-        If the pixels are damaged, or the part holds deep samples.
+    Raises FileError if the pixels are damaged, or the part holds deep samples.
     """
     OpenEXR = _load_library()
     name = f"input {str(container.path)!r}"
@@ -72,10 +69,7 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
 def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) -> list[tuple[int, bytes]]:
     """Return the chunks of ``part`` with new pixels, as (index in the chunk table, bytes without part number).
 
-    Raises
-    ------
-    FileError
-        As `require_encodable`.
+    Raises FileError as `require_encodable`.
     """
     require_encodable(container, part)
     header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
@@ -103,10 +97,7 @@ def encode_file(
 ) -> bytes:
     """Return a single-part file; types, tiles and compression follow ``part`` where it is given.
 
-    Raises
-    ------
-    FileError
-        If the library cannot encode the pixels.
+    Raises FileError if the library cannot encode the pixels.
     """
     OpenEXR = _load_library()
     numbers = {name: number for number, (name, _) in COMPRESSIONS.items()}

@@ -18,28 +18,19 @@ LOBES = "lobewise/lobes/"
 
 @dataclass(frozen=True)
 class Slot:
-    """One image of a frame and the channels that hold it.
+    """One image of a frame and the channels that hold it."""
 
-    Parameters
-    ----------
-    owner, field : str
-        Where it lives: `Frame` attribute and the attribute of that.
-    channels : tuple of str
-        Full channel names, in the order of the image's last axis.
-    kind : str
-        ``radiance``, ``variance``, ``share`` or ``geometry``; decides the pixel type.
-    meaning : str
-        What the values are: unit, space, range.
-    missing : str
-        What follows when the channels are not there.
-    """
-
+    # Where it lives: `Frame` attribute and the attribute of that.
     owner: str
     field: str
     channels: tuple[str, ...]
+    """Full channel names, in the order of the image's last axis."""
     kind: str
+    """``radiance``, ``variance``, ``share`` or ``geometry``; decides the pixel type."""
     meaning: str
+    """What the values are: unit, space, range."""
     missing: str
+    """What follows when the channels are not there."""
 
     @property
     def label(self) -> str:
