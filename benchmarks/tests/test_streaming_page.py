@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.bad_pixels import REFILL_REACH
 from lobewise.denoising.recipe import find_reach, resolve_all
-from lobewise.denoising.refilling import REFILL_REACH
 from lobewise.streaming.plan import FEWEST_ROWS, WHOLE
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT, load_publisher

@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.bad_pixels import (
+    find_bad_pixels,
+    find_good,
+    find_mean_color,
+    refill,
+    require_some_good,
+    sum_colors,
+)
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.history.accumulation import run_upsampling

@@ -13,8 +13,7 @@ import pytest
 import lobewise
 from lobewise.camera import Camera
 from lobewise.denoising import denoise
-from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
-from lobewise.denoising.noise import estimate_spp
+from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.settings import DenoiseSettings

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise.denoising.noise import PARTS, find_halves
 from lobewise.frame import Frame, Radiance
+from lobewise.guides.halves import PARTS, find_halves
 
 
 def put_bad(radiance: Radiance, name: str) -> Radiance:

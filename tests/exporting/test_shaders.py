@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.errors import FileError, InputError
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shader import export_shader, make_shader
-from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
+from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.fitting.arrays import normalize
 from lobewise.lobes.covariance import GGX_SHARPNESS
 from lobewise.lobes.directions import MIN_COSINE

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lobewise.features import GgxFeature
-from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
 from lobewise.features.ggx import GGX_UNIT, TAIL_SQUARINGS
+from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.filters.cross_filter import run_filter
 from tests.filters.reference import filter_reference
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.bad_pixels import REFILL_REACH, refill
 from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
-from lobewise.denoising.refilling import REFILL_REACH, refill
 from lobewise.features import ScreenFeature
 from lobewise.filters import compositing, fireflies, mixing, noise_guides
 from lobewise.filters.compositing import composite_light

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
+from lobewise.guides.places import add_grid, estimate_curvature, find_virtual_places
 
 WIDTH, HEIGHT = 48, 32
 CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.3)

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 
 import halide as hl
 
+from lobewise.lobes.numbers import Namespace
+
 LOG2_E = math.log2(math.e)
 
 # Relative minimax polynomial of 2^f on [0, 1], degree 4, highest power first: error 2.7e-6.
@@ -74,3 +76,22 @@ def dot(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> hl.Expr:
 def subtract(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> list[hl.Expr]:
     """Return a - b, component by component."""
     return [p - q for p, q in zip(a, b, strict=True)]
+
+
+class _Halide:
+    """Expressions of float32."""
+
+    number = staticmethod(hl.f32)
+    where = staticmethod(hl.select)
+    sqrt = staticmethod(hl.sqrt)
+    minimum = staticmethod(hl.min)
+    maximum = staticmethod(hl.max)
+    abs = staticmethod(hl.abs)
+
+    @staticmethod
+    def expm1(value: hl.Expr) -> hl.Expr:
+        """Return ``exp(value) - 1``, which loses digits near 0, where no formula here is."""
+        return hl.exp(value) - 1.0
+
+
+HALIDE: Namespace = _Halide()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import threading
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 import halide as hl
 
+from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.runtime import Runtime, compile_object, get_runtime
@@ -145,6 +146,44 @@ def count_compiled_kernels() -> int:
 def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Compilable], *, strict: bool = False) -> Kernel:
     """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats."""
     return _kernels.get(device, key, make, strict)
+
+
+def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
+    """Run a kernel and return what it writes, in the order of its signature.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        All sizes of its outputs are also sizes of its inputs.
+    device : str
+        Its device.
+    images : mapping of str to Image
+        What it reads, by name; see `lobewise.backend.buffers.take_image`.
+    **numbers
+        Likewise.
+
+    Raises
+    ------
+    TypeError
+        If a name is missing or unknown, or an image is not of the type, size or layout that the kernel relies on.
+    DeviceError
+        If the device fails, or has no memory.
+    """
+    sizes = {
+        axis: length
+        for each in kernel.parameters
+        if each.role == "input" and each.name in images
+        for axis, length in zip(each.axes, images[each.name].shape, strict=False)
+        if isinstance(axis, str)
+    }
+    # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
+    lent = {name: lend(image, device) for name, image in images.items()}
+    types = {each.name: each.type for each in kernel.outputs}
+    outputs = {
+        name: make_output(shape, device, type=types[name]) for name, shape in kernel.list_shapes(**sizes).items()
+    }
+    kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in outputs.items()})
+    return {name: image for name, (_, image) in outputs.items()}
 
 
 def _load(

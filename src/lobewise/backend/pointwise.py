@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import download, take_mask
-from lobewise.backend.calls import run_kernel
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
 

@@ -1,4 +1,4 @@
-"""What "auto" stands for on a frame."""
+"""What "auto" stands for on a frame, and how noisy that is."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lobewise.backend.devices import choose_device
-from lobewise.denoising.noise import estimate_spp
 from lobewise.errors import InputError, require_choice
 from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
@@ -18,6 +20,8 @@ DEFAULT_SIMILARITY: Similarity = "ggx"
 """What "auto" takes where the frame has lobes: the winner of benchmarks/results/similarities.json."""
 DEFAULT_QUALITY: Quality = "balanced"
 """What "auto" takes for the full form."""
+NOISE, FALL = 0.0825, 0.56
+"""Of `expect_noise`: what it is at 4 samples, and with which power of their count it falls."""
 
 
 def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> DenoiseSettings:
@@ -153,3 +157,56 @@ def resolve_settings(
         lobes=settings.lobes,
         hit_distance=settings.hit_distance not in ("auto", False),
     )
+
+
+def estimate_spp(frame: AnyFrame) -> float:
+    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0; see `judge_noise`."""
+    return judge_noise(list_relative_variances(frame), frame.spp)
+
+
+def list_relative_variances(frame: AnyFrame) -> NDArray[np.float64]:
+    """Return the variance of the mean over its square at every lit pixel, (count,); none without variance."""
+    if frame.variance is None:
+        return np.empty(0)
+    # The square of a very dim mean underflows in float32.
+    mean, variance = (
+        (image[..., 0].astype(np.float64) + image[..., 1] + image[..., 2]) / 3.0
+        for image in (frame.radiance.color, frame.variance.color)
+    )
+    lit = np.isfinite(mean) & np.isfinite(variance) & (mean > 0.0) & (variance >= 0.0)
+    return np.asarray(variance[lit] / mean[lit] ** 2)
+
+
+def judge_noise(variances: NDArray[np.float64], spp: int | None) -> float:
+    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
+
+    Where the frame has its variance, the median relative variance of the mean is compared with what a well-lit scene
+    has at the same sample count, `expect_noise`. A dim, indirectly lit room is then worth fewer samples than it took.
+    Without variance it is the sample count itself, and without that 4.
+
+    Parameters
+    ----------
+    variances : (count,)
+        What `list_relative_variances` gives.
+    spp : int or None
+        Samples that the frame took.
+    """
+    if not variances.size:
+        return float(spp or 4.0)
+    noise = max(float(np.median(variances)), 1e-9)
+    if spp is None:
+        return float(np.clip(expect_spp(noise), 0.25, 4096.0))
+    return spp / float(np.clip(noise / expect_noise(spp), 0.25, 16.0))
+
+
+def expect_noise(spp: float) -> float:
+    """Return the relative variance that the built-in ``showroom`` has at a sample count, its median over the pixels.
+
+    It falls more slowly than 1/spp because few samples hide the tail.
+    """
+    return NOISE * math.pow(4.0 / spp, FALL)
+
+
+def expect_spp(noise: float) -> float:
+    """Return at how many samples a pixel `expect_noise` is ``noise``."""
+    return 4.0 * math.pow(NOISE / noise, 1.0 / FALL)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import choose_quality, resolve_settings
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
-from lobewise.denoising.noise import find_halves
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.compositing import composite_light
@@ -29,6 +28,7 @@ from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.halves import find_halves
 from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 

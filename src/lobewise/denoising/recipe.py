@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
-from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.bad_pixels import (
+    blacken_bad,
+    find_bad_pixels,
+    find_good,
+    find_mean_color,
+    refill,
+    require_some_good,
+    sum_colors,
+)
 from lobewise.denoising.combining import combine_with_peer, share_out
 from lobewise.denoising.guided import (
     CleanLayer,
@@ -23,7 +31,6 @@ from lobewise.denoising.guided import (
 )
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.layers import Layer, Support, find_support, make_layers
-from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.fireflies import find_energy_lost

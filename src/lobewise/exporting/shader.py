@@ -11,7 +11,7 @@ import re
 from lobewise.errors import require_choice
 from lobewise.exporting.folder import MARK, fill_template, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
-from lobewise.features.diffuse import LAMBERT_COEFFICIENTS
+from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
 from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS
 from lobewise.lobes.covariance import MIN_COSINE as MIN_VIEW_COSINE

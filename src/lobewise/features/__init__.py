@@ -1,13 +1,11 @@
-"""What makes two pixels similar: a distribution per pixel, one file each."""
+"""What makes two pixels similar: a distribution per pixel, close kin in one file."""
 
 from lobewise.features.asg import AsgFeature
-from lobewise.features.band_limit import BandLimitFeature
 from lobewise.features.base import Feature
-from lobewise.features.diffuse import DiffuseFeature
 from lobewise.features.ggx import GgxFeature
-from lobewise.features.normal import NormalFeature
+from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
-from lobewise.features.screen import ScreenFeature, TentFeature
+from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
 from lobewise.features.seen import HitDistanceFeature, SeenFeature
 from lobewise.features.sg import SgFeature
 from lobewise.features.sg_mixture import SgMixtureFeature

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download, returns_host_images, take_image, take_mask
-from lobewise.backend.calls import run_kernel
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance

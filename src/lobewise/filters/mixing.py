@@ -19,8 +19,7 @@ import numpy as np
 
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, returns_host_images, take_image
-from lobewise.backend.calls import run_kernel
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError, describe_problem
 from lobewise.filters.cross_pass import COLORS, find_luminance

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image, take_mask
-from lobewise.backend.calls import run_kernel
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance

@@ -9,7 +9,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.namespace import HALIDE
+from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError

@@ -10,7 +10,7 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.namespace import HALIDE
+from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks

@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.automatic import ask, needs_spp
-from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, require_some_good
+from lobewise.denoising.automatic import ask, judge_noise, list_relative_variances, needs_spp
+from lobewise.denoising.bad_pixels import (
+    REFILL_REACH,
+    blacken_bad,
+    find_bad_pixels,
+    find_mean_color,
+    refill,
+    require_some_good,
+    sum_colors,
+)
 from lobewise.denoising.guided import make_bounded_layers, measure_layer
-from lobewise.denoising.noise import judge_noise, list_relative_variances
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
-from lobewise.denoising.refilling import REFILL_REACH, find_mean_color, refill, sum_colors
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost

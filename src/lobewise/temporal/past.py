@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, LobewiseError
-from lobewise.filters.history.reprojection import run_reprojection
-from lobewise.filters.history.reprojection_pass import AGREEMENT
+from lobewise.filters.history.reprojection import AGREEMENT, run_reprojection
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
-from lobewise.guides.places import find_surface_places
+from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
-from lobewise.temporal.places import add_grid, estimate_curvature, find_virtual_places
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 
 AGREES = 0.1

@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.automatic import require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import blacken_bad, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
+from lobewise.denoising.bad_pixels import (
+    blacken_bad,
+    find_bad_pixels,
+    find_good,
+    find_mean_color,
+    refill,
+    require_some_good,
+    sum_colors,
+)
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.noise import estimate_spp, expect_noise
 from lobewise.denoising.recipe import compose, keep_unfiltered
-from lobewise.denoising.refilling import find_mean_color, refill, sum_colors
 from lobewise.errors import require_choice
 from lobewise.features import Feature
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
