@@ -141,3 +141,23 @@ def test_no_file_of_the_lobes_is_for_tests_alone(path: Path) -> None:
     read = [node for other in [path, *users] for node in ast.walk(ast.parse(other.read_text()))]
     used = {node.id for node in read if isinstance(node, ast.Name)}
     assert {name for name in names if not name.startswith("_")} <= used
+
+
+MOST_FILES, MOST_LINES, LONGEST_FUNCTION = 15, 400, 90
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in SOURCE.rglob("*.py")}), ids=str)
+def test_no_folder_is_two_rooms(folder: Path) -> None:
+    assert len(list(folder.glob("*.py"))) <= MOST_FILES
+
+
+@pytest.mark.parametrize("path", list_modules(), ids=lambda path: str(path.relative_to(SOURCE)))
+def test_files_are_short_and_say_what_they_are(path: Path) -> None:
+    text = path.read_text()
+    tree = ast.parse(text)
+    assert text.count("\n") <= MOST_LINES
+    assert ast.get_docstring(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            assert node.end_lineno is not None
+            assert node.end_lineno - node.lineno < LONGEST_FUNCTION, node.name
