@@ -132,13 +132,8 @@ def filter_sequence(
     run = _Run(frames, output, json.dumps([fingerprint, *names, lobewise.__version__]))
     active, start, note = run.resume(kept, make_filter)
     resumed_after = frames[start - 1][0] if start else None
-    said = (
-        note
-        if resumed_after is None
-        else f"Going on after frame {resumed_after}, as the checkpoint {str(kept)!r} says."
-    )
-    if remark is not None and said:
-        remark(said)
+    if remark is not None and (start or note):
+        remark(note or f"Going on after frame {resumed_after}, as the checkpoint {str(kept)!r} says.")
     tell = progress or (lambda what, done, total: None)
     tell("frames", start, len(frames))
     last: ResultT | None = None
