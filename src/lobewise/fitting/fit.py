@@ -185,12 +185,9 @@ def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> 
     view = turn @ np.asarray([math.sqrt(max(0.0, 1.0 - cosine * cosine)), 0.0, cosine])
     values: Array = np.asarray(evaluate(np.tile(view, (light.shape[0], 1)), light), dtype=np.float64)
     if values.shape not in (light.shape, light.shape[:1]):
-        raise InputError(
-            "evaluate",
-            expected=f"an array of shape {light.shape} or {light.shape[:1]}",
-            got=f"shape {values.shape}",
-            action="return three numbers or one per direction",
-        )
+        expected = f"an array of shape {light.shape} or {light.shape[:1]}"
+        got = f"shape {values.shape}"
+        raise InputError("evaluate", expected=expected, got=got, action="return three numbers or one per direction")
     if values.ndim == 1:
         values = np.repeat(values[:, None], 3, axis=1)
     good = np.asarray((np.isfinite(values) & (values >= 0.0)).all(axis=1))
@@ -206,12 +203,9 @@ def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | N
     """Return the lobes of one view; the neighbour's lobes are a start, and kept in order unless much worse."""
     if neighbour is None:
         if not data.target.any():
-            raise InputError(
-                f"reflection at n.v = {data.cosine:g}",
-                expected="values above 0",
-                got="none",
-                action="leave out the cosines without data",
-            )
+            expected = "values above 0"
+            action = "leave out the cosines without data"
+            raise InputError(f"reflection at n.v = {data.cosine:g}", expected=expected, got="none", action=action)
         start = None
     else:
         start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
@@ -384,9 +378,6 @@ def _require_scipy() -> None:
     try:
         import scipy.optimize  # noqa: F401 - only to see whether it is there
     except ImportError as problem:
-        raise MissingDependencyError(
-            "fitting lobes",
-            expected="the package scipy",
-            got=str(problem),
-            action="install it with `pip install 'lobewise[fit]'`",
-        ) from problem
+        expected = "the package scipy"
+        action = "install it with `pip install 'lobewise[fit]'`"
+        raise MissingDependencyError("fitting lobes", expected=expected, got=str(problem), action=action) from problem

@@ -164,12 +164,9 @@ def make_merl(brdf: Callable[[Array, Array], Any], name: str = "") -> MerlBrdf:
         values = np.asarray(brdf(view[above], light[above]))
         count = int(above.sum())
         if values.shape not in ((count,), (count, 3)):
-            raise InputError(
-                "brdf",
-                expected=f"an array of shape ({count},) or ({count}, 3)",
-                got=f"shape {values.shape}",
-                action="return one number or three per direction",
-            )
+            expected = f"an array of shape ({count},) or ({count}, 3)"
+            got = f"shape {values.shape}"
+            raise InputError("brdf", expected=expected, got=got, action="return one number or three per direction")
         rows = samples[index]
         rows[above, :3] = values if values.ndim == 2 else values[:, None]
         rows[above, 3] = 1.0
@@ -201,12 +198,8 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
             action="pass a .binary file of the MERL database's layout",
         )
     if size != FILE_BYTES:
-        raise FileError(
-            what,
-            expected=f"{FILE_BYTES} bytes",
-            got=f"{size}, so {'the end is missing' if size < FILE_BYTES else 'something follows the table'}",
-            action="copy or download it again",
-        )
+        got = f"{size}, so {'the end is missing' if size < FILE_BYTES else 'something follows the table'}"
+        raise FileError(what, expected=f"{FILE_BYTES} bytes", got=got, action="copy or download it again")
     planes = np.frombuffer(data, "<f8", offset=HEADER_BYTES).reshape(3, *BINS)
     samples = np.empty((*BINS, 4), dtype=np.float32)
     samples[..., 3] = 1.0

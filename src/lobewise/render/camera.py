@@ -37,12 +37,8 @@ def get_image_size(scene: Any) -> tuple[int, int]:
 def _get_perspective_sensor(scene: Any) -> Any:
     sensor = _get_sensor(scene)
     if sensor.class_name() != "PerspectiveCamera":
-        raise InputError(
-            "sensor",
-            expected="type 'perspective'",
-            got=str(sensor.class_name()),
-            action="reflection lobes need one viewpoint for all pixels; use a perspective sensor",
-        )
+        action = "reflection lobes need one viewpoint for all pixels; use a perspective sensor"
+        raise InputError("sensor", expected="type 'perspective'", got=str(sensor.class_name()), action=action)
     return sensor
 
 
@@ -69,12 +65,9 @@ def get_camera(scene: Any) -> Camera:
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
     error = float(np.abs(np.array(rays.d).T - expected).max())
     if not error < RAY_TOLERANCE:
-        raise InputError(
-            "sensor",
-            expected="a pinhole whose film is centred and not mirrored",
-            got=f"rays that differ by {error:.2g} from it",
-            action="remove crop windows, principal point offsets and negative scales from the sensor",
-        )
+        got = f"rays that differ by {error:.2g} from it"
+        action = "remove crop windows, principal point offsets and negative scales from the sensor"
+        raise InputError("sensor", expected="a pinhole whose film is centred and not mirrored", got=got, action=action)
     return camera
 
 
@@ -92,12 +85,9 @@ def set_camera(scene: Any, camera: Camera) -> None:
     width, height = get_image_size(scene)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
-        raise InputError(
-            "camera fov_x",
-            expected=f"square pixels on an image of {width}x{height}",
-            got=f"pixels {half_width * height / (half_height * width):.4g} times as wide as high",
-            action="leave fov_x out",
-        )
+        expected = f"square pixels on an image of {width}x{height}"
+        got = f"pixels {half_width * height / (half_height * width):.4g} times as wide as high"
+        raise InputError("camera fov_x", expected=expected, got=got, action="leave fov_x out")
     matrix = np.eye(4)
     # Mitsuba's x points to the left of the image.
     matrix[:3] = np.stack([-camera.right, camera.up, camera.forward, camera.position], axis=-1)

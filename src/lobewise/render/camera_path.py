@@ -104,12 +104,9 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
             name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file"
         ) from None
     if not isinstance(entries, list) or not entries:
-        raise InputError(
-            name,
-            expected="a JSON list of cameras, one for each frame",
-            got="an empty list" if entries == [] else f"a {type(entries).__name__}",
-            action='write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]',
-        )
+        got = "an empty list" if entries == [] else f"a {type(entries).__name__}"
+        action = 'write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]'
+        raise InputError(name, expected="a JSON list of cameras, one for each frame", got=got, action=action)
     return [_make_camera(f"{name}, entry {number}", entry, camera) for number, entry in enumerate(entries, start=1)]
 
 
@@ -121,12 +118,9 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     for key in entry:
         require_choice(f"{name}, key", key, _KEYS)
     if "position" not in entry or ("target" in entry) == ("forward" in entry):
-        raise InputError(
-            name,
-            expected="position, and either target or forward",
-            got=", ".join(entry) or "nothing",
-            action="say where the camera is and where it looks",
-        )
+        expected = "position, and either target or forward"
+        got = ", ".join(entry) or "nothing"
+        raise InputError(name, expected=expected, got=got, action="say where the camera is and where it looks")
     position = _read_vector(name, entry, "position")
     if "target" in entry:
         forward = _read_vector(name, entry, "target") - position

@@ -128,12 +128,9 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
         require_choice("moves", name, numbers)
         matrix = np.asarray(move, dtype=np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise InputError(
-                f"moves[{name!r}]",
-                expected="a finite matrix of shape (4, 4)",
-                got=f"an array of shape {matrix.shape}",
-                action="pass what takes points of now to where they were",
-            )
+            got = f"an array of shape {matrix.shape}"
+            action = "pass what takes points of now to where they were"
+            raise InputError(f"moves[{name!r}]", expected="a finite matrix of shape (4, 4)", got=got, action=action)
         there = position @ matrix[:3, :3].T + matrix[:3, 3]
         before = np.where((shape == numbers[name])[..., None], there, before)
     return np.asarray(before)

@@ -118,12 +118,9 @@ class MovingScene:
 
 def _require_moving(name: str) -> None:
     if name not in list_moving_scenes():
-        raise InputError(
-            "scene",
-            expected=f"one whose objects move: {' or '.join(list_moving_scenes())}",
-            got=repr(name),
-            action="take one of them, or let the camera move alone",
-        )
+        expected = f"one whose objects move: {' or '.join(list_moving_scenes())}"
+        got = repr(name)
+        raise InputError("scene", expected=expected, got=got, action="take one of them, or let the camera move alone")
 
 
 def _load_built_in(name: str, width: int, height: int, time: float) -> Any:
@@ -198,12 +195,9 @@ def _load_file(path: Path, width: int | None, height: int | None) -> Any:
     try:
         scene = mi.load_file(str(path))
     except (RuntimeError, OSError) as error:
-        raise InputError(
-            str(path),
-            expected="a scene that Mitsuba understands",
-            got=" ".join(str(error).split()),
-            action="mend the file",
-        ) from error
+        expected = "a scene that Mitsuba understands"
+        action = "mend the file"
+        raise InputError(str(path), expected=expected, got=" ".join(str(error).split()), action=action) from error
     if not isinstance(scene, mi.Scene):
         raise InputError(
             str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"

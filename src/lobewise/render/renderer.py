@@ -38,12 +38,9 @@ LIGHTS = {"all": 0, "indirect": 2}
 def _check_scene(scene: Any) -> None:
     variant = mi.variant()
     if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
-        raise InputError(
-            "scene",
-            expected="a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values()),
-            got=f"a {type(scene).__name__} under the variant {variant}",
-            action="call load_mitsuba() first, then load the scene",
-        )
+        expected = "a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values())
+        got = f"a {type(scene).__name__} under the variant {variant}"
+        raise InputError("scene", expected=expected, got=got, action="call load_mitsuba() first, then load the scene")
 
 
 def _plan_tiles(width: int, height: int) -> Iterator[tuple[int, int]]:
@@ -340,12 +337,9 @@ def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, i
         shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
         raise InputError("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
     if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
-        raise InputError(
-            "rows and columns",
-            expected=f"pixels of an image of {width}x{height}",
-            got=f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}",
-            action="count both from 0",
-        )
+        expected = f"pixels of an image of {width}x{height}"
+        got = f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}"
+        raise InputError("rows and columns", expected=expected, got=got, action="count both from 0")
     return np.asarray(rows * width + columns, dtype=np.uint32)
 
 

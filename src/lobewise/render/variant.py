@@ -120,12 +120,9 @@ def find_llvm() -> str:
     if chosen:
         version = query_llvm_version(chosen)
         if version is None or version < OLDEST_LLVM:
-            raise MissingDependencyError(
-                LIBRARY_VARIABLE,
-                expected=f"the path of a libLLVM of version {OLDEST_LLVM} or newer",
-                got=chosen,
-                action="unset it to search the usual places, or name another library",
-            )
+            expected = f"the path of a libLLVM of version {OLDEST_LLVM} or newer"
+            action = "unset it to search the usual places, or name another library"
+            raise MissingDependencyError(LIBRARY_VARIABLE, expected=expected, got=chosen, action=action)
         return chosen
     candidates = list_llvm_libraries()
     for path in rank_llvm_libraries(candidates):
@@ -164,22 +161,14 @@ def load_mitsuba(device: str = "auto") -> Any:
     current = mi.variant()
     if current in VARIANTS.values():
         if device != "auto" and VARIANTS[device] != current:
-            raise DeviceError(
-                "device",
-                expected=f"the one in use, {current}",
-                got=repr(device),
-                action="start another process: scenes cannot move between Mitsuba's variants",
-            )
+            action = "start another process: scenes cannot move between Mitsuba's variants"
+            raise DeviceError("device", expected=f"the one in use, {current}", got=repr(device), action=action)
         return mi
 
     has_cuda = bool(dr.has_backend(dr.JitBackend.CUDA)) if device != "cpu" else False
     if device == "cuda" and not has_cuda:
-        raise DeviceError(
-            "device 'cuda'",
-            expected="an NVIDIA GPU and its driver",
-            got="none that Dr.Jit can use",
-            action="pass device='cpu'",
-        )
+        got = "none that Dr.Jit can use"
+        raise DeviceError("device 'cuda'", expected="an NVIDIA GPU and its driver", got=got, action="pass device='cpu'")
     chosen = "cuda" if has_cuda else "cpu"
     if chosen == "cpu" and sys.platform != "win32":  # on Windows Dr.Jit searches PATH for LLVM-C.dll itself
         os.environ[LIBRARY_VARIABLE] = find_llvm()

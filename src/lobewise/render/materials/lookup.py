@@ -77,12 +77,9 @@ def open_scene_material(reference: str) -> SceneMaterial:
     bsdf = _find_bsdf(load_scene(scene), scene, name)
     evaluate = make_specular_evaluate(bsdf, find_parts(bsdf))
     if evaluate is None:
-        raise InputError(
-            f"BSDF {name!r}",
-            expected="a glossy lobe",
-            got="mirrors or diffuse lobes alone",
-            action="only glossy reflection can be fitted",
-        )
+        expected = "a glossy lobe"
+        got = "mirrors or diffuse lobes alone"
+        raise InputError(f"BSDF {name!r}", expected=expected, got=got, action="only glossy reflection can be fitted")
     isotropic = is_isotropic(evaluate)
     cosines = list_fitted_views(evaluate, np.asarray(COSINES) if isotropic else make_views(isotropic))
     return SceneMaterial(name, evaluate, cosines, None if isotropic else make_azimuths())
@@ -99,17 +96,11 @@ def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
     found.pop("", None)
     if name not in found:
         near = difflib.get_close_matches(name, found, n=_MOST_SHOWN, cutoff=0.0)
-        raise InputError(
-            f"scene {scene_name!r}",
-            expected=f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs",
-            got=repr(name),
-            action="correct the id" if near else "give the BSDF an id in the scene",
-        )
+        expected = f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs"
+        action = "correct the id" if near else "give the BSDF an id in the scene"
+        raise InputError(f"scene {scene_name!r}", expected=expected, got=repr(name), action=action)
     if len(found[name]) > 1:
-        raise InputError(
-            f"scene {scene_name!r}",
-            expected=f"one BSDF with the id {name!r}",
-            got=str(len(found[name])),
-            action="name the shape that carries it",
-        )
+        expected = f"one BSDF with the id {name!r}"
+        got = str(len(found[name]))
+        raise InputError(f"scene {scene_name!r}", expected=expected, got=got, action="name the shape that carries it")
     return next(iter(found[name].values()))

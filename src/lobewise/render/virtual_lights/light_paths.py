@@ -175,12 +175,9 @@ class LightPaths:
         ray, power, emitter = scene.sample_emitter_ray(0.0, first[0], place, aim, True)
         power = power * share * self._widen(ray, emitter)
         if not dr.any((dr.max(power) > 0) & dr.isfinite(dr.max(power))):
-            raise InputError(
-                "scene",
-                expected="an emitter that sends light out",
-                got=f"{len(scene.emitters())} emitters and no light from them",
-                action="add one, or switch one on",
-            )
+            expected = "an emitter that sends light out"
+            got = f"{len(scene.emitters())} emitters and no light from them"
+            raise InputError("scene", expected=expected, got=got, action="add one, or switch one on")
         rng = mi.PCG32()
         state, sequence = mi.sample_tea_32(path, dr.opaque(mi.UInt32, self._seed & 0xFFFFFFFF))
         rng.seed(initstate=state, initseq=sequence)

@@ -89,12 +89,8 @@ class VoxelCones:
         progress: Progress | None = None,
     ) -> None:
         if resolution not in RESOLUTIONS:
-            raise InputError(
-                "resolution",
-                expected="one of " + ", ".join(map(str, RESOLUTIONS)),
-                got=repr(resolution),
-                action="pass resolution=128",
-            )
+            expected = "one of " + ", ".join(map(str, RESOLUTIONS))
+            raise InputError("resolution", expected=expected, got=repr(resolution), action="pass resolution=128")
         require_integer("bounces", bounces, 0, 16)
         require_integer("light_samples", light_samples, 1, 1024)
         self._scene = scene

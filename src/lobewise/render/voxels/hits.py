@@ -89,12 +89,8 @@ def find_bounds(scene: Any, resolution: int) -> Bounds:
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
     if not extent > 0.0:
-        raise InputError(
-            "scene",
-            expected="surfaces of finite size",
-            got=f"{len(boxes)} of them, {extent:g} wide",
-            action="add a shape to the scene",
-        )
+        got = f"{len(boxes)} of them, {extent:g} wide"
+        raise InputError("scene", expected="surfaces of finite size", got=got, action="add a shape to the scene")
     voxel = extent / (resolution - 2.0 * MARGIN)
     corner = 0.5 * (boxes[:, 0].min(axis=0) + boxes[:, 1].max(axis=0)) - 0.5 * resolution * voxel
     return Bounds((float(corner[0]), float(corner[1]), float(corner[2])), voxel, resolution)
