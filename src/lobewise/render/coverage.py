@@ -94,24 +94,13 @@ class _Layers:
 
 
 def trace_coverage(
-    scene: Any,
-    materials: dict[int, Material],
-    camera: Camera,
-    *,
-    pixels: tuple[int, int],
-    size: tuple[int, int],
+    scene: Any, materials: dict[int, Material], camera: Camera, *, pixels: tuple[int, int], size: tuple[int, int]
 ) -> dict[str, Any]:
     """Return the guides of a run of pixels that belong to their areas, as Dr.Jit arrays by their names in `GBuffer`.
 
     ``coverage`` is a list of nine Float, ``mean_normal`` a Vector3f, and ``mean_diffuse_albedo`` and
-    ``mean_specular_albedo`` are Color3f. Rays are the same in every pixel; a pixel's values do not depend on the run.
-
-    Parameters
-    ----------
-    pixels : (int, int)
-        First pixel (row-major) and how many.
-    size : (int, int)
-        Width and height of the image.
+    ``mean_specular_albedo`` are Color3f. Rays are the same in every pixel; a pixel's values do not depend on the run,
+    ``pixels``: the first (row-major) and how many, of an image of ``size``, width and height.
     """
     # The centres of the run, and of a row and a pixel more on each side.
     begin = max(pixels[0] - size[0] - 1, 0)
@@ -140,11 +129,11 @@ def trace_coverage(
         look = _make_look(layers.si, layers.surface)
         footprint = angle * dr.norm(layers.si.p - ray.o)
         # The pixel itself comes first and keeps what another is not better for.
-        best, least = mi.UInt32(4), _find_distance(look, neighbours[4], footprint) + _find_shift(x, y, 4)
+        distances = [_find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k) for k in range(9)]
+        best, least = mi.UInt32(4), distances[4]
         for k in (0, 1, 2, 3, 5, 6, 7, 8):
-            distance = _find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k)
-            nearer = inside[k] & (distance < least)
-            best, least = dr.select(nearer, k, best), dr.select(nearer, distance, least)
+            nearer = inside[k] & (distances[k] < least)
+            best, least = dr.select(nearer, k, best), dr.select(nearer, distances[k], least)
         for k in range(9):
             sums.counts[k] += dr.select(best == k, 1.0, 0.0)
         sums.normal += layers.normal

@@ -14,6 +14,7 @@ its own.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -33,12 +34,7 @@ Moves = Mapping[str, ArrayLike]
 
 
 def trace_guides(
-    scene: Any,
-    materials: dict[int, Material],
-    camera: Camera,
-    *,
-    pixels: tuple[int, int],
-    size: tuple[int, int],
+    scene: Any, materials: dict[int, Material], camera: Camera, *, pixels: tuple[int, int], size: tuple[int, int]
 ) -> dict[str, Any]:
     """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
 
@@ -86,21 +82,15 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
     si, surface, found = points.si, points.surface, points.active
     inverse = dr.select(shiny & mirrored.is_valid(), dr.rcp(dr.maximum(mirrored.t, 1e-12)), 0.0)
 
+    names = (field.name for field in fields(surface) if field.name != "opacity")
     return {
+        **{name: dr.select(found, getattr(surface, name), 0.0) for name in names},
         "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
         "position": dr.select(found, si.p, 0.0),
-        "normal": dr.select(found, surface.normal, 0.0),
-        "tangent": dr.select(found, surface.tangent, 0.0),
-        "alpha_u": dr.select(found, surface.alpha_u, 0.0),
-        "alpha_v": dr.select(found, surface.alpha_v, 0.0),
-        "lobe_kind": dr.select(found, surface.lobe_kind, 0.0),
-        "material": dr.select(found, surface.material, 0.0),
         "shape": mi.Float(dr.reinterpret_array(mi.UInt32, si.shape)),
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,
-        "diffuse_albedo": dr.select(found, surface.diffuse_albedo, 0.0),
-        "specular_albedo": dr.select(found, surface.specular_albedo, 0.0),
     }
 
 

@@ -43,16 +43,10 @@ def _check_scene(scene: Any) -> None:
         raise InputError("scene", expected=expected, got=got, action="call load_mitsuba() first, then load the scene")
 
 
-def _plan_tiles(width: int, height: int) -> Iterator[tuple[int, int]]:
-    count = width * height
-    for start in range(0, count, TILE_PIXELS):
-        yield start, min(TILE_PIXELS, count - start)
-
-
-def _plan_chunks(spp: int, pixels: int) -> Iterator[tuple[int, int]]:
-    step = max(1, CHUNK_SAMPLES // pixels)
-    for start in range(0, spp, step):
-        yield start, min(start + step, spp)
+def _cut(length: int, step: int) -> Iterator[tuple[int, int]]:
+    """Yield begin and end of the pieces of a length."""
+    for start in range(0, length, step):
+        yield start, min(start + step, length)
 
 
 def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None]:
@@ -70,15 +64,7 @@ def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None
 
 
 class _Pass:
-    """One pass over the samples of a scene, tile by tile.
-
-    Parameters
-    ----------
-    scene, spp, seed, max_depth, light
-        See `render_frame`.
-    settings : dict
-        Of `PathSettings`, beside those.
-    """
+    """One pass over the samples of a scene, tile by tile; see `render_frame`, and `PathSettings` for the settings."""
 
     def __init__(self, scene: Any, *, spp: int, seed: int, max_depth: int, light: str, **settings: Any) -> None:
         self._spp = require_integer("spp", spp, 1, 1 << 24)
@@ -106,24 +92,16 @@ class _Pass:
         advance = _make_advance(progress, columns * rows * self._spp)
         tiles = []
         with dr.suspend_grad():
-            for pixels in _plan_tiles(columns, rows):
+            for start, end in _cut(columns * rows, TILE_PIXELS):
+                pixels = start, end - start
                 tiles.append(finish(pixels, self._sum_tile(pixels, advance, where)))
         return join(tiles, columns, rows)
 
     def _sum_tile(self, pixels: tuple[int, int], advance: Callable[[int], None], where: dict[str, Any]) -> Sums:
         sums = make_sums(pixels[1], self._settings.guides)
-        for samples in _plan_chunks(self._spp, pixels[1]):
-            sums = add_samples(
-                self._scene,
-                self.materials,
-                sums,
-                pixels=pixels,
-                size=self.size,
-                samples=samples,
-                seed=self._seed,
-                settings=self._settings,
-                **where,
-            )
+        for samples in _cut(self._spp, max(1, CHUNK_SAMPLES // pixels[1])):
+            part = {"pixels": pixels, "size": self.size, "samples": samples, "seed": self._seed, **where}
+            sums = add_samples(self._scene, self.materials, sums, settings=self._settings, **part)
             dr.sync_thread()
             advance(pixels[1] * (samples[1] - samples[0]))
         return sums
@@ -269,15 +247,12 @@ def render_sparse_frame(
     row, column = (
         require_integer(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((height, width))
     )
-    guides = render_frame(
-        scene,
-        spp=guide_spp,
-        seed=seed if guide_seed is None else guide_seed,
-        max_depth=max_depth,
-        aov_only=True,
-        previous_camera=previous_camera,
-        moves=moves,
-    )
+    asked: dict[str, Any] = {
+        "spp": guide_spp,
+        "seed": seed if guide_seed is None else guide_seed,
+        "max_depth": max_depth,
+    }
+    guides = render_frame(scene, **asked, aov_only=True, previous_camera=previous_camera, moves=moves)
     columns, rows = -(-(width - column) // scale), -(-(height - row) // scale)
     images = run.run(columns, rows, run.finish_radiance, progress, scale=scale, place=(row, column))
     return SparseFrame(
@@ -293,14 +268,7 @@ def render_sparse_frame(
 
 
 def render_pixels(
-    scene: Any,
-    rows: ArrayLike,
-    columns: ArrayLike,
-    *,
-    spp: int,
-    seed: int = 0,
-    max_depth: int = 8,
-    light: str = "all",
+    scene: Any, rows: ArrayLike, columns: ArrayLike, *, spp: int, seed: int = 0, max_depth: int = 8, light: str = "all"
 ) -> Radiance:
     """Render the radiance of single pixels, for `lobewise.recompute`.
 

@@ -33,12 +33,8 @@ UNRECORDABLE = "The frozen function included a virtual function call"
 class Frozen:
     """A Dr.Jit function that is recorded once and replayed; what Dr.Jit cannot record just runs.
 
-    Parameters
-    ----------
-    function : callable
-        Takes Dr.Jit arrays and returns a list of them.
-    find_state : callable
-        Returns what it reads beside its arguments: the scene, Dr.Jit arrays.
+    ``function`` takes Dr.Jit arrays and returns a list of them; ``find_state`` returns what it reads beside its
+    arguments: the scene, Dr.Jit arrays.
     """
 
     def __init__(self, function: Callable[..., list[Any]], find_state: Callable[[], Any]) -> None:
@@ -76,16 +72,7 @@ def _no_collection() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class FirstHits:
-    """What all pixels see.
-
-    Parameters
-    ----------
-    gbuffer : GBuffer
-        Of the surfaces at the pixels' centres, albedos included.
-    camera : Camera
-        As the sensor has it.
-    lobe_tables : tuple of LobeTable
-    """
+    """What all pixels see: the surfaces at their centres, albedos included, and the camera as the sensor has it."""
 
     gbuffer: GBuffer
     camera: Camera
@@ -123,6 +110,11 @@ _GUIDES = {
     "hit_distance": 1,
 }
 """Guides that the filters look at, and how many channels each has."""
+
+
+def _make_opaque_size(width: int, height: int) -> tuple[Any, Any]:
+    """Return width and height as values that no kernel is compiled for."""
+    return dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
 
 
 def _flatten(value: Any) -> Any:
@@ -166,17 +158,14 @@ class Stages:
     def trace_first(self, camera: Camera, seed: int) -> tuple[FirstHits, DirectLight]:
         """Return the guides of all pixels, and what lights them directly: one sample of the lights each.
 
-        Parameters
-        ----------
-        camera : Camera
-            Where `place_camera` has put the sensor.
-        seed : int
-            Another one for every frame.
+        ``camera`` is where `place_camera` has put the sensor; ``seed`` is another one for every frame.
         """
         width, height = get_image_size(self.scene)
+        pixel = dr.arange(mi.UInt32, width * height)
+        dr.eval(pixel)
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
         shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
-        flat = self._first(*self._make_grid(width, height), *eye, *shifts)
+        flat = self._first(pixel, *_make_opaque_size(width, height), *eye, *shifts)
         images = [
             values.reshape((height, width) if count == 1 else (height, width, count))
             for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
@@ -202,7 +191,7 @@ class Stages:
             frozen = Frozen(shade, lambda: (self.scene, method.state))
             known = self._indirect[method.name] = method, frozen
         pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
-        size = (dr.opaque(mi.UInt32, length) for length in (width, height))
+        size = _make_opaque_size(width, height)
         diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
@@ -211,16 +200,9 @@ class Stages:
         width, height = get_image_size(self.scene)
         columns, rows = min(width, LIMIT_PIXELS), min(height, LIMIT_PIXELS)
         grid = np.arange(rows)[:, None] * height // rows * width + np.arange(columns) * width // columns
-        size = (dr.opaque(mi.UInt32, length) for length in (width, height))
-        points = find_points(self.scene, self.materials, mi.UInt32(grid.ravel().astype(np.uint32)), tuple(size))
+        pixel = mi.UInt32(grid.ravel().astype(np.uint32))
+        points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
         return method.find_band_limit(points, samples)
-
-    @staticmethod
-    def _make_grid(width: int, height: int) -> tuple[Any, Any, Any]:
-        """Return the numbers of all pixels, and width and height as values that no kernel is compiled for."""
-        pixel = dr.arange(mi.UInt32, width * height)
-        dr.eval(pixel)
-        return pixel, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
 
     def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))

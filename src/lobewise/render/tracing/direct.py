@@ -46,18 +46,7 @@ def shade_direct(
     The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
     that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
     a narrow lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
-    1997).
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-    materials : dict
-        Of the scene.
-    points : Points
-    width : mitsuba.UInt32
-        Of the image, opaque.
-    shifts : sequence of float, or mitsuba.Float, 4 of them
-        From `find_shifts`.
+    1997). ``width`` is that of the image, opaque; ``shifts`` are the four of `find_shifts`.
     """
     si, bsdf = points.si, points.bsdf
     light_point = _draw(points.pixel, width, shifts[0], shifts[1])
@@ -70,17 +59,8 @@ def shade_direct(
     shiny = points.active & (narrow | (scene.environment() is not None))
     choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
     # What has no narrow lobe sends no ray of its own, so the light sample is all there is.
-    found = scatter(
-        scene,
-        si,
-        bsdf,
-        points.active,
-        lit=lit,
-        light_point=light_point,
-        choice=choice,
-        point=bsdf_point,
-        alone=~shiny,
-    )
+    numbers = light_point, choice, bsdf_point
+    found = scatter(scene, si, bsdf, points.active, lit=lit, numbers=numbers, alone=~shiny)
     seen = dr.select(found.lit, found.value * found.radiance * found.weight, 0.0)
     share = dispatch_share(materials, bsdf, si, found.to_light, found.lit)
     diffuse, specular = seen * share, seen * (1.0 - share)

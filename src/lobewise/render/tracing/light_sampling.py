@@ -79,19 +79,14 @@ def meet_emitter(scene: Any, si: Any, last: Vertex, active: Any) -> tuple[Any, A
 
 
 def scatter(
-    scene: Any, si: Any, bsdf: Any, active: Any, *, lit: Any, light_point: Any, choice: Any, point: Any, alone: Any
+    scene: Any, si: Any, bsdf: Any, active: Any, *, lit: Any, numbers: tuple[Any, Any, Any], alone: Any = False
 ) -> Scattering:
-    """Sample a light and the BSDF at hits.
+    """Sample a light, where it is ``lit``, and the BSDF at hits; ``alone`` is where lights are not met by chance.
 
-    Parameters
-    ----------
-    lit : mitsuba.Bool
-        Where a light is wanted.
-    light_point, choice, point : mitsuba.Point2f or None, mitsuba.Float, mitsuba.Point2f
-        Random numbers of the light (without any none is sampled), of the BSDF's lobe and of its direction.
-    alone : mitsuba.Bool or bool
-        Where lights are not met by chance as well.
+    The random numbers are those of the light (Point2f, or None: no light is sampled), of the BSDF's lobe (Float) and of
+    its direction (Point2f).
     """
+    light_point, choice, point = numbers
     to_light, radiance, density, only = mi.Vector3f(0, 0, 1), mi.Color3f(0), mi.Float(0), mi.Bool(True)
     if light_point is not None:
         light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)

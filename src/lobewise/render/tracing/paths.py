@@ -142,10 +142,8 @@ class _Bounces:
         if settings.fewest_bounces:
             lit &= path.bounces + 1 >= settings.fewest_bounces
         light_point = draw_point(path.rng) if settings.radiance else None
-        choice, point = path.rng.next_float32(), draw_point(path.rng)
-        return scatter(
-            self.scene, si, bsdf, going, lit=lit, light_point=light_point, choice=choice, point=point, alone=False
-        )
+        numbers = light_point, path.rng.next_float32(), draw_point(path.rng)
+        return scatter(self.scene, si, bsdf, going, lit=lit, numbers=numbers)
 
     def _add_sampled_light(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> None:
         arriving = path.throughput * found.value * found.radiance * found.weight

@@ -53,15 +53,10 @@ class Indirect:
 
 
 def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], samples: Any) -> Indirect:
-    """Return the mean over samples, not evaluated yet.
+    """Return the mean over a number of samples, not evaluated yet.
 
-    Parameters
-    ----------
-    take_sample : callable
-        Returns, for the number of a sample, its diffuse and specular radiance, whether it was reflected to see
-        anything (Float, 0 or 1) and the inverse of the distance of what it saw.
-    samples : mitsuba.UInt32
-        How many.
+    ``take_sample`` returns, for the number of a sample, its diffuse and specular radiance, whether it was reflected to
+    see anything (Float, 0 or 1) and the inverse of the distance of what it saw.
     """
 
     def take(index: Any, *sums: Any) -> tuple[Any, ...]:
@@ -139,17 +134,9 @@ def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> t
 
 
 def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tuple[Any, Any]) -> Points:
-    """Return what the centres of pixels see.
+    """Return what the centres of pixels see, by their numbers, row-major.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-    materials : dict
-        Of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
-    pixel : mitsuba.UInt32
-        Numbers of pixels, row-major.
-    size : (mitsuba.UInt32, mitsuba.UInt32)
-        Width and height of the image; opaque, so that another size needs no other kernel.
+    ``size`` is width and height of the image; opaque, so that another size needs no other kernel.
     """
     ray = make_centre_ray(scene, pixel, size)
     si, surface = find_first_opaque(scene, materials, ray)

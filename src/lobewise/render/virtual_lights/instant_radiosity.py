@@ -163,14 +163,8 @@ class VirtualLights:
 
         A sample takes one run of about `LIGHTS_PER_SAMPLE` of the lights, in the order of their paths, weighed so that
         the mean over seeds is the sum over all; neighbouring pixels, and the frames that follow each other, take runs
-        far apart. The hit distance is that of mirrors and smooth glass; 0, unknown, for all else.
-
-        Parameters
-        ----------
-        points, samples, seed
-            See there.
-        all_lights : bool
-            Take every light in each sample instead.
+        far apart. With ``all_lights`` each sample takes every light instead. The hit distance is that of mirrors and
+        smooth glass; 0, unknown, for all else.
         """
         end, seed_value = make_opaque(samples), make_opaque(seed)
         runs = self._count_runs(mi.UInt32(1), all_lights)
@@ -192,16 +186,8 @@ class VirtualLights:
         """Return how many equal lights those that a pixel takes are worth, for `find_sharpness_limit`.
 
         Of the light ``L_k`` that each sends to a point, ``(sum L_k)^2 / sum L_k^2``, the median over points: lights
-        that are hidden, distant or turned away count little. The points' own BSDFs and cosines are left out.
-
-        Parameters
-        ----------
-        points : Points
-            Some hundred of those that are lit will do.
-        samples : int
-            As for `shade`.
-        all_lights : bool
-            As for `shade`.
+        that are hidden, distant or turned away count little. The points' own BSDFs and cosines are left out; some
+        hundred points that are lit will do. ``samples`` and ``all_lights`` are as for `shade`.
         """
         runs = self._count_runs(make_opaque(samples), all_lights)
         run = self._choose_run(points.pixel, runs, mi.UInt32(0))
@@ -263,18 +249,8 @@ class VirtualLights:
         self._add(walk, lit, diffuse + specular, dr.select(walk.bounces == 0, diffuse, 0.0))
 
         # Direct light, which is indirect after the first scattering; and the way on.
-        light_point, choice, point = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
-        found = scatter(
-            scene,
-            si,
-            bsdf,
-            walk.active,
-            lit=lit & (walk.bounces >= 1),
-            light_point=light_point,
-            choice=choice,
-            point=point,
-            alone=False,
-        )
+        numbers = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
+        found = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
         self._add(walk, found.lit, found.value * found.radiance * found.weight, mi.Color3f(0))
 
         is_delta = found.is_delta

@@ -106,16 +106,7 @@ def find_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
 class LightPaths:
     """Paths from the emitters of a scene, the same ones at every call while the scene is the same.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        With any emitters.
-    count : int
-        How many paths.
-    most_surfaces : int
-        How many surfaces a path meets at most.
-    seed : int
-        Of the scrambling.
+    There are ``count``, each of which meets ``most_surfaces`` at most; ``seed`` is that of the scrambling.
     """
 
     def __init__(self, scene: Any, count: int, most_surfaces: int, seed: int) -> None:
@@ -158,11 +149,8 @@ class LightPaths:
     def _trace_rays(self) -> tuple[Any, Any, Any]:
         """Return origin, direction and flux of each path's light on its way to each surface; without one flux is 0."""
         scene = self._scene
-        slots, dimensions, share = (
-            dr.opaque(mi.UInt32, self._slots),
-            dr.opaque(mi.UInt32, self._dimensions),
-            dr.opaque(mi.Float, 1.0 / self._count),
-        )
+        slots, dimensions = dr.opaque(mi.UInt32, self._slots), dr.opaque(mi.UInt32, self._dimensions)
+        share = dr.opaque(mi.Float, 1.0 / self._count)
         path = dr.arange(mi.UInt32, self._count)
         size = self._count * self._slots
         origin, direction, flux = dr.zeros(mi.Point3f, size), dr.zeros(mi.Vector3f, size), dr.zeros(mi.Color3f, size)
@@ -195,14 +183,10 @@ class LightPaths:
             going = found & (walk.bounce + 1 < slots)
             place = _OF_EMISSION + _OF_BOUNCE * walk.bounce
             quasi = place + _OF_BOUNCE <= dimensions
-            numbers = [
-                dr.select(
-                    quasi,
-                    dr.gather(mi.Float, self._points, path * dimensions + place + k, quasi),
-                    walk.rng.next_float32(),
-                )
-                for k in range(_OF_BOUNCE)
-            ]
+            numbers = []
+            for k in range(_OF_BOUNCE):
+                drawn = dr.gather(mi.Float, self._points, path * dimensions + place + k, quasi)
+                numbers.append(dr.select(quasi, drawn, walk.rng.next_float32()))
             walk.throughput *= sample_onward(si, bsdf, walk.ray, numbers, going)
             strongest = dr.max(walk.throughput)
             chance = dr.minimum(strongest, MOST_KEPT)
@@ -226,9 +210,8 @@ class LightPaths:
             old_center = np.asarray(box.center(), dtype=np.float64).ravel()
             old_radius = max(old_radius, math.dist(np.ravel(box.min), np.ravel(box.max)) / 2.0)
         center, radius = find_sphere(self._scene)
-        distant = mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite) | mi.has_flag(
-            emitter.flags(), mi.EmitterFlags.DeltaDirection
-        )
+        flags, kinds = emitter.flags(), mi.EmitterFlags
+        distant = mi.has_flag(flags, kinds.Infinite) | mi.has_flag(flags, kinds.DeltaDirection)
         grown = dr.opaque(mi.Float, radius / old_radius)
         old, new = (mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place)) for place in (old_center, center))
         ray.o = dr.select(distant, new + (ray.o - old) * grown, ray.o)

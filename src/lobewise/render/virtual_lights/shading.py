@@ -18,16 +18,8 @@ _NEAREST = 1e-6
 class Lighting:
     """A set of lights, ready to shine.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-    materials : dict
-        Of the scene.
-    lights : LightSet
-    shortest : float
-        Distance below which lights do not get brighter, in units of the scene.
-    radius : float
-        Of the spheres that stand for the lights; 0 for points.
+    Below the distance ``shortest``, in units of the scene, they do not get brighter; ``radius`` is that of the spheres
+    that stand for the lights, 0 for points.
     """
 
     def __init__(
@@ -53,16 +45,9 @@ class Lighting:
     def gather(
         self, si: Any, bsdf: Any, run: Any, runs: Any, most_depth: Any, rng: Any, active: Any
     ) -> tuple[Any, Any]:
-        """Return diffuse and specular radiance towards ``si.wi`` from one run of the lights, times their number.
+        """Return diffuse and specular radiance towards ``si.wi`` from one of ``runs`` equal runs, times their number.
 
-        Parameters
-        ----------
-        run, runs : mitsuba.UInt32
-            Which of how many equal parts of the set.
-        most_depth : mitsuba.UInt32
-            Depth of the deepest light that counts.
-        rng : mitsuba.PCG32
-            Used by spheres alone.
+        ``most_depth`` is the depth of the deepest light that counts; only spheres draw from ``rng``.
         """
         first = self._find_first(run, runs)
         end = dr.select(active, self._find_first(run + 1, runs), first)

@@ -113,31 +113,20 @@ def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> 
 
 
 def trace_cone(
-    grid: Grid,
-    origin: Any,
-    normal: Any,
-    direction: Any,
-    tangent: Any,
-    jitter: tuple[Any, ...],
-    active: Any,
-    smooth: bool = False,
+    grid: Grid, origin: Any, normal: Any, axis: Any, tangent: Any, jitter: Any, active: Any, smooth: bool = False
 ) -> Cone:
     """Return what a cone from a surface meets.
 
     Parameters
     ----------
-    grid : Grid
     origin, normal : Point3f, Vector3f
         Where the cone starts and the normal of the surface itself there, of either sign.
-    direction : Vector3f
-        The cone's axis, unit.
-    tangent : Float
-        Of half its angle.
+    axis, tangent : Vector3f, Float
+        The cone's axis, unit, and the tangent of half its angle.
     jitter : tuple of four Float
         In [0, 1): how far the voxels are moved along each axis, and which of two levels is taken between them. Over
         all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size. A smooth
         cone takes the first for where in a step it looks.
-    active : Bool
     smooth : bool
         Interpolate between voxels and look them up as wide as most of the cone: no noise, for eight times the work.
     """
@@ -145,15 +134,11 @@ def trace_cone(
     relative = mi.Vector3f(origin - grid.lower)
     offset = mi.Vector3f(*jitter[:3]) - 0.5
     ends = [
-        dr.select(d > 0, (size - r) / d, dr.select(d < 0, -r / d, dr.inf))
-        for r, d in zip(relative, direction, strict=True)
+        dr.select(d > 0, (size - r) / d, dr.select(d < 0, -r / d, dr.inf)) for r, d in zip(relative, axis, strict=True)
     ]
     end = dr.minimum(dr.minimum(ends[0], ends[1]), ends[2])
 
-    def go_on(march: _March) -> Any:
-        return active & (march.distance < end) & (march.transmittance > ENOUGH)
-
-    speeds = [dr.select(dr.abs(d) > 1e-8, dr.abs(d), 0.0) for d in direction]
+    speeds = [dr.select(dr.abs(d) > 1e-8, dr.abs(d), 0.0) for d in axis]
 
     def step(march: _March) -> tuple[_March]:
         footprint = SMOOTH_FOOTPRINT if smooth else FOOTPRINT
@@ -161,19 +146,19 @@ def trace_cone(
         level = mi.UInt32(dr.floor(dr.log2(dr.maximum(width, 1.0)) + jitter[3]))
         level = dr.minimum(level, grid.levels - 1)
         edge = grid.voxel * mi.Float(mi.UInt32(1) << level)
-        place = (relative + direction * march.distance) / edge
+        place = (relative + axis * march.distance) / edge
         if smooth:
             share = dr.minimum(SMOOTH_STEP, (end - march.distance) / edge)
-            middle = place + direction * (SMOOTH_STEP * jitter[0])
-            seen = interpolate(grid, middle, level, direction, (origin, normal), edge)
+            middle = place + axis * (SMOOTH_STEP * jitter[0])
+            seen = interpolate(grid, middle, level, axis, (origin, normal), edge)
         else:
             place += offset
             cell = dr.floor(place)
-            ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(direction, place, cell, strict=True)]
+            ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(axis, place, cell, strict=True)]
             gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
             length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
             share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
-            seen = look_up(grid, cell, level, direction, (origin, normal), edge)
+            seen = look_up(grid, cell, level, axis, (origin, normal), edge)
 
         # Where half of the cone is stopped is how far away it sees.
         before, after = march.transmittance, march.transmittance * dr.exp(-seen.w * share)
@@ -184,6 +169,9 @@ def trace_cone(
         march.transmittance = after
         march.distance += edge * share
         return (march,)
+
+    def go_on(march: _March) -> Any:
+        return active & (march.distance < end) & (march.transmittance > ENOUGH)
 
     march = dr.while_loop((_March(),), go_on, step, label="cone")[0]
     # What is left when a cone ends early counts as met.
@@ -202,17 +190,8 @@ def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
 
     Departs from the fixed set of one cone along the normal and five at 60 degrees from it (Crassin 2011): axes are
     drawn from six parts of the hemisphere of equal cosine-weighted solid angle, a cap and five sectors of the rest,
-    so that over pixels and frames every direction counts as the cosine says.
-
-    Parameters
-    ----------
-    normal : Vector3f
-    number : UInt32
-        Of the cone, 0 to 5.
-    turn : Float
-        Of all six about the normal, in [0, 1).
-    point : Point2f
-        In the unit square.
+    so that over pixels and frames every direction counts as the cosine says. ``number`` is that of the cone (0 to 5),
+    ``turn`` that of all six about the normal, in [0, 1), ``point`` one of the unit square.
     """
     central = number == 0
     square = dr.select(central, point.x / DIFFUSE_CONES, (1.0 + (DIFFUSE_CONES - 1.0) * point.x) / DIFFUSE_CONES)
