@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import FileError, InputError, describe_problem
+from lobewise.errors import FileError, InputError
 from lobewise.fitting.arrays import Array, dot
 
 THETA_H, THETA_D, PHI_D = 90, 90, 180
@@ -234,6 +234,6 @@ def _drop_invalid(samples: NDArray[np.float32], *, what: str, error: type[FileEr
     samples[~good] = 0.0
     if not samples[..., :3].any():
         got = "a table that is black" if good.any() else "none: all are marked as not measured"
-        raise error(describe_problem(what, expected="samples above 0", got=got, action="use another material"))
+        raise error(what, expected="samples above 0", got=got, action="use another material")
     samples.flags.writeable = False
     return samples

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.fitting.arrays import Array, as_reals, dot, normalize
 from lobewise.lobe_table import LobeTable
 
@@ -64,14 +64,8 @@ def evaluate_table(
         If the table is anisotropic and there is no tangent.
     """
     if tangent is None and not table.is_isotropic:
-        raise InputError(
-            describe_problem(
-                "tangent",
-                expected=f"directions, because material {table.name!r} is anisotropic",
-                got="none",
-                action="pass tangent=",
-            )
-        )
+        expected = f"directions, because material {table.name!r} is anisotropic"
+        raise InputError("tangent", expected=expected, got="none", action="pass tangent=")
     given = (normal, view) if tangent is None else (normal, view, tangent)
     vectors = np.broadcast_arrays(*as_reals(*given))
     shape, dtype, lobes = vectors[0].shape[:-1], vectors[0].dtype, table.lobe_count

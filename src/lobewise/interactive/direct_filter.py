@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +24,10 @@ SIGMA = 1.5
 
 
 def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings, samples: int) -> DirectLight:
-    """Return direct light, filtered; what is emitted stays.
+    """Return direct light, filtered by the hits of the same frame; what is emitted stays.
 
-    Parameters
-    ----------
-    light : DirectLight
-    hits : FirstHits
-        The same frame's.
-    settings : DenoiseSettings
-        Whether lobes are compared, or normals; the rest is this filter's own.
-    samples : int
-        How many of each pixel the light is the mean of, >= 1; the filter gives way as they get more.
+    The settings tell whether lobes are compared, or normals; the rest is this filter's own. It gives way as ``samples``
+    get more, of which each pixel's light is the mean, >= 1.
     """
     similarity: Similarity = "normal" if settings.similarity == "normal" else SIMILARITY
     asked = replace(settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
@@ -42,15 +36,8 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     chosen = resolve_settings(frame, asked)
     parts = []
     for layer in make_layers(frame, chosen):
-        output = run_filter(
-            layer.radiance,
-            layer.mask,
-            layer.features,
-            form=chosen.form,
-            radius=chosen.radius,
-            albedo=layer.albedo,
-            device=chosen.device,
-        )
+        how: dict[str, Any] = {"form": chosen.form, "radius": chosen.radius, "device": chosen.device}
+        output = run_filter(layer.radiance, layer.mask, layer.features, albedo=layer.albedo, **how)
         clean = output.image
         # Surfaces without the lobe have none of its light; what else no tap matches is left as it is.
         lost = (output.weight_sum <= 0.0) & (layer.radiance[..., 1] > 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice, require_integer
@@ -17,6 +17,7 @@ UNFILTERED = "none"
 """The similarity that compares nothing."""
 STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
 """What the seconds of a frame are told apart by, in the order in which it is made; the first makes direct light too."""
+_OF_THE_FILTER = ("beta", "radius", "screen_sigma", "tau", "normal_exponent")
 
 
 @dataclass(frozen=True)
@@ -73,21 +74,15 @@ class InteractiveSettings:
         for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
             require_integer(name, getattr(self, name), 1, highest)
         if not 0.0 <= self.adaptive <= 1.0:
-            raise InputError(
-                "adaptive", expected="a share from 0 to 1", got=repr(self.adaptive), action="0.05 is usual"
-            )
+            got = repr(self.adaptive)
+            raise InputError("adaptive", expected="a share from 0 to 1", got=got, action="0.05 is usual")
         self.make_filter_settings()
 
     def make_filter_settings(self) -> DenoiseSettings:
         """Return the settings of the filter that these ask for."""
-        return DenoiseSettings(
-            similarity="auto" if self.similarity == "none" else self.similarity,
-            beta=self.beta,
-            radius=self.radius,
-            screen_sigma=self.screen_sigma,
-            tau=self.tau,
-            normal_exponent=self.normal_exponent,
-        )
+        similarity = "auto" if self.similarity == "none" else self.similarity
+        same: dict[str, Any] = {name: getattr(self, name) for name in _OF_THE_FILTER}
+        return DenoiseSettings(similarity=similarity, **same)
 
 
 @dataclass(frozen=True)

@@ -51,14 +51,7 @@ class Resting:
     def add_indirect(self, given: FloatArray, sparse: SparseFrame, again: Again | None) -> FloatArray:
         """Return the best estimate of indirect light, (height, width, 3).
 
-        Parameters
-        ----------
-        given : array, shape (height, width, 3)
-            What the filter made of this frame.
-        sparse : SparseFrame
-            The samples of this frame.
-        again : Again, optional
-            Pixels that were shaded once more.
+        The filter made ``given``, of the same shape, of this frame's samples; some pixels may be shaded ``again``.
         """
         if self.frames == 1 or self.given is None:
             # While things move there is no second frame to ask for the sums.

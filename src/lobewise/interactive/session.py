@@ -40,6 +40,10 @@ STILL_DENSITY = 2
 """How much nearer shaded pixels are to each other while nothing moves."""
 
 
+Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Rows and columns."""
+
+
 @dataclass
 class _Chain:
     """What one stream of frames remembers."""
@@ -275,7 +279,7 @@ class Session:
         place = places[chain.number % len(places)]
         rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
         grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
-        radiance = self._shade(method, *grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
+        radiance = self._shade(method, grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
         return SparseFrame(
             radiance,
             shared.hits.gbuffer,
@@ -286,28 +290,19 @@ class Session:
             lobe_tables=shared.hits.lobe_tables,
         )
 
-    def _shade(
-        self,
-        method: Any,
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp],
-        samples: int,
-        seed: int,
-        shape: tuple[int, int],
-    ) -> Radiance:
-        diffuse, specular, _ = self._stages.shade_indirect(method, rows, columns, samples, seed)
-        diffuse, specular = diffuse.reshape(*shape, 3), specular.reshape(*shape, 3)
+    def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
+        """Return the indirect light of some pixels as an image of a shape."""
+        found = self._stages.shade_indirect(method, *pixels, samples, seed)[:2]
+        diffuse, specular = (light.reshape(*shape, 3) for light in found)
         return Radiance(diffuse + specular, diffuse=diffuse, specular=specular)
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
         settings = chain.settings
-        if settings.similarity == UNFILTERED:
-            chain.temporal.reset()
-            return upsample(sparse, chain.chosen, bilinear=True)
-        if not settings.temporal:
-            chain.temporal.reset()
-            return upsample(sparse, chain.chosen)
-        return chain.temporal.add(sparse)
+        unfiltered = settings.similarity == UNFILTERED
+        if settings.temporal and not unfiltered:
+            return chain.temporal.add(sparse)
+        chain.temporal.reset()
+        return upsample(sparse, chain.chosen, bilinear=unfiltered)
 
     def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:
         """Return the result with the least supported pixels shaded again, and these with their radiance."""
@@ -316,7 +311,7 @@ class Session:
 
         def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
             # The samples of the frame itself were drawn with its own seed.
-            radiance = self._shade(method, rows, columns, spp, shared.seed ^ (1 << 31), (rows.size, 1))
+            radiance = self._shade(method, (rows, columns), spp, shared.seed ^ (1 << 31), (rows.size, 1))
             again.append((rows, columns, radiance.color[:, 0]))
             return radiance
 
@@ -335,10 +330,8 @@ class Session:
 
 
 def _is_same(first: Camera, second: Camera) -> bool:
-    return (
-        all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("position", "forward", "up"))
-        and first.fov_y == second.fov_y
-    )
+    names = ("position", "forward", "up", "fov_y")
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)
 
 
 @contextmanager

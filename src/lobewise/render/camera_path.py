@@ -53,13 +53,12 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
         If the count is below 1, or the centre or the angle is not finite.
     """
     pivot = np.asarray(centre, dtype=np.float64)
-    for name, expected, good in (
-        ("frames", "at least 1", frames >= 1),
-        ("centre", "three finite numbers", pivot.shape == (3,) and np.isfinite(pivot).all()),
-        ("degrees_per_frame", "a finite number", np.isfinite(degrees_per_frame)),
+    for name, got, expected, good in (
+        ("frames", frames, "at least 1", frames >= 1),
+        ("centre", centre, "three finite numbers", pivot.shape == (3,) and np.isfinite(pivot).all()),
+        ("degrees_per_frame", degrees_per_frame, "a finite number", np.isfinite(degrees_per_frame)),
     ):
         if not good:
-            got = {"frames": frames, "centre": centre, "degrees_per_frame": degrees_per_frame}[name]
             raise InputError(name, expected=expected, got=str(got), action="pass another")
 
     def turn(vector: Vector, angle: float) -> Vector:
@@ -100,9 +99,8 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
     try:
         entries = json.loads(Path(file).read_text(encoding="utf-8"))
     except ValueError as problem:
-        raise InputError(
-            name, expected="a JSON list of cameras", got=f"no JSON: {problem}", action="mend the file"
-        ) from None
+        got = f"no JSON: {problem}"
+        raise InputError(name, expected="a JSON list of cameras", got=got, action="mend the file") from None
     if not isinstance(entries, list) or not entries:
         got = "an empty list" if entries == [] else f"a {type(entries).__name__}"
         action = 'write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]'
@@ -112,9 +110,8 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
 
 def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     if not isinstance(entry, dict):
-        raise InputError(
-            name, expected="an object", got=f"a {type(entry).__name__}", action="write position and target"
-        )
+        got = f"a {type(entry).__name__}"
+        raise InputError(name, expected="an object", got=got, action="write position and target")
     for key in entry:
         require_choice(f"{name}, key", key, _KEYS)
     if "position" not in entry or ("target" in entry) == ("forward" in entry):
@@ -122,10 +119,8 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
         got = ", ".join(entry) or "nothing"
         raise InputError(name, expected=expected, got=got, action="say where the camera is and where it looks")
     position = _read_vector(name, entry, "position")
-    if "target" in entry:
-        forward = _read_vector(name, entry, "target") - position
-    else:
-        forward = _read_vector(name, entry, "forward")
+    aim = "target" if "target" in entry else "forward"
+    forward = _read_vector(name, entry, aim) - (position if aim == "target" else 0.0)
     if not forward.any():
         raise InputError(name, expected="a direction of view", got="a length of 0", action="look at another point")
     up = _read_vector(name, entry, "up") if "up" in entry else np.array([0.0, 1.0, 0.0])
@@ -133,9 +128,8 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     if "fov_y" in entry:
         angle = entry["fov_y"]
         if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle < 180.0:
-            raise InputError(
-                f"{name}, fov_y", expected="degrees between 0 and 180", got=repr(angle), action="40 is usual"
-            )
+            known = "degrees between 0 and 180"
+            raise InputError(f"{name}, fov_y", expected=known, got=repr(angle), action="40 is usual")
         fov_y = float(np.deg2rad(angle))
     try:
         return Camera(position, forward, up, fov_y)
@@ -147,7 +141,6 @@ def _read_vector(name: str, entry: dict[str, Any], key: str) -> Vector:
     value = entry[key]
     numbers = isinstance(value, list) and len(value) == 3
     if not numbers or any(isinstance(each, bool) or not isinstance(each, (int, float)) for each in value):
-        raise InputError(
-            f"{name}, {key}", expected="a list of three numbers", got=json.dumps(value), action="write [x, y, z]"
-        )
+        got = json.dumps(value)
+        raise InputError(f"{name}, {key}", expected="a list of three numbers", got=got, action="write [x, y, z]")
     return np.array(value, dtype=np.float64)

@@ -21,6 +21,14 @@ DEFAULT_SIZE = 512
 
 LARGEST_SIZE = 32768
 
+_OF_A_MESH = {
+    "vertex_positions": "vertices",
+    "vertex_normals": "normals",
+    "vertex_texcoords": "uv",
+    "faces": "faces",
+}
+"""Mitsuba's names of the arrays of a mesh, and ours."""
+
 
 def load_scene(
     name_or_path: str | os.PathLike[str],
@@ -68,7 +76,8 @@ def load_scene(
     if time != 0.0:
         _require_moving(text)
     if text in list_scenes():
-        return _load_built_in(text, width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE, time)
+        size = width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE
+        return build_scene(describe_scene(text, *size, time))
     path = Path(text)
     if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
         require_choice("scene", text, list_scenes())
@@ -123,11 +132,6 @@ def _require_moving(name: str) -> None:
         raise InputError("scene", expected=expected, got=got, action="take one of them, or let the camera move alone")
 
 
-def _load_built_in(name: str, width: int, height: int, time: float) -> Any:
-    load_mitsuba()
-    return build_scene(describe_scene(name, width, height, time))
-
-
 def build_scene(items: dict[str, Any]) -> Any:
     """Return the Mitsuba object of a description: what ``mitsuba.load_dict`` takes, with plain data in three places.
 
@@ -147,7 +151,7 @@ def _translate(value: Any, name: str = "") -> Any:
     if not isinstance(value, dict):
         return value
     if value.get("type") == "mesh":
-        return _make_mesh(**value)
+        return _make_mesh(value)
     return {key: _translate(each, key) for key, each in value.items()}
 
 
@@ -158,31 +162,15 @@ def _make_transform(steps: tuple[tuple[Any, ...], ...]) -> Any:
     return transform
 
 
-def _make_mesh(
-    *,
-    type: str,
-    vertices: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    uv: NDArray[np.float32],
-    faces: NDArray[np.uint32],
-    bsdf: dict[str, Any],
-) -> Any:
+def _make_mesh(item: dict[str, Any]) -> Any:
     mi = load_mitsuba()
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_translate(bsdf))
-    mesh = mi.Mesh(
-        "mesh",
-        vertex_count=len(vertices),
-        face_count=len(faces),
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-        props=properties,
-    )
+    properties["bsdf"] = mi.load_dict(_translate(item["bsdf"]))
+    counts = {"vertex_count": len(item["vertices"]), "face_count": len(item["faces"])}
+    mesh = mi.Mesh("mesh", **counts, has_vertex_normals=True, has_vertex_texcoords=True, props=properties)
     values = mi.traverse(mesh)
-    values["vertex_positions"] = vertices.ravel()
-    values["vertex_normals"] = normals.ravel()
-    values["vertex_texcoords"] = uv.ravel()
-    values["faces"] = faces.ravel()
+    for name, part in _OF_A_MESH.items():
+        values[name] = item[part].ravel()
     values.update()
     return mesh
 
@@ -199,9 +187,8 @@ def _load_file(path: Path, width: int | None, height: int | None) -> Any:
         action = "mend the file"
         raise InputError(str(path), expected=expected, got=" ".join(str(error).split()), action=action) from error
     if not isinstance(scene, mi.Scene):
-        raise InputError(
-            str(path), expected="a <scene>", got=f"a {type(scene).__name__}", action="pass the file of a scene"
-        )
+        got = f"a {type(scene).__name__}"
+        raise InputError(str(path), expected="a <scene>", got=got, action="pass the file of a scene")
     if (width or height) and scene.sensors():
         _resize(mi, scene, width, height)
     return scene

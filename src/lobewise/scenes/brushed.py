@@ -30,9 +30,7 @@ def make_floor_normals(resolution: int = 1024) -> NDArray[np.float64]:
     # A bevel turns the last twentieth of a tile down to the joint.
     slope_x += 0.3 * np.sign(u) * (np.abs(u) > 0.47)
     slope_y += 0.3 * np.sign(v) * (np.abs(v) > 0.47)
-    normal = np.stack([slope_x, slope_y, np.ones_like(slope_x)], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    return 0.5 * normal + 0.5
+    return parts.encode_normals(slope_x, slope_y)
 
 
 def make_cylinder(bottom: Vector, height: float, radius: float, bsdf: Item) -> Item:
@@ -49,16 +47,8 @@ def make_disk(center: Vector, radius: float, bsdf: Item) -> Item:
 
 def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
-    lacquer = {
-        "type": "principled",
-        "base_color": {"type": "rgb", "value": [0.06, 0.10, 0.16]},
-        "roughness": 0.24,
-        "specular": 1.0,
-    }
-    floor = {
-        "type": "twosided",
-        "inner": {"type": "normalmap", "normalmap": parts.texture(make_floor_normals()), "inner": lacquer},
-    }
+    lacquer = parts.principled((0.06, 0.10, 0.16), roughness=0.24, specular=1.0)
+    floor = parts.normal_map(make_floor_normals(), lacquer)
     steel = parts.metal("aluminium", 0.35, 0.06)
     checks = parts.checkerboard((0.90, 0.88, 0.82), (0.75, 0.10, 0.06), (6, 3))
     return {

@@ -102,35 +102,26 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     # The plugin squares what it is given.
     floor = parts.principled(parts.texture(color), roughness=parts.texture(np.sqrt(alpha)), eta=1.9)
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
+    across, along = (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP), (half_length + LAP, 0.5 * HEIGHT + LAP)
     painting = np.array([[[0.90, 0.62, 0.10], [0.80, 0.15, 0.08], [0.10, 0.25, 0.60]]] * 3)
     painting[1] = painting[1, [2, 0, 1]]
     painting[2] = painting[2, [1, 2, 0]]
     scene: dict[str, Any] = {
         **parts.scene((0.55, 1.62, 5.6), (-0.38, 1.08, 0.0), 58.0, width, height),
         "floor": parts.rectangle((0, 0, middle), (0, 1, middle), (HALF_WIDTH, half_length), floor),
-        "ceiling": parts.rectangle(
-            (0, HEIGHT, middle), (0, 0, middle), (HALF_WIDTH, half_length), parts.diffuse((0.78, 0.77, 0.74))
-        ),
-        "end": parts.rectangle(
-            (0, 0.5 * HEIGHT, FAR), (0, 1, 0), (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP), parts.diffuse((0.52, 0.50, 0.46))
-        ),
-        "entrance": parts.rectangle(
-            (0, 0.5 * HEIGHT, NEAR),
-            (0, 1, 0),
-            (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP),
-            parts.diffuse((0.42, 0.28, 0.20)),
+        **parts.walls(
+            ceiling=((0, HEIGHT, middle), (0, 0, middle), (HALF_WIDTH, half_length), (0.78, 0.77, 0.74)),
+            end=((0, 0.5 * HEIGHT, FAR), (0, 1, 0), across, (0.52, 0.50, 0.46)),
+            entrance=((0, 0.5 * HEIGHT, NEAR), (0, 1, 0), across, (0.42, 0.28, 0.20)),
         ),
         "painting": parts.rectangle(
             (0, 1.5, FAR + 0.03), (0, 1.5, 0), (0.9, 0.9), parts.diffuse(parts.texture(painting, filter_type="nearest"))
         ),
+        **parts.walls(
+            left=((-HALF_WIDTH, 0.5 * HEIGHT, middle), (0, 0.5 * HEIGHT, middle), along, (0.40, 0.44, 0.40)),
+            right=((HALF_WIDTH, 0.5 * HEIGHT, middle), (0, 0.5 * HEIGHT, middle), along, (0.50, 0.40, 0.30)),
+        ),
     }
-    for name, side, paint in (("left", -1.0, (0.40, 0.44, 0.40)), ("right", 1.0, (0.50, 0.40, 0.30))):
-        scene[name] = parts.rectangle(
-            (side * HALF_WIDTH, 0.5 * HEIGHT, middle),
-            (0, 0.5 * HEIGHT, middle),
-            (half_length + LAP, 0.5 * HEIGHT + LAP),
-            parts.diffuse(paint),
-        )
     lamps = (
         (4.5, (20.0, 17.5, 14.0)),
         (1.4, (20.0, 18.2, 15.0)),

@@ -96,16 +96,12 @@ def make_furniture() -> dict[str, Item]:
 
 def make_things() -> dict[str, Item]:
     """Return pots, bowls and fruit, as items by name."""
-    top = 0.78
+    top, lacquer = 0.78, parts.plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)
     white, yellow = parts.plastic((0.78, 0.76, 0.70), 0.04), parts.plastic((0.85, 0.58, 0.05), 0.06)
     blue, red = parts.plastic((0.04, 0.12, 0.45), 0.03), parts.plastic((0.62, 0.05, 0.03), 0.10)
     return {
-        "table": parts.box(
-            (0.6, top - 0.03, 0.7), (1.0, 0.03, 0.5), parts.plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)
-        ),
-        "table_foot": parts.box(
-            (0.6, 0.37, 0.7), (0.4, 0.36, 0.12), parts.plastic((0.36, 0.03, 0.025), 0.045, ior=1.6)
-        ),
+        "table": parts.box((0.6, top - 0.03, 0.7), (1.0, 0.03, 0.5), lacquer),
+        "table_foot": parts.box((0.6, 0.37, 0.7), (0.4, 0.36, 0.12), lacquer),
         "pot": make_pot((-0.40, 0.961, -1.62), 0.17, 0.22, parts.metal("aluminium", 0.05, 0.25)),
         "pan": make_pot((0.06, 0.961, -1.66), 0.15, 0.13, parts.metal("copper", 0.08, 0.35)),
         "kettle": make_pot((-0.12, top, 0.55), 0.19, 0.26, parts.metal("silver", 0.06, 0.40)),
@@ -139,27 +135,16 @@ def make_scene(width: int, height: int) -> dict[str, Any]:
     floor = make_tiles(stones, np.indices((14, 11)).sum(axis=0) % 2, askew=0.004, alpha=0.09, texels=64, seed=6)
     middle = 0.5 * (BACK + FRONT)
     half_width, half_length, half_height = RIGHT + 0.05, 0.5 * (FRONT - BACK) + 0.05, 0.5 * HEIGHT
+    inside = (0, half_height, middle)
     scene: dict[str, Any] = {
         **parts.scene((-0.35, 1.66, 3.0), (0.05, 1.1, -1.2), 54.0, width, height),
         "floor": parts.rectangle((0, 0, middle), (0, 1, middle), (half_width, half_length), floor),
         "wall": parts.rectangle((0, half_height, BACK), (0, half_height, 0), (half_width, half_height), wall),
-        "ceiling": parts.rectangle(
-            (0, HEIGHT, middle), (0, 0, middle), (half_width, half_length), parts.diffuse((0.80, 0.79, 0.76))
-        ),
-        "front": parts.rectangle(
-            (0, half_height, FRONT), (0, half_height, 0), (half_width, half_height), parts.diffuse((0.50, 0.42, 0.36))
-        ),
-        "left": parts.rectangle(
-            (LEFT, half_height, middle),
-            (0, half_height, middle),
-            (half_length, half_height),
-            parts.diffuse((0.62, 0.60, 0.52)),
-        ),
-        "right": parts.rectangle(
-            (RIGHT, half_height, middle),
-            (0, half_height, middle),
-            (half_length, half_height),
-            parts.diffuse((0.66, 0.40, 0.24)),
+        **parts.walls(
+            ceiling=((0, HEIGHT, middle), (0, 0, middle), (half_width, half_length), (0.80, 0.79, 0.76)),
+            front=((0, half_height, FRONT), (0, half_height, 0), (half_width, half_height), (0.50, 0.42, 0.36)),
+            left=((LEFT, half_height, middle), inside, (half_length, half_height), (0.62, 0.60, 0.52)),
+            right=((RIGHT, half_height, middle), inside, (half_length, half_height), (0.66, 0.40, 0.24)),
         ),
         "window": parts.light((LEFT + 0.02, 1.6, 0.3), (0, 1.6, 0.3), (1.2, 0.62), (10.5, 12.0, 14.0), up=(0, 1, 0)),
         "lamp": parts.bulb((0.6, 1.98, 0.5), 0.11, (34.0, 25.0, 15.0)),

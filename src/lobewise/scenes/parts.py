@@ -84,6 +84,14 @@ def rectangle(
     return {**_face(center, toward, half_size, up or ((0, 0, -1) if level else (0, 1, 0))), "bsdf": bsdf}
 
 
+def walls(**sides: tuple[Vector, Vector, tuple[float, float], Vector]) -> dict[str, Item]:
+    """Return diffuse rectangles by name: centre, the point that each faces, half sizes and colour."""
+    return {
+        name: rectangle(center, toward, half_size, diffuse(paint))
+        for name, (center, toward, half_size, paint) in sides.items()
+    }
+
+
 def light(
     center: Vector, toward: Vector, half_size: tuple[float, float], radiance: Vector | Item, up: Vector = (0, 0, 1)
 ) -> Item:

@@ -47,9 +47,8 @@ def make_studio(rows: int = 256) -> NDArray[np.float64]:
     radiance = np.where(elevation[..., None] > 0, sky, ground)
     # A row of lit and dark panels on the horizon: what the sides of the objects reflect.
     panel = (azimuth // 12.0).astype(int)
-    hue = np.array([[0.9, 0.3, 0.12], [0.12, 0.3, 0.6], [0.95, 0.8, 0.4], [0.06, 0.06, 0.07], [0.2, 0.5, 0.3]])[
-        panel % 5
-    ]
+    hues = np.array([[0.9, 0.3, 0.12], [0.12, 0.3, 0.6], [0.95, 0.8, 0.4], [0.06, 0.06, 0.07], [0.2, 0.5, 0.3]])
+    hue = hues[panel % 5]
     row = (find_inside(np.abs(elevation + 2.0) - 9.0) * find_inside(np.abs(azimuth % 12.0 - 6.0) - 4.6))[..., None]
     radiance = radiance + row * (hue - radiance)
     for middle, height, half_width, half_height, color in _SOFT_BOXES:
@@ -101,16 +100,8 @@ def make_bowl(center: Vector, radius: float, bsdf: Item) -> Item:
 
 def make_vase(center: Vector, height: float, bsdf: Item) -> Item:
     """Return a slender vase with an opening."""
-    outline = (
-        (0.0, 0.0),
-        (0.17, 0.0),
-        (0.2, 0.03),
-        (0.30, 0.30),
-        (0.24, 0.58),
-        (0.10, 0.80),
-        (0.11, 0.92),
-        (0.17, 1.0),
-    )
+    foot = ((0.0, 0.0), (0.17, 0.0), (0.2, 0.03))
+    outline = (*foot, (0.30, 0.30), (0.24, 0.58), (0.10, 0.80), (0.11, 0.92), (0.17, 1.0))
     inside = ((0.17, 1.0), (0.09, 0.92), (0.07, 0.80), (0.0, 0.60))
     profile = np.concatenate([parts.curve(outline), parts.curve(inside)])
     return parts.lathe(height * profile, center, bsdf)
@@ -119,13 +110,11 @@ def make_vase(center: Vector, height: float, bsdf: Item) -> Item:
 def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
     glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
-    green_glass = {**glass, "specular_transmittance": {"type": "rgb", "value": [0.72, 0.93, 0.82]}}
+    green_glass = {**glass, "specular_transmittance": parts.rgb((0.72, 0.93, 0.82))}
     frosted = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.12, "int_ior": 1.5, "ext_ior": 1.0}
     checks = parts.checkerboard((0.85, 0.82, 0.74), (0.12, 0.20, 0.42), (8, 5))
-    stripes = np.repeat(
-        np.array([[0.80, 0.76, 0.66], [0.60, 0.10, 0.07], [0.80, 0.76, 0.66], [0.08, 0.16, 0.36]]), 8, axis=0
-    )
-    cloth = parts.texture(np.tile(stripes, (5, 1))[None], filter_type="nearest")
+    stripes = np.array([[0.80, 0.76, 0.66], [0.60, 0.10, 0.07], [0.80, 0.76, 0.66], [0.08, 0.16, 0.36]])
+    cloth = parts.texture(np.tile(np.repeat(stripes, 8, axis=0), (5, 1))[None], filter_type="nearest")
     return {
         **parts.scene((0.2, 2.5, 6.4), (0.1, 0.55, -0.2), 38.0, width, height),
         "studio": {"type": "envmap", "bitmap": make_studio().astype(np.float32)},

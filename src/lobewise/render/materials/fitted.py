@@ -311,13 +311,7 @@ def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
 
 
 class FittedLobes:
-    """A `Fit` on the device, where hits look it up.
-
-    Parameters
-    ----------
-    fit : Fit
-        What to look up.
-    """
+    """A `Fit` on the device, where hits look it up."""
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit

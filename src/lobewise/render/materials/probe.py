@@ -237,11 +237,6 @@ def list_flags(bsdf: Any) -> tuple[bool, bool, bool]:
     return diffuse, glossy, mirror or clear
 
 
-def _name(bsdf: Any) -> str:
-    """Return how errors name a BSDF."""
-    return f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id"
-
-
 def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
     try:
         out = run()
@@ -249,7 +244,7 @@ def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
     except Exception as error:  # what a BSDF of the user's raises can be anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UnsupportedBsdfError(
-            _name(bsdf),
+            f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id",
             expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
             got=f"{bsdf.class_name()}: {reason}",
             action="mend or replace it in the scene",

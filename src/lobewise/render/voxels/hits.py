@@ -159,17 +159,15 @@ def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report
     """
     clear = can_refract(scene)
     names = ("position", "normal", "opacity", "first", "second")
-    gathered: dict[str, list[Any]] = {name: [] for name in names}
-    axes: list[NDArray[np.int64]] = []
+    layers = [{name: np.zeros((0,) if name == "opacity" else (3, 0), dtype=np.float32) for name in names}]
+    axes = [np.zeros(0, dtype=np.int64)]
     for axis in range(3):
         for layer in _cast(scene, materials, bounds, axis, clear):
-            for name in names:
-                gathered[name].append(np.array(layer[name], dtype=np.float32))
-            axes.append(np.full(gathered["opacity"][-1].shape, axis, dtype=np.int64))
+            layers.append({name: np.array(layer[name], dtype=np.float32) for name in names})
+            axes.append(np.full(layers[-1]["opacity"].shape, axis, dtype=np.int64))
         report()
-    empty = {name: np.zeros((0,) if name == "opacity" else (3, 0), dtype=np.float32) for name in names}
-    joined = {name: np.concatenate([empty[name], *gathered[name]], axis=-1) for name in names}
-    axis_of = np.concatenate([np.zeros(0, dtype=np.int64), *axes])
+    joined = {name: np.concatenate([layer[name] for layer in layers], axis=-1) for name in names}
+    first, second = 2 * np.concatenate(axes), 2 * np.concatenate(axes) + 1
     place = (joined["position"].astype(np.float64) - np.array(bounds.lower)[:, None]) / bounds.voxel
     x, y, z = np.clip(place.astype(np.int64), 0, bounds.resolution - 1)
     return Hits(
@@ -177,8 +175,5 @@ def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report
         normal=mi.Vector3f(joined["normal"]),
         cell=x + bounds.resolution * (y + bounds.resolution * z),
         opacity=joined["opacity"].astype(np.float64),
-        sides=(
-            Side(mi.Color3f(joined["first"]), 2 * axis_of),
-            Side(mi.Color3f(joined["second"]), 2 * axis_of + 1),
-        ),
+        sides=(Side(mi.Color3f(joined["first"]), first), Side(mi.Color3f(joined["second"]), second)),
     )
