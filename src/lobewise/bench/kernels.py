@@ -54,16 +54,8 @@ def time_kernels(
 ) -> dict[str, dict[str, float]]:
     """Return times of the similarities for one size, radius and form, and their ratios to ``normal``.
 
-    Parameters
-    ----------
-    frame : Frame
-        See `lobewise.bench.plane.make_frame`.
-    radius, form, device
-        See `lobewise.filters.cross_filter.run_filter`.
-    seconds : float
-        See `lobewise.bench.timing.time_best`.
-    names : tuple of str
-        Among `lobewise.bench.plane.SIMILARITIES`; with "normal".
+    The frame is one of `lobewise.bench.plane.make_frame`, ``names`` are among `lobewise.bench.plane.SIMILARITIES`, with
+    "normal"; for the others see `lobewise.filters.cross_filter.run_filter` and `lobewise.bench.timing.time_best`.
     """
     best = time_best(make_kernel_calls(frame, make_features(frame, names), radius, form, device), seconds)
     taps = count_taps(form, radius) * frame.width * frame.height

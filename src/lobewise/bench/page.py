@@ -12,16 +12,9 @@ from lobewise.reporting.report import fill_page
 
 
 def make_bench_page(data: Mapping[str, Any], plots: Mapping[str, bytes], command: str) -> str:
-    """Return the page of a measurement.
+    """Return the page of what `lobewise.bench.filters.measure_filters` found.
 
-    Parameters
-    ----------
-    data : mapping
-        From `lobewise.bench.filters.measure_filters`.
-    plots : mapping of str to bytes
-        From `lobewise.bench.plots.draw_plots`; may be empty.
-    command : str
-        What makes it again.
+    ``plots`` are from `lobewise.bench.plots.draw_plots` and may be empty; ``command`` makes the page again.
     """
     remarks = "".join(f"<p>Left out: {html.escape(sentence)}</p>\n" for sentence in data["skipped"])
     body = "\n".join(_make_section(section, plots) for section in make_sections(data))

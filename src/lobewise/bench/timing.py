@@ -12,18 +12,10 @@ from typing import Any
 
 
 def time_best(candidates: Mapping[str, Callable[[], Any]], seconds: float, *, rounds: int = 5) -> dict[str, float]:
-    """Return the best wall time of each candidate, seconds.
+    """Return the best wall time of each candidate by its name, seconds.
 
-    All run once, uncounted, and then in turn again and again, so that a disturbance of the machine meets all of them.
-
-    Parameters
-    ----------
-    candidates : mapping of str to callable
-        What is timed, by name.
-    seconds : float
-        Least time that all rounds take together.
-    rounds : int
-        Least number of rounds, >= 1.
+    All run once, uncounted, and then in turn again and again, so that a disturbance of the machine meets all of them:
+    at least ``rounds`` times, >= 1, and until all rounds have taken ``seconds`` together.
     """
     for call in candidates.values():
         call()

@@ -46,18 +46,10 @@ def _refusing(target: str) -> Iterator[None]:
 def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, header: Path) -> None:
     """Compile a filter into a static library, Halide's runtime included, with a C header.
 
-    Raises InputError or DeviceError if the target is none, or Halide cannot compile the kernel for it.
+    ``target`` is what `lobewise.exporting.targets.parse_target` takes, ``name`` that of the function; ``library`` and
+    ``header`` are the files to write.
 
-    Parameters
-    ----------
-    plan : FilterPlan
-        What to compile.
-    target : str
-        See `lobewise.exporting.targets.parse_target`.
-    name : str
-        Name of the function.
-    library, header : Path
-        The files to write.
+    Raises InputError or DeviceError if the target is none, or Halide cannot compile the kernel for it.
     """
     chosen = parse_target(target)
     outputs = {hl.OutputFileType.static_library: str(library), hl.OutputFileType.c_header: str(header)}

@@ -89,16 +89,9 @@ def lobe_table_to_json(table: LobeTable) -> str:
 
 
 def lobe_table_from_json(text: str, *, what: str = "lobe table") -> LobeTable:
-    """Return the table that `lobe_table_to_json` wrote.
+    """Return the table that `lobe_table_to_json` wrote; ``what`` stands in errors: where the text is from.
 
     Raises FileError if it is no lobe table, is of another version, or holds values that no table can have.
-
-    Parameters
-    ----------
-    text : str
-        The JSON.
-    what : str
-        Stands in errors: where the text is from.
     """
     try:
         values = json.loads(text)

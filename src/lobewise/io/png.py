@@ -11,16 +11,11 @@ from lobewise.errors import InputError
 
 
 def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
-    """Return a PNG file.
+    """Return a PNG file of sRGB colour, uint8 of shape (height, width, 3).
+
+    With a palette, sRGB colours of shape (up to 256, 3), the image has shape (height, width): indices into it.
 
     Raises InputError if the arrays are not of these types and shapes, or there is no pixel.
-
-    Parameters
-    ----------
-    image : ndarray of uint8
-        Shape (height, width, 3): sRGB colour. With a palette, shape (height, width): indices into it.
-    palette : ndarray of uint8, shape (up to 256, 3), optional
-        sRGB colours.
     """
     from PIL import Image
 

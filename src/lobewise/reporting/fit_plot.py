@@ -23,14 +23,9 @@ DECADES = 5.0
 def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
     """Return a PNG of reflected luminance times cosine over the light's angle, data against lobes.
 
-    Raises MissingDependencyError if Matplotlib is not installed.
+    The table is drawn at the first of its azimuths; ``evaluate`` is what it was fitted to.
 
-    Parameters
-    ----------
-    table : LobeTable
-        Drawn at the first of its azimuths.
-    evaluate : callable
-        What it was fitted to.
+    Raises MissingDependencyError if Matplotlib is not installed.
     """
     require_matplotlib("the plot of a fit")
     rows = sorted({int(np.argmin(np.abs(table.cosine - cosine))) for cosine in VIEWS}, reverse=True)

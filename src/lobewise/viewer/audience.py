@@ -29,14 +29,8 @@ _SLOW_AFTER = 0.8
 class Audience:
     """All browsers, between the page and the process that renders.
 
-    Parameters
-    ----------
-    target : Target
-        What is looked at.
-    fixed_size : bool
-        Render at the target's size whatever the window's aspect, and never fewer pixels.
-    changes : dict
-        Settings to begin with: fields of `SceneLook` or `FrameLook`.
+    With ``fixed_size`` a picture has the target's size whatever the window's aspect, and never fewer pixels.
+    ``changes`` are settings to begin with: fields of `SceneLook` or `FrameLook`.
     """
 
     def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any]) -> None:

@@ -34,10 +34,7 @@ class Pose:
 class CameraMap:
     """Between the browser's cameras and those of a scene, or the part of a finished frame that is looked at.
 
-    Parameters
-    ----------
-    found : Description
-        With the scene's own camera and the point that it looks at; without a camera it is a finished frame.
+    What was found has the scene's own camera and the point that it looks at; without a camera it is a finished frame.
     """
 
     def __init__(self, found: Description) -> None:

@@ -38,11 +38,6 @@ class FrameTarget:
     """An EXR file with guides, shaded everywhere or sparsely; all browsers share its results.
 
     Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`.
-
-    Parameters
-    ----------
-    path : str
-        The file.
     """
 
     def __init__(self, path: str) -> None:

@@ -27,15 +27,9 @@ _SMOOTHING = 0.5
 
 
 class Guest:
-    """One browser.
+    """One browser: viser's handle of it, and where its camera is.
 
-    Parameters
-    ----------
-    client : viser's client handle
-    pose : Pose
-        Where its camera is.
-    fixed_size : bool
-        Whether resolution and aspect are those that were asked for, whatever the window.
+    With ``fixed_size`` resolution and aspect are those that were asked for, whatever the window.
     """
 
     def __init__(self, client: Any, pose: Pose, fixed_size: bool) -> None:
@@ -69,12 +63,7 @@ class Guest:
     def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
         """Return what the browser would see next; None where there is nothing to see.
 
-        Parameters
-        ----------
-        found : Description
-        cameras : CameraMap
-        fresh : bool
-            Whether a frame is to be rendered, or the last one shown otherwise.
+        ``fresh`` tells whether a frame is to be rendered, or the last one shown otherwise.
         """
         panel, camera = self.panel, self.client.camera
         if panel is None:
@@ -163,14 +152,9 @@ def has_moved(before: Pose, after: Pose) -> bool:
 
 
 class Pace:
-    """Chooses the step for one browser from the times of its frames.
+    """Chooses the step for one browser from the times of its frames, which may take ``target`` seconds.
 
-    Parameters
-    ----------
-    target : float
-        Seconds that a frame may take.
-    fixed : bool
-        Always all pixels.
+    A ``fixed`` one always has all pixels.
     """
 
     def __init__(self, target: float = TARGET, fixed: bool = False) -> None:

@@ -28,14 +28,8 @@ class Link:
     Of every browser only the latest request is kept: a new one replaces the one that waits. So the process is never
     behind, however slow a picture is.
 
-    Parameters
-    ----------
-    target : Target
-        What is looked at.
-    receive : callable
-        Called with every `Report`, from a thread of the link.
-    remark : callable
-        Called with a sentence when the process died; and whether it is started again.
+    ``receive`` is called with every `Report`, from a thread of the link; ``remark`` with a sentence when the process
+    died, and whether it is started again.
     """
 
     def __init__(self, target: Target, receive: Callable[[Report], None], remark: Callable[[str, bool], None]) -> None:

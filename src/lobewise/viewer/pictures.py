@@ -65,16 +65,10 @@ def choose_stops(image: NDArray[np.float32]) -> float:
 
 
 def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
-    """Return the picture of one view.
+    """Return the picture of one view, a key of `VIEWS`.
 
-    Parameters
-    ----------
-    view : str
-        A key of `VIEWS`.
-    values : (height, width, 3) or (height, width)
-        Radiance, colours in [0, 1], or numbers in [0, 1], which are shown from dark to bright.
-    exposure : float
-        Factor for radiance; nothing else is changed by it.
+    ``values`` are radiance or colours in [0, 1], (height, width, 3), or numbers in [0, 1], (height, width), which are
+    shown from dark to bright. ``exposure`` is a factor for radiance; nothing else is changed by it.
     """
     if view in _RADIANCE:
         return map_tones_quickly(values, exposure)

@@ -20,18 +20,10 @@ from lobewise.viewer.shots import Shot
 
 
 class SceneTarget:
-    """A built-in scene or a Mitsuba file.
+    """A built-in scene or a Mitsuba file, whatever `lobewise.render.load_scene` takes.
 
-    Raises LobewiseError as `lobewise.interactive.Session`.
-
-    Parameters
-    ----------
-    name : str
-        As `lobewise.render.load_scene` takes it.
-    size : (int, int) or None
-        Columns and rows; by default those of the scene.
-    progress : callable
-        Called with ``(done, total)`` while a method prepares the scene.
+    ``size`` is columns and rows, by default those of the scene; ``progress`` is called with ``(done, total)`` while a
+    method prepares the scene. Raises LobewiseError as `lobewise.interactive.Session`.
     """
 
     def __init__(self, name: str, size: tuple[int, int] | None, progress: Callable[[int, int], None]) -> None:

@@ -30,18 +30,8 @@ def write_message(text: str, *, bad: bool = False) -> str:
 def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True) -> str:
     """Return HTML that tells what a picture took.
 
-    Parameters
-    ----------
-    picture : Picture
-        The last one.
-    shown : int
-        Pictures shown so far.
-    fps : float or None
-        Pictures per second, None where that means nothing.
-    note : str
-        A line below, plain text.
-    rendered : bool
-        Whether the picture is one of a scene.
+    ``shown`` counts the pictures so far, ``fps`` is None where pictures per second mean nothing, ``note`` is a line
+    below, plain text, and ``rendered`` tells whether the picture is one of a scene.
     """
     width, height = picture.size
     parts = [f"{width}\u202f\u00d7\u202f{height}"]

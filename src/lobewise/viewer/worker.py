@@ -55,15 +55,7 @@ def _follow_parent() -> None:
 
 
 class Worker:
-    """Answers orders over a pipe.
-
-    Parameters
-    ----------
-    pipe : Connection
-        Orders come in and reports go out; after every order the last report is None.
-    target : Target
-        What is looked at.
-    """
+    """Answers orders over a pipe: they come in and reports go out; after every order the last report is None."""
 
     def __init__(self, pipe: connection.Connection, target: Target) -> None:
         self._pipe = pipe

@@ -49,17 +49,11 @@ def count_slab_rows(part: Part) -> int:
 class BandReader:
     """A frame in a file, read some rows at a time; every row is decoded once and kept until it is forgotten.
 
+    ``lobe_tables`` are as in `lobewise.io.exr.read_frame`; ``wanted`` are owner and field of the images that frames
+    shall have, where the file has them, by default all.
+
     Raises FileError, MissingChannelError or InputError as `lobewise.io.exr.read_frame`, as far as the header tells; and
     FileError if a part that is read has subsampled channels, whose rows are not those of the image.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    lobe_tables : sequence of LobeTable, optional
-        As in `lobewise.io.exr.read_frame`.
-    wanted : collection of (owner, field), optional
-        The images that frames shall have, where the file has them; by default all.
     """
 
     def __init__(
@@ -183,16 +177,10 @@ class BandWriter:
 
     What becomes of the file is what `lobewise.io.exr.write_result` says.
 
-    Raises FileError if the part of an image is of a kind that cannot be written.
+    The reader has not read any row yet; it then keeps what is copied. ``fields`` are the images that are going to be
+    given, of ``color``, ``diffuse`` and ``specular``. Chunks lie in ``spool``, a binary file, until all are there.
 
-    Parameters
-    ----------
-    reader : BandReader
-        Before any row is read; it then keeps what is copied.
-    fields : collection of str
-        Which images are going to be given: of ``color``, ``diffuse`` and ``specular``.
-    spool : binary file
-        Where chunks lie until all are there.
+    Raises FileError if the part of an image is of a kind that cannot be written.
     """
 
     def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
