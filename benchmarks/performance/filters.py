@@ -15,7 +15,7 @@ from typing import Any
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.bench.kernels import make_kernel_calls, time_kernels
+from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
 from lobewise.denoising import denoise
@@ -25,6 +25,24 @@ from lobewise.settings import FORMS
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080))
 RADII = (8, 16)
+
+
+def time_kernels(frame: Frame, radius: int, form: str, seconds: float) -> dict[str, dict[str, float]]:
+    """Return times of the similarities for one size, radius and form, and their ratios to ``normal``.
+
+    The frame is one of `lobewise.bench.plane.make_frame`; see `lobewise.filters.cross_filter.run_filter` and
+    `lobewise.bench.timing.time_best`.
+    """
+    best = time_best(make_kernel_calls(frame, make_features(frame), radius, form), seconds)
+    taps = count_taps(form, radius) * frame.width * frame.height
+    return {
+        name: {
+            "milliseconds": round(1e3 * value, 3),
+            "ns_per_tap_and_pixel": round(1e9 * value / taps, 4),
+            "ratio_to_normal": round(value / best["normal"], 3),
+        }
+        for name, value in best.items()
+    }
 
 
 def bench_against_oidn(frame: Frame, seconds: float) -> dict[str, Any]:

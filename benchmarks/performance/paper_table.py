@@ -13,7 +13,8 @@ from typing import Any
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE, time_kernels
+from benchmarks.performance.filters import time_kernels
+from lobewise.bench.kernels import PAPER_MILLISECONDS, PAPER_RADII, PAPER_SIZE
 from lobewise.bench.plane import make_frame
 
 

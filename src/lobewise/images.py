@@ -55,13 +55,19 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
     return out
 
 
-def refuse_size(name: str, whose: str, expected: tuple[int, int], got: tuple[int, int]) -> InputError:
-    """Return the error that an image has another size than those beside it, each (height, width)."""
+def refuse_size(
+    name: str,
+    whose: str,
+    expected: tuple[int, ...],
+    got: tuple[int, ...],
+    action: str = "give every image of a frame the same width and height",
+) -> InputError:
+    """Return the error that an image has another size than those beside it, each (height, width, ...)."""
     return InputError(
         name,
         expected=f"the size of {whose}, {expected[1]}x{expected[0]} pixels",
         got=f"{got[1]}x{got[0]}",
-        action="give every image of a frame the same width and height",
+        action=action,
     )
 
 

@@ -102,9 +102,7 @@ class TestWholeFrames:
         target = FrameTarget(str(floor_file))
         shot = target.render(ask(NORMAL, client=3))[0]
         for client, expected in ((3, shot.image), (4, read_image(floor_file))):
-            name, data = target.write(client)
-            (tmp_path / name).write_bytes(data)
-            np.testing.assert_allclose(read_image(tmp_path / name), expected, rtol=1e-6)
+            np.testing.assert_allclose(read_image(target.write(client, tmp_path)), expected, rtol=1e-6)
         target.forget(3)
 
     def test_a_missing_file(self, tmp_path):

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.bench.plane import SIMILARITIES, make_features
-from lobewise.bench.timing import time_best
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_LEVELS
@@ -41,29 +39,3 @@ def make_kernel_calls(
         return lambda: run_filter(frame.radiance.color, mask, chosen, form=form, radius=radius, device=device)
 
     return {name: make_call(chosen) for name, chosen in features.items()}
-
-
-def time_kernels(
-    frame: Frame,
-    radius: int,
-    form: str,
-    seconds: float,
-    *,
-    names: tuple[str, ...] = SIMILARITIES,
-    device: str = "cpu",
-) -> dict[str, dict[str, float]]:
-    """Return times of the similarities for one size, radius and form, and their ratios to ``normal``.
-
-    The frame is one of `lobewise.bench.plane.make_frame`, ``names`` are among `lobewise.bench.plane.SIMILARITIES`, with
-    "normal"; for the others see `lobewise.filters.cross_filter.run_filter` and `lobewise.bench.timing.time_best`.
-    """
-    best = time_best(make_kernel_calls(frame, make_features(frame, names), radius, form, device), seconds)
-    taps = count_taps(form, radius) * frame.width * frame.height
-    return {
-        name: {
-            "milliseconds": round(1e3 * value, 3),
-            "ns_per_tap_and_pixel": round(1e9 * value / taps, 4),
-            "ratio_to_normal": round(value / best["normal"], 3),
-        }
-        for name, value in best.items()
-    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import Any
 
 from lobewise.bench.summary import Row, is_peer, name_series, pick
@@ -38,27 +39,16 @@ def draw_plots(data: Mapping[str, Any]) -> dict[str, bytes]:
             lambda row: 1e-6 * row["width"] * row["height"],
             lambda row: 1e6 * row["milliseconds"] / (row["width"] * row["height"]),
             ("megapixels", "nanoseconds a pixel"),
-            log="xy",
+            log=True,
         )
-    if found[RADIUS]:
-        drawn[RADIUS] = _draw(
-            found[RADIUS],
-            lambda row: row["radius"],
-            lambda row: row["milliseconds"],
-            ("radius, pixels", "milliseconds"),
-        )
-    if found[LOBES]:
-        drawn[LOBES] = _draw(
-            found[LOBES],
-            lambda row: row["lobes"],
-            lambda row: row["milliseconds"],
-            ("Gaussians of a pixel", "milliseconds"),
-        )
+    for part, across in ((RADIUS, "radius, pixels"), (LOBES, "Gaussians of a pixel")):
+        if found[part]:
+            drawn[part] = _draw(found[part], itemgetter(part), itemgetter("milliseconds"), (across, "milliseconds"))
     if len({row["threads"] for row in found[THREADS]}) > 1:
         single = {row["name"]: row["milliseconds"] for row in found[THREADS] if row["threads"] == 1}
         drawn[THREADS] = _draw(
             found[THREADS],
-            lambda row: row["threads"],
+            itemgetter("threads"),
             lambda row: single[row["name"]] / row["milliseconds"],
             ("threads", "times faster than one thread"),
             diagonal=True,
@@ -72,7 +62,7 @@ def _draw(
     up: Callable[[Row], float],
     labels: tuple[str, str],
     *,
-    log: str = "",
+    log: bool = False,
     diagonal: bool = False,
 ) -> bytes:
     """Return a plot with a line for each series; ``diagonal`` adds what would be ideal."""
@@ -100,9 +90,8 @@ def _draw(
             lw=1.4,
             label=label,
         )
-    if "x" in log:
+    if log:
         panel.set_xscale("log")
-    if "y" in log:
         panel.set_yscale("log")
         panel.yaxis.set_major_formatter("{x:g}")
     else:

@@ -19,8 +19,7 @@ import halide as hl
 
 from lobewise.backend.pointwise import Grid, schedule_rows
 from lobewise.exporting.arguments import Argument
-from lobewise.exporting.lobes import define_guides
-from lobewise.exporting.plan import FilterPlan, Term
+from lobewise.exporting.plan import FilterPlan, Term, define_guides
 from lobewise.exporting.targets import parse_target, refuse_target
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chain_passes, describe_structure, make_pass

@@ -12,7 +12,7 @@ from pathlib import Path
 from string import Template
 
 from lobewise.errors import FileError
-from lobewise.io.files import PathLike, read_mask, say_reason
+from lobewise.io.files import PathLike, read_mask, refusing
 
 MARK = "lobewise-export.json"
 """The file by which a folder is known to be an earlier export."""
@@ -60,30 +60,24 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
     target = require_folder(path, force=force)
     made: list[Path] = []
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent))
-        made.append(temporary)
-        yield lambda name: temporary / name
-        # A temporary folder is its owner's alone.
-        temporary.chmod(0o777 & ~read_mask())
-        if target.is_dir() and any(target.iterdir()):
-            aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
-            os.replace(target, aside)
-            try:
+        with refusing(f"output {str(path)!r}", "a folder that can be written", "choose another or make room"):
+            temporary = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent))
+            made.append(temporary)
+            yield lambda name: temporary / name
+            # A temporary folder is its owner's alone.
+            temporary.chmod(0o777 & ~read_mask())
+            if target.is_dir() and any(target.iterdir()):
+                aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
+                os.replace(target, aside)
+                try:
+                    os.replace(temporary, target)
+                except BaseException:
+                    os.replace(aside, target)
+                    raise
+                made[:] = [aside]
+            else:
                 os.replace(temporary, target)
-            except BaseException:
-                os.replace(aside, target)
-                raise
-            made[:] = [aside]
-        else:
-            os.replace(temporary, target)
-            made.clear()
-    except OSError as problem:
-        raise FileError(
-            f"output {str(path)!r}",
-            expected="a folder that can be written",
-            got=say_reason(problem),
-            action="choose another or make room",
-        ) from problem
+                made.clear()
     finally:
         for folder in made:
             with suppress(OSError):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.exporting.arguments import PLANAR, Argument, list_arguments
 from lobewise.exporting.names import ExportSettings
 from lobewise.features import (
@@ -21,6 +22,8 @@ from lobewise.features import (
     SgFeature,
     SgMixtureFeature,
 )
+from lobewise.guides.lobe_fields import define_lobes
+from lobewise.guides.mixture_fields import define_mixture
 
 
 @dataclass(frozen=True)
@@ -95,3 +98,11 @@ class FilterPlan(ExportSettings):
 
     def _list(self, *names: str, role: str = "") -> list[Argument]:
         return list_arguments(*names, lobes=self.lobes if self.similarity == "sg_mixture" else PLANAR, role=role)
+
+
+def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
+    """Return the outputs of the function that makes lobes, in order: the mask, the axis, and what else there is.
+
+    It is compiled ahead of time and runs in this process too.
+    """
+    return define_mixture(grid, lobes) if similarity == "sg_mixture" else define_lobes(grid, similarity, False)

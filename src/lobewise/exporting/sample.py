@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.pointwise import run_pointwise
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
-from lobewise.exporting.lobes import define_guides
-from lobewise.exporting.plan import FilterPlan
+from lobewise.exporting.plan import FilterPlan, define_guides
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.surfaces import find_places

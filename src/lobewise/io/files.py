@@ -15,6 +15,15 @@ from lobewise.errors import FileError
 PathLike = str | os.PathLike[str]
 
 
+@contextmanager
+def refusing(name: str, expected: str, action: str) -> Iterator[None]:
+    """Raise FileError about what is called ``name`` where the system refuses something inside."""
+    try:
+        yield
+    except OSError as problem:
+        raise FileError(name, expected=expected, got=say_reason(problem), action=action) from problem
+
+
 def require_readable(path: PathLike, *, what: str = "input", holds: str = "an image") -> Path:
     """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
 
@@ -47,13 +56,8 @@ def read_bytes(path: PathLike, limit: int, *, holds: str) -> bytes:
     Raises FileError as `require_readable`, or if the disk refuses.
     """
     file = require_readable(path, holds=holds)
-    try:
-        with file.open("rb") as stream:
-            return stream.read(limit)
-    except OSError as problem:
-        raise FileError(
-            f"input {str(file)!r}", expected="a readable file", got=say_reason(problem), action="check the disk"
-        ) from problem
+    with refusing(f"input {str(file)!r}", "a readable file", "check the disk"), file.open("rb") as stream:
+        return stream.read(limit)
 
 
 def require_writable(path: PathLike, *, what: str = "output") -> Path:
@@ -112,20 +116,18 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     Raises FileError if the path cannot be written or the disk refuses, for example because it is full.
     """
     target = require_writable(path, what=what)
-    name = f"{what} {str(path)!r}"
     temporary: str | None = None
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent)
-        with os.fdopen(descriptor, "wb") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, _choose_mode(target))
-        os.replace(temporary, target)
-        temporary = None
-        _sync_folder(target.parent)
-    except OSError as problem:
-        raise _refuse(name, problem) from problem
+        with refusing(f"{what} {str(path)!r}", "a path that can be written", "choose another path or make room"):
+            descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent)
+            with os.fdopen(descriptor, "wb") as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.chmod(temporary, _choose_mode(target))
+            os.replace(temporary, target)
+            temporary = None
+            _sync_folder(target.parent)
     finally:
         if temporary is not None:
             with suppress(OSError):
@@ -139,20 +141,11 @@ def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     Raises FileError as `open_atomic`.
     """
     target = require_writable(path, what=what)
-    try:
-        with tempfile.TemporaryFile(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent) as stream:
-            yield stream
-    except OSError as problem:
-        raise _refuse(f"{what} {str(path)!r}", problem) from problem
-
-
-def _refuse(name: str, problem: OSError) -> FileError:
-    return FileError(
-        name,
-        expected="a path that can be written",
-        got=say_reason(problem),
-        action="choose another path or make room",
-    )
+    with (
+        refusing(f"{what} {str(path)!r}", "a path that can be written", "choose another path or make room"),
+        tempfile.TemporaryFile(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent) as stream,
+    ):
+        yield stream
 
 
 def write_text(path: PathLike, text: str, *, what: str = "output") -> None:

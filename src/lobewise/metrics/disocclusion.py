@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, MissingChannelError
+from lobewise.errors import MissingChannelError
 from lobewise.frame import FloatArray, GBuffer
+from lobewise.images import refuse_size
 from lobewise.motion import compute_motion
 
 MOVING_PIXELS = 0.05
@@ -73,11 +74,8 @@ def find_disoccluded(
     now, before = _look(gbuffer, camera, "gbuffer"), _look(previous_gbuffer, previous_camera, "previous_gbuffer")
     height, width = now.depth.shape
     if before.depth.shape != now.depth.shape:
-        raise InputError(
-            "previous_gbuffer",
-            expected=f"the size of the frame, {width}x{height} pixels",
-            got=f"{before.depth.shape[1]}x{before.depth.shape[0]}",
-            action="compare frames of one size",
+        raise refuse_size(
+            "previous_gbuffer", "the frame", now.depth.shape, before.depth.shape, "compare frames of one size"
         )
     still = compute_motion(camera, previous_camera, now.position, now.depth)
     motion = still if gbuffer.motion is None else gbuffer.motion

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, require_choice
 from lobewise.frame import GBuffer, LobeKind
+from lobewise.images import refuse_size
 
 EPSILON = 0.01
 """Added to the denominators of `rel_mse` and `smape`: below a radiance of about 0.1 errors count as absolute ones."""
@@ -191,22 +192,10 @@ def find_specular_pixels(gbuffer: GBuffer) -> NDArray[np.bool_]:
     )
 
 
-def _square(a: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (a - r) ** 2
-
-
-def _relative_square(a: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (a - r) ** 2 / (r**2 + EPSILON)
-
-
-def _symmetric(a: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.abs(a - r) / (np.abs(a) + np.abs(r) + EPSILON)
-
-
 _ERRORS: dict[str, Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]] = {
-    "mse": _square,
-    "rel_mse": _relative_square,
-    "smape": _symmetric,
+    "mse": lambda a, r: (a - r) ** 2,
+    "rel_mse": lambda a, r: (a - r) ** 2 / (r**2 + EPSILON),
+    "smape": lambda a, r: np.abs(a - r) / (np.abs(a) + np.abs(r) + EPSILON),
 }
 
 
@@ -246,12 +235,7 @@ def check_pair(
     """Return image, reference and mask as every metric takes them, or raise InputError as `mse` does."""
     a, r = require_image("image", image), require_image("reference", reference)
     if a.shape != r.shape:
-        raise InputError(
-            "image",
-            expected=f"the size of the reference, {r.shape[1]}x{r.shape[0]} pixels",
-            got=f"{a.shape[1]}x{a.shape[0]}",
-            action="compare images of one size",
-        )
+        raise refuse_size("image", "the reference", r.shape, a.shape, "compare images of one size")
     if mask is None:
         return a, r, np.ones(a.shape[:2], dtype=np.bool_)
     chosen = np.asarray(mask)

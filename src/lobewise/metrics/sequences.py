@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError
+from lobewise.images import refuse_size
 from lobewise.metrics.images import EPSILON, check_pair, rel_mse
 
 
@@ -39,12 +41,7 @@ class Flicker:
         if before is None or cut:
             return None
         if before[0].shape != a.shape:
-            raise InputError(
-                "image",
-                expected=f"the size of the frame before, {before[0].shape[1]}x{before[0].shape[0]} pixels",
-                got=f"{a.shape[1]}x{a.shape[0]}",
-                action="compare frames of one size",
-            )
+            raise refuse_size("image", "the frame before", before[0].shape, a.shape, "compare frames of one size")
         change = (a - before[0]) - (r - before[1])
         step = float((change**2 / (0.5 * (r**2 + before[1] ** 2) + EPSILON)).mean())
         self._total += step
@@ -85,15 +82,13 @@ def flicker(images: Iterable[ArrayLike], references: Iterable[ArrayLike]) -> flo
         If there are fewer than two frames, not as many references, the sizes differ, or a pixel is not finite.
     """
     steps = Flicker()
-    ends = object()
-    rest = iter(references)
-    for image in images:
-        reference = next(rest, ends)
-        if reference is ends:
-            raise _refuse_counts("fewer")
-        steps.add(image, reference)  # type: ignore[arg-type]  # not the end
-    if next(rest, ends) is not ends:
-        raise _refuse_counts("more")
+    for image, reference in zip_longest(images, references):
+        if image is None or reference is None:
+            got = "more" if image is None else "fewer"
+            raise InputError(
+                "references", expected="one for each image", got=got, action="pass the same frames of both"
+            )
+        steps.add(image, reference)
     return steps.get_mean()
 
 
@@ -118,7 +113,3 @@ def ghosting(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
         check_pair(image, reference, ~chosen)
         return float("nan")
     return rel_mse(image, reference, chosen)
-
-
-def _refuse_counts(got: str) -> InputError:
-    return InputError("references", expected="one for each image", got=got, action="pass the same frames of both")

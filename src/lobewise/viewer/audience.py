@@ -231,11 +231,15 @@ class Audience:
         self._notice = text
         with self._lock:
             for guest in self._guests.values():
-                if guest.picture is None and guest.status is not None:
-                    guest.status.content = write_message(text, bad=bad)
-                else:
-                    guest.note = text
-                    self._tell_figures(guest, now=True)
+                self._tell(guest, text, bad=bad)
+
+    def _tell(self, guest: Guest, text: str, *, bad: bool = False) -> None:
+        """Show one line to a browser: below the figures of its picture, or instead of a picture."""
+        if guest.picture is None and guest.status is not None:
+            guest.status.content = write_message(text, bad=bad)
+        else:
+            guest.note = text
+            self._tell_figures(guest, now=True)
 
     def remark(self, text: str, again: bool) -> None:
         """Tell every browser that the process died."""
@@ -272,11 +276,7 @@ class Audience:
                     slow = self._guests.get(order.client)
                 if slow is not None and slow.status is not None:
                     doing = self._doing or "Working on the next picture"
-                    slow.note = f"{doing}: {busy:.0f} s \u2026"
-                    if slow.picture is None:
-                        slow.status.content = write_message(slow.note)
-                    else:
-                        self._tell_figures(slow, now=True)
+                    self._tell(slow, f"{doing}: {busy:.0f} s \u2026")
 
 
 def choose_other(found: Description, look: Look) -> Look:

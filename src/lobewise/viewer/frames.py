@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections import OrderedDict
 from dataclasses import asdict
 from pathlib import Path
@@ -101,22 +100,17 @@ class FrameTarget:
         """Drop what a browser had."""
         self._shown.pop(client, None)
 
-    def write(self, client: int) -> tuple[str, bytes]:
-        """Return name and bytes of an EXR file of what a browser sees: the source with the filtered radiance."""
-        result = self._get_result(self._shown.get(client, FrameLook("none")))
-        name = f"{Path(self._path).stem}-lobewise.exr"
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            if isinstance(self._frame, SparseFrame):
-                frame = self._frame
-                radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
-                write_frame(
-                    path,
-                    Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables),
-                )
-            else:
-                write_result(path, result, source=self._path)
-            return name, path.read_bytes()
+    def write(self, client: int, folder: Path) -> Path:
+        """Return the EXR file, in ``folder``, of what a browser sees: the source with the filtered radiance."""
+        result, frame = self._get_result(self._shown.get(client, FrameLook("none"))), self._frame
+        path = folder / f"{Path(self._path).stem}-lobewise.exr"
+        if isinstance(frame, SparseFrame):
+            radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
+            whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
+            write_frame(path, whole)
+        else:
+            write_result(path, result, source=self._path)
+        return path
 
     def _filter(self, look: Look) -> Shot:
         assert isinstance(look, FrameLook)

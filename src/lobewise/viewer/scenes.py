@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from lobewise.errors import InputError
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.interactive.methods import METHODS
@@ -86,21 +84,14 @@ class SceneTarget:
         self._sessions.pop(client, None)
         self._last.pop(client, None)
 
-    def write(self, client: int) -> tuple[str, bytes]:
-        """Return name and bytes of an EXR file of a browser's last image, with its guides.
-
-        Raises InputError if it has none yet.
-        """
-        if client not in self._last:
-            raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
+    def write(self, client: int, folder: Path) -> Path:
+        """Return the EXR file, in ``folder``, of a browser's last image, with its guides; there must be one."""
         frame = self._last[client][0]
         noisy = frame.make_frame()
         whole = Frame(Radiance(frame.image), noisy.gbuffer, noisy.camera, lobe_tables=noisy.lobe_tables)
-        name = f"{Path(self._name).stem}.exr"
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            write_frame(path, whole, half=False, attributes={"lobewise/scene": self._name})
-            return name, path.read_bytes()
+        path = folder / f"{Path(self._name).stem}.exr"
+        write_frame(path, whole, half=False, attributes={"lobewise/scene": self._name})
+        return path
 
 
 def _to_settings(look: Look, accumulate: bool) -> InteractiveSettings:

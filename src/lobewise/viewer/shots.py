@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 from lobewise.frame import FloatArray
@@ -45,5 +46,5 @@ class OpenTarget(Protocol):
     def forget(self, client: int) -> None:
         """Drop what a browser had."""
 
-    def write(self, client: int) -> tuple[str, bytes]:
-        """Return name and bytes of an EXR file of what a browser sees."""
+    def write(self, client: int, folder: Path) -> Path:
+        """Return the EXR file, written into a folder, of what a browser sees."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import tempfile
 import threading
 import time
 from multiprocessing import connection, parent_process
@@ -150,7 +151,9 @@ class Worker:
         if order.client not in self._shown:
             raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
         if order.kind == "exr":
-            return SavedFile(order.client, *opened.write(order.client))
+            with tempfile.TemporaryDirectory() as folder:
+                path = opened.write(order.client, Path(folder))
+                return SavedFile(order.client, path.name, path.read_bytes())
         from lobewise.io.png import encode_png
 
         name = f"{Path(self._target.name).stem}.png"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import Frame, Radiance
 from lobewise.io.exr.frames import read_whole, write_frame
 from lobewise.io.exr.layout import name_file, require_beauty
 from lobewise.io.exr.parsing import read_container
@@ -58,12 +58,9 @@ def write_sparse_frame(path: PathLike, frame: SparseFrame, *, half: bool = True,
     def spread(part: Radiance | None) -> Radiance | None:
         if part is None:
             return None
-        images: dict[str, FloatArray] = {}
-        for name in Radiance.__dataclass_fields__:
-            image = getattr(part, name)
-            if image is not None:
-                images[name] = np.zeros((*frame.shape, 3), np.float32)
-                images[name][frame.shaded] = image
+        images = {name: np.zeros((*frame.shape, 3), np.float32) for name in part.names}
+        for name, image in images.items():
+            image[frame.shaded] = getattr(part, name)
         return Radiance(**images)
 
     radiance = spread(frame.radiance)
