@@ -28,8 +28,7 @@ from lobewise.denoising.high import (
 )
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput
-from lobewise.filters.mixing import count_features
-from lobewise.filters.network import Network
+from lobewise.filters.mixing import Network, count_features
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io import describe_file, read_frame, write_frame, write_result
 from lobewise.settings import QUALITIES, DenoiseSettings

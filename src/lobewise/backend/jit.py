@@ -12,12 +12,12 @@ import ctypes
 import hashlib
 import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import astuple, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
 from importlib.metadata import version
 from types import FunctionType
-from typing import Any, Protocol
+from typing import Any
 
 import halide as hl
 
@@ -25,7 +25,7 @@ from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.runtime import Runtime, compile_object, get_runtime
-from lobewise.backend.signature import Parameter, Signature, check_call, pack_parameters, unpack_parameters
+from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_modules
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
@@ -35,21 +35,9 @@ _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
 }
 
 
-class Compilable(Protocol):
-    """The scheduled functions of a kernel, and its parameters."""
-
-    @property
-    def out(self) -> Any:
-        """A function, or a list of them, in the order of the signature's outputs."""
-
-    @property
-    def signature(self) -> Signature:
-        """What it is called with."""
-
-
 @dataclass(frozen=True)
 class Scheduled:
-    """Scheduled functions and their parameters."""
+    """The scheduled functions of a kernel, in the order of its signature's outputs, and that signature."""
 
     out: list[Any]
     signature: Signature
@@ -113,29 +101,8 @@ class Kernel:
         self._runtime.call(self._function, pointers)
 
 
-class _Kernels:
-    """Kernels of this process; safe to use from several threads."""
-
-    def __init__(self) -> None:
-        self._kernels: dict[tuple[str, Hashable], Kernel] = {}
-        self._lock = threading.Lock()
-
-    def __len__(self) -> int:
-        return len(self._kernels)
-
-    def get(self, device: str, key: Hashable, make: Callable[[hl.Target], Compilable], strict: bool) -> Kernel:
-        """Return the kernel of ``key``, which ``make`` gives the scheduled functions of."""
-        with self._lock:
-            if (device, key) not in self._kernels:
-                target = make_target(device)
-                if strict:
-                    target = target.with_feature(hl.TargetFeature.StrictFloat)
-                known = describe_kernel(key, make)
-                self._kernels[device, key] = _load(device, known and f"{known} {target}", target, make, len(self))
-            return self._kernels[device, key]
-
-
-_kernels = _Kernels()
+_kernels: dict[tuple[str, Hashable], Kernel] = {}
+_kernels_lock = threading.Lock()
 
 
 def count_compiled_kernels() -> int:
@@ -143,9 +110,19 @@ def count_compiled_kernels() -> int:
     return len(_kernels)
 
 
-def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Compilable], *, strict: bool = False) -> Kernel:
-    """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats."""
-    return _kernels.get(device, key, make, strict)
+def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> Kernel:
+    """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats.
+
+    Several threads may ask at once.
+    """
+    with _kernels_lock:
+        if (device, key) not in _kernels:
+            target = make_target(device)
+            if strict:
+                target = target.with_feature(hl.TargetFeature.StrictFloat)
+            known = describe_kernel(key, make)
+            _kernels[device, key] = _load(device, known and f"{known} {target}", target, make, len(_kernels))
+        return _kernels[device, key]
 
 
 def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
@@ -187,18 +164,21 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
 
 
 def _load(
-    device: str, known: str | None, target: hl.Target, make: Callable[[hl.Target], Compilable], number: int
+    device: str, known: str | None, target: hl.Target, make: Callable[[hl.Target], Scheduled], number: int
 ) -> Kernel:
     runtime = get_runtime(device)
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
 
     def compile_kernel() -> tuple[bytes, dict[str, Any]]:
         funcs = make(target)
-        pipeline = hl.Pipeline(list(funcs.out) if isinstance(funcs.out, (list, tuple)) else [funcs.out])
+        pipeline = hl.Pipeline(funcs.out)
         bare = target.with_feature(hl.TargetFeature.NoRuntime)
         arguments = funcs.signature.arguments
         content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
-        return content, {"name": funcs.signature.name, "parameters": pack_parameters(funcs.signature.parameters)}
+        return content, {
+            "name": funcs.signature.name,
+            "parameters": [astuple(each) for each in funcs.signature.parameters],
+        }
 
     content, head = fetch_object(known, compile_kernel)
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))

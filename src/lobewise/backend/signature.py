@@ -7,7 +7,7 @@ function's order of arguments follows from it and is written nowhere else.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import halide as hl
@@ -140,13 +140,8 @@ def _name_type(kind: hl.Type) -> str:
     return f"{'u' if kind.is_uint() else ''}int{kind.bits()}"
 
 
-def pack_parameters(parameters: Sequence[Parameter]) -> list[list[Any]]:
-    """Return parameters as lists for JSON."""
-    return [list(astuple(each)) for each in parameters]
-
-
 def unpack_parameters(packed: Sequence[Sequence[Any]]) -> list[Parameter]:
-    """Return what `pack_parameters` took apart."""
+    """Return parameters that were kept as lists of their fields, in JSON."""
     return [Parameter(name, role, kind, tuple(axes), tuple(strides)) for name, role, kind, axes, strides in packed]
 
 

@@ -30,8 +30,7 @@ from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.mixing import REACH as MIXING_REACH
-from lobewise.filters.mixing import mix_candidates
-from lobewise.filters.network import Network
+from lobewise.filters.mixing import Network, mix_candidates
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.frame import FloatArray, Frame

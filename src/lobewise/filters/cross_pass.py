@@ -14,7 +14,6 @@ import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
 
 import halide as hl
 
@@ -122,16 +121,6 @@ class PassInputs:
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
     strictness: hl.ImageParam | None = None
-
-
-class Sums(NamedTuple):
-    """The sums of a pixel over taps, undivided."""
-
-    radiance: list[hl.Expr]
-    weight: hl.Expr
-    squared_weight: hl.Expr
-    moment: list[hl.Expr]
-    """Of the squared luminance; nothing where it was not asked for."""
 
 
 @dataclass
@@ -242,10 +231,12 @@ def make_pass(
     image = _read_image(key, inputs, rows)
     planes = make_guide_planes("tap", inputs.mask, features, inputs.scalars, arrays=inputs.arrays, rows=rows)
     stages = _compare(key, features, inputs, planes, spread)
-    weights = _weigh_pairs(stages[-1]) if key.mirrored else None
+    weights = hl.Func("weights") if key.mirrored else None
     if weights is None:
         row, inner = _sum_row(key, image, stages[-1], spread)
     else:
+        # Of a pixel and those to its right, which are those of these pixels and it.
+        weights[X, Y, U] = expressions.exp2(stages[-1][X, Y, U, 0])
         row, inner = _sum_pairs(key, image, weights)
     # A column of taps that was summed as a row is all there is.
     outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
@@ -332,13 +323,6 @@ def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr)
     return row, inner
 
 
-def _weigh_pairs(log_weight: hl.Func) -> hl.Func:
-    """Return the weights of a pixel and those to its right, which are those of these pixels and it."""
-    weights = hl.Func("weights")
-    weights[X, Y, U] = expressions.exp2(log_weight[X, Y, U, 0])
-    return weights
-
-
 def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func) -> tuple[hl.Func, hl.RDom]:
     """Return the sums over a row of taps, two at a time, and how far these are from the pixel."""
     inner = hl.RDom([(1, key.radius)], "inner")
@@ -357,9 +341,8 @@ def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl
     if key.writes is Writes.SUMS:
         out[X, C, Y] = hl.mux(C, values)
         return out, None, None
-    named = Sums(values[:COLORS], values[WEIGHT], values[SQUARED_WEIGHT], values[SUM_CHANNELS:])
-    alive = (inputs.mask[X, Y] != 0) & (named.weight > hl.f32(0.0))
-    results = _divide(key, inputs, named)
+    alive = (inputs.mask[X, Y] != 0) & (values[WEIGHT] > hl.f32(0.0))
+    results = _divide(key, inputs, values)
     if key.writes is Writes.PIXELS:
         out[C, X, Y] = hl.select(alive, hl.mux(C, results), hl.f32(0.0))
         return out, None, None
@@ -370,13 +353,20 @@ def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl
     return out, rest, finish
 
 
-def _divide(key: PassKey, inputs: PassInputs, sums: Sums) -> list[hl.Expr]:
+def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Expr]:
     """Return a pixel's radiance, weight sum, effective samples and, where it was summed, moment."""
-    mean = [value / sums.weight for value in sums.radiance]
+    weight = sums[WEIGHT]
+    mean = [value / weight for value in sums[:COLORS]]
     if key.modulate and inputs.albedo is not None:
         tints = [inputs.albedo[k, X, Y] for k in range(COLORS)]
         mean = [value * hl.select(expressions.is_bad(t), hl.f32(0.0), t) for value, t in zip(mean, tints, strict=True)]
-    # The squares underflow before the sum does: then one far tap decides, which is one sample.
-    squares = sums.squared_weight
-    effective = hl.select(squares > hl.f32(0.0), sums.weight * sums.weight / squares, hl.f32(1.0))
-    return [*mean, sums.weight, effective, *(value / sums.weight for value in sums.moment)]
+    effective = count_samples(weight, sums[SQUARED_WEIGHT])
+    return [*mean, weight, effective, *(value / weight for value in sums[SUM_CHANNELS:])]
+
+
+def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:
+    """Return how many equal samples a sum of weights is worth.
+
+    The squares underflow before the sum does: then one far tap decides, which is one sample.
+    """
+    return hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))

@@ -10,8 +10,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Image, lend, make_output, returns_host_images, take_channel, take_image, take_mask
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.buffers import Image, returns_host_images, take_channel, take_image, take_mask
+from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import COLORS, describe_structure
@@ -104,7 +104,6 @@ def filter_dual_buffer(
         variants=len(variants),
     )
     kernel = get_kernel(device, key, partial(_make_scheduled, key, groups))
-    # Every array is held in a local name until the call has returned: Halide keeps no reference.
     images: dict[str, Image] = {"mask": take_mask(mask)}
     for name, half in zip(("half_a", "half_b"), halves, strict=True):
         images[name] = take_image("half", half, (*size, COLORS))
@@ -116,18 +115,10 @@ def filter_dual_buffer(
     for name, features in groups._asdict().items():
         images |= give_features(name, features, size)
         numbers |= give_scalars(features, name)
-    shapes = kernel.list_shapes(height=size[0], width=size[1])
-    outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
-    kernel(
-        **{name: lend(image, device) for name, image in images.items()},
-        **{name: buffer for name, (buffer, _) in outputs.items()},
-        **numbers,
-        step=step,
-        noise=float(noise),
-    )
+    written = run_kernel(kernel, device, images, **numbers, step=step, noise=float(noise))
     found: list[DualBufferOutput] = []
     for variant in range(len(variants)):
-        *means, support = (outputs[name][1] for name in name_images(key, variant))
+        *means, support = (written[name] for name in name_images(key, variant))
         found.append(DualBufferOutput(means[0], means[-1], *(take_channel(support, k) for k in range(2))))
     return found
 

@@ -25,7 +25,16 @@ from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Stage
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, U, V, demodulate, find_luminance, make_stage
+from lobewise.filters.cross_pass import (
+    ALBEDO_FLOOR,
+    COLORS,
+    U,
+    V,
+    count_samples,
+    demodulate,
+    find_luminance,
+    make_stage,
+)
 from lobewise.filters.planes import C, Rows, X, Y, make_guide_planes, make_image
 
 HALVES = 2
@@ -322,9 +331,8 @@ def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr
 
 def _find_mean(both: HalfSums, share: hl.Expr) -> list[list[hl.Expr]]:
     """Return the images of a variant whose halves were added up: their mean, and how it is supported."""
-    zero, one = hl.f32(0.0), hl.f32(1.0)
-    total, square = both.weight, both.squared_weight
+    zero, total = hl.f32(0.0), both.weight
     mean = [hl.select(total > zero, value / total, zero) for value in both.light]
-    worth = hl.select(square > zero, total * total / square, one)
+    worth = count_samples(total, both.squared_weight)
     weight = hl.f32(0.5) * total / hl.max(share, hl.f32(ALBEDO_FLOOR))
     return [mean, [weight, hl.select(total > zero, worth, zero), zero]]

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import halide as hl
@@ -21,9 +22,8 @@ from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, returns_host_images, take_image
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
-from lobewise.errors import InputError, describe_problem
+from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS, find_luminance
-from lobewise.filters.network import Network
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
@@ -38,8 +38,46 @@ DARKEST = 0.05
 """Squares are relative to that of the local mean, and to this share of the whole mean."""
 LEAST_SQUARE = 1e-8
 LEAST_LIGHT = 1e-3
+LAYERS = 3
+"""Of the network, two of them hidden."""
 LEAK = 0.01
 """Slope of the network's units below 0."""
+
+
+class Network(NamedTuple):
+    """A perceptron with two hidden layers, its inputs centred and scaled.
+
+    Parameters
+    ----------
+    mean, scale : (inputs,)
+        What is subtracted from the inputs, and what they are multiplied by then.
+    weights : three arrays, (inputs, units), (units, units), (units, candidates)
+    biases : three arrays, (units,), (units,), (candidates,)
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: tuple[FloatArray, FloatArray, FloatArray]
+    biases: tuple[FloatArray, FloatArray, FloatArray]
+
+    def name_arrays(self) -> dict[str, FloatArray]:
+        """Return its arrays by the names that the kernel knows them by."""
+        named = {"centre": self.mean, "scale": self.scale}
+        named |= {f"weights{number}": each for number, each in enumerate(self.weights)}
+        return named | {f"biases{number}": each for number, each in enumerate(self.biases)}
+
+    def require_fit(self, inputs: int, candidates: int) -> None:
+        """Raise InputError unless the arrays fit each other: kernels read and write where shapes tell them."""
+        sizes = [inputs, *(bias.size for bias in self.biases[:-1]), candidates]
+        expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
+        arrays = self.name_arrays().values()
+        if len(sizes) != LAYERS + 1 or 0 in sizes or [array.shape for array in arrays] != expected:
+            raise InputError(
+                "network",
+                expected=f"{LAYERS} layers from {inputs} inputs to {candidates} outputs",
+                got="arrays of shapes " + ", ".join(str(array.shape) for array in arrays),
+                action="use one that was trained for these candidates and extras",
+            )
 
 
 def count_features(candidates: int, extras: int) -> int:
@@ -77,20 +115,6 @@ Pair = tuple[Sequence[hl.Expr], Sequence[hl.Expr]]
 """The colours of both halves of a candidate."""
 
 
-class MixingInputs(NamedTuple):
-    """What the kernel reads beside its network."""
-
-    pairs: list[tuple[hl.ImageParam, hl.ImageParam]]
-    extras: hl.ImageParam
-    floor: hl.Param
-    """Least square of a local mean."""
-    level: hl.Param
-
-    def read_pairs(self, x: hl.Expr, y: hl.Expr) -> list[Pair]:
-        """Return all candidates' colours at a pixel."""
-        return [([a[i, x, y] for i in range(COLORS)], [b[i, x, y] for i in range(COLORS)]) for a, b in self.pairs]
-
-
 class Blur(NamedTuple):
     """An average: along rows, and of these along columns."""
 
@@ -122,24 +146,19 @@ class MixingFuncs(NamedTuple):
     out: hl.Func
 
 
-def declare_mixing(signature: Signature, key: MixingKey) -> MixingInputs:
-    """Declare all that the kernel reads and writes but the network."""
-    size = "height", "width"
-    pairs = [
-        (signature.image(f"candidate{k}_a", *size, COLORS), signature.image(f"candidate{k}_b", *size, COLORS))
-        for k in range(key.candidates)
-    ]
-    signature.output("mixed", *size, key.channels)
-    return MixingInputs(
-        pairs, signature.image("extras", *size, key.extras), signature.number("floor"), signature.number("level")
-    )
-
-
 def define_mixing(signature: Signature, key: MixingKey, together: bool) -> MixingFuncs:
     """Define features alone, or what the network makes of them; ``together`` puts both halves of candidates so."""
-    inputs = declare_mixing(signature, key)
-    width, height = inputs.extras.dim(1).extent(), inputs.extras.dim(2).extent()
-    pairs = inputs.read_pairs(hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1))
+    size = "height", "width"
+    images = [[signature.image(f"candidate{k}_{half}", *size, COLORS) for half in "ab"] for k in range(key.candidates)]
+    signature.output("mixed", *size, key.channels)
+    extras = signature.image("extras", *size, key.extras)
+    floor, level = signature.number("floor"), signature.number("level")
+    width, height = extras.dim(1).extent(), extras.dim(2).extent()
+
+    def read_pairs(x: hl.Expr, y: hl.Expr) -> list[Pair]:
+        return [([a[i, x, y] for i in range(COLORS)], [b[i, x, y] for i in range(COLORS)]) for a, b in images]
+
+    pairs = read_pairs(hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1))
     copies: list[hl.Func] = []
     if together:
         # More images than a graphics card lets one kernel read.
@@ -150,12 +169,12 @@ def define_mixing(signature: Signature, key: MixingKey, together: bool) -> Mixin
     light, spread = _define_light(pairs)
     sharp = _define_squares(key, light, spread)
     blurs = _define_blurs(sharp)
-    features = _define_features(key, inputs, [soft for _, soft in blurs])
+    features = _define_features(key, extras, (floor, level), [soft for _, soft in blurs])
     out = hl.Func("out")
     network: list[Stage] = []
     if key.units:
         network = _define_network(signature, key, features)
-        mixed = _mix(network[-1].func, pairs if together else inputs.read_pairs(X, Y))
+        mixed = _mix(network[-1].func, pairs if together else read_pairs(X, Y))
         out[C, X, Y] = hl.mux(C, mixed)
     else:
         out[C, X, Y] = features[X, C, Y]
@@ -204,16 +223,19 @@ def _define_blurs(source: hl.Func) -> list[Blur]:
     return blurs
 
 
-def _define_features(key: MixingKey, inputs: MixingInputs, averages: Sequence[hl.Func]) -> hl.Func:
-    """Return what the network sees; see `find_features`."""
+def _define_features(
+    key: MixingKey, extras: hl.ImageParam, light: tuple[hl.Expr, hl.Expr], averages: Sequence[hl.Func]
+) -> hl.Func:
+    """Return what the network sees (see `find_features`); ``light`` is the least squared mean, and the level."""
+    floor, level = light
     values: list[hl.Expr] = []
     for soft in averages:
         mean = soft[X, key.squares - 1, Y]
-        unit = hl.f32(1.0) / (mean * mean + inputs.floor)
+        unit = hl.f32(1.0) / (mean * mean + floor)
         relative = [soft[X, k, Y] * unit for k in range(key.squares - 1)]
         values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
-        values.append(expressions.log2(hl.max(mean / inputs.level, hl.f32(LEAST_LIGHT))))
-    values += [inputs.extras[k, X, Y] for k in range(key.extras)]
+        values.append(expressions.log2(hl.max(mean / level, hl.f32(LEAST_LIGHT))))
+    values += [extras[k, X, Y] for k in range(key.extras)]
     features = hl.Func("features")
     features[X, C, Y] = hl.mux(C, values)
     return features
@@ -267,21 +289,17 @@ def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
     """Raise InputError unless there is a middle candidate and something else is known of every pixel."""
     if not 0 <= middle < candidates:
         raise InputError(
-            describe_problem(
-                "middle",
-                expected="the index of a candidate",
-                got=f"{middle} of {candidates}",
-                action="count from 0, and give at least one candidate",
-            )
+            "middle",
+            expected="the index of a candidate",
+            got=f"{middle} of {candidates}",
+            action="count from 0, and give at least one candidate",
         )
     if extras.ndim != 3 or extras.shape[2] < 1:
         raise InputError(
-            describe_problem(
-                "extras",
-                expected="shape (height, width, count) with a count of at least 1",
-                got=f"shape {extras.shape}",
-                action="give zeros where nothing else is known",
-            )
+            "extras",
+            expected="shape (height, width, count) with a count of at least 1",
+            got=f"shape {extras.shape}",
+            action="give zeros where nothing else is known",
         )
 
 

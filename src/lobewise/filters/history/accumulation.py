@@ -10,8 +10,8 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import HostImage, device_scope, download, lend, take_image, take_mask
-from lobewise.backend.jit import get_kernel
+from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.errors import InputError
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
@@ -26,10 +26,10 @@ from lobewise.filters.history.accumulation_pass import (
 from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
-    OutputPlanes,
     Sums,
     count_lanes,
     fill,
+    run_planes,
     split_history,
     widen,
 )
@@ -276,16 +276,14 @@ class SampleGrid:
     ) -> FloatArray:
         """Return what a pass writes, (rows, columns, planes); ``make`` and its options are what it is."""
 
-        def make_scheduled(target: hl.Target) -> AccumulationFuncs:
+        def make_scheduled(target: hl.Target) -> Scheduled:
             funcs = make(*options)
             schedule_accumulation(funcs, target)
-            return funcs
+            return Scheduled([funcs.out], funcs.signature)
 
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
         kernel = get_kernel(self._device, (make, *told), make_scheduled, strict=strict)
-        planes = OutputPlanes(tuple(each.name for each in kernel.outputs), size, self._device)
-        kernel(**{name: lend(image, self._device) for name, image in images.items()}, **numbers, **planes.buffers)
-        return planes.get_image()
+        return run_planes(kernel, self._device, images, numbers, size)
 
 
 def _split_output(accumulated: FloatArray) -> AccumulatedOutput:

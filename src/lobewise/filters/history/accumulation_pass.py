@@ -35,7 +35,6 @@ from lobewise.filters.history.accumulation_stages import (
     accumulate,
     compare_with_history,
     declare_count,
-    declare_grids,
     find_unit,
     gather_samples,
     gather_trust,
@@ -65,7 +64,6 @@ def make_accumulation(features: Sequence[Feature], tinted: bool) -> Accumulation
     tap_albedo = signature.image("tap_albedo", "rows", "columns", 3) if tinted else None
     albedo = signature.image("own_albedo", "height", "width", 3) if tinted else None
     history = signature.image("history", HISTORY_CHANNELS, "height", "width")
-    grids = declare_grids(signature, features)
     radius, trust_radius = declare_count(signature, "radius"), declare_count(signature, "trust_radius")
     growth, own = (signature.number(name) for name in ("growth", "own"))
     pixels = Pixels()
@@ -77,17 +75,17 @@ def make_accumulation(features: Sequence[Feature], tinted: bool) -> Accumulation
         seen = (hl.select(good & usable, value, zero) for value in (*light, one, luminance * luminance))
         return Sample(*seen, *(hl.select(usable, value, zero) for value in (trust[at], one)))
 
-    grid = make_tap_grid(features, grids, take)
+    grid = make_tap_grid(signature, features, take)
     trusted, share = gather_trust(grid, trust_radius, lambda tap: Trust(*Sample(*tap)[-2:]))
     faded = read_history(history).fade(share)
     unit, *kept = pixels.keep("unit", find_unit(faded.frames, growth), *faded)
     gathered, found = gather_samples(grid, radius, unit)
 
-    columns, rows = grids.tap_mask.width(), grids.tap_mask.height()
+    columns, rows = grid.tap_mask.width(), grid.tap_mask.height()
     block, shift = grid.block, grid.shift
     nearest = hl.clamp(block[0], 0, columns - 1), hl.clamp(block[1], 0, rows - 1)
     shaded = (shift[0] == 0) & (shift[1] == 0) & (block[0] < columns) & (block[1] < rows)
-    usable = grids.mask[X, Y] != 0
+    usable = grid.mask[X, Y] != 0
     more = weigh_own_sample(pixels, (samples, albedo), nearest, shaded & usable, (own, own - one), unit)
     out = accumulate(pixels, Sums(*kept), weigh_gathered(found, unit, usable), more, unit, albedo)
     _declare_outputs(signature, ACCUMULATED)
@@ -99,14 +97,13 @@ def make_narrowing(features: Sequence[Feature]) -> AccumulationFuncs:
     signature = Signature("narrowing")
     trust = signature.image("trust", "rows", "columns")
     frames = signature.image("frames", "height", "width")
-    grids = declare_grids(signature, features)
     radius, growth = declare_count(signature, "trust_radius"), signature.number("growth")
     pixels = Pixels()
 
     def take(at: Place, usable: hl.Expr) -> Trust:
         return Trust(*(hl.select(usable, value, hl.f32(0.0)) for value in (trust[at], hl.f32(1.0))))
 
-    grid = make_tap_grid(features, grids, take)
+    grid = make_tap_grid(signature, features, take)
     trusted, share = gather_trust(grid, radius, lambda tap: Trust(*tap))
     kept = frames[X, Y] * share
     # The usual power is a root, which is exact: what the passes of a filter make of it must not depend on an estimate.
@@ -149,7 +146,6 @@ def make_trust(features: Sequence[Feature], tinted: bool) -> AccumulationFuncs:
     samples = signature.image("samples", "rows", "columns", 3)
     albedo = signature.image("tap_albedo", "rows", "columns", 3) if tinted else None
     history = signature.image("history", HISTORY_CHANNELS, "rows", "columns")
-    grids = declare_grids(signature, features)
     radius, own = declare_count(signature, "trust_radius"), signature.number("own")
     pixels = Pixels()
     zero, one = hl.f32(0.0), hl.f32(1.0)
@@ -167,8 +163,8 @@ def make_trust(features: Sequence[Feature], tinted: bool) -> AccumulationFuncs:
         parts = [*(hl.max(step, zero) for step in steps), *(hl.max(-step, zero) for step in steps), *squares, one]
         return [*(hl.select(known, part, zero) for part in parts), *before]
 
-    grid = make_tap_grid(features, grids, take)
-    trusted, trust = compare_with_history(grid, pixels, radius, grids.mask[X, Y] != 0)
+    grid = make_tap_grid(signature, features, take)
+    trusted, trust = compare_with_history(grid, pixels, radius, grid.mask[X, Y] != 0)
     out = hl.Func("out")
     out[X, Y] = trust
     _declare_outputs(signature, ["trust"])

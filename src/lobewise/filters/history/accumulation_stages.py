@@ -12,7 +12,7 @@ from lobewise.backend import expressions
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance, make_stage
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance, make_stage
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
 
@@ -97,6 +97,8 @@ class AccumulationFuncs:
 class TapGrid:
     """Samples and pixels as taps read them, and the logarithms of their weights."""
 
+    tap_mask: hl.ImageParam
+    mask: hl.ImageParam
     wide: hl.Func
     """Planes and values of the samples' pixels, repeated for every pixel of a block's width."""
     values: hl.Func
@@ -115,21 +117,6 @@ class TapGrid:
     """From the pixel to the shaded one of its block."""
 
 
-@dataclass(frozen=True)
-class Grids:
-    """The parameters of both grids: of the shaded pixels, and of all."""
-
-    tap_mask: hl.ImageParam
-    mask: hl.ImageParam
-    tap_arrays: list[hl.ImageParam]
-    arrays: list[hl.ImageParam]
-    scalars: list[list[hl.Param]]
-    factor: hl.Param
-    column: hl.Param
-    row: hl.Param
-    spacing: hl.Param
-
-
 def read_history(history: hl.ImageParam) -> Sums:
     """Return the history of a pixel."""
     return Sums(*(history[X, Y, k] for k in range(HISTORY_CHANNELS)))
@@ -142,31 +129,26 @@ def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
     return count
 
 
-def declare_grids(signature: Signature, features: Sequence[Feature]) -> Grids:
-    """Declare what both grids are known by."""
-    return Grids(
-        tap_mask=signature.image("tap_mask", "rows", "columns", type=hl.UInt(8)),
-        mask=signature.image("own_mask", "height", "width", type=hl.UInt(8)),
-        tap_arrays=declare_features(signature, "tap", features, "rows", "columns"),
-        arrays=declare_features(signature, "own", features, "height", "width"),
-        scalars=declare_scalars(signature, features),
-        factor=declare_count(signature, "factor", 1),
-        column=signature.number("column", hl.Int(32)),
-        row=signature.number("row", hl.Int(32)),
-        spacing=signature.number("spacing"),
-    )
-
-
 def make_tap_grid(
-    features: Sequence[Feature], grids: Grids, take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]
+    signature: Signature, features: Sequence[Feature], take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]
 ) -> TapGrid:
-    """Return what taps read: planes of every feature and the values that ``take`` gives, and logarithms of weights."""
-    factor = grids.factor
-    columns, rows = grids.tap_mask.width(), grids.tap_mask.height()
-    taps = make_guide_planes("tap", grids.tap_mask, features, grids.scalars, arrays=grids.tap_arrays)
-    own = make_guide_planes("own", grids.mask, features, grids.scalars, inside=True, arrays=grids.arrays)
+    """Declare both grids, of the shaded pixels and of all, and return what taps read of them.
+
+    That is planes of every feature, the values that ``take`` gives, and the logarithms of weights.
+    """
+    tap_mask = signature.image("tap_mask", "rows", "columns", type=hl.UInt(8))
+    mask = signature.image("own_mask", "height", "width", type=hl.UInt(8))
+    tap_arrays = declare_features(signature, "tap", features, "rows", "columns")
+    arrays = declare_features(signature, "own", features, "height", "width")
+    scalars = declare_scalars(signature, features)
+    factor = declare_count(signature, "factor", 1)
+    column, row = (signature.number(name, hl.Int(32)) for name in ("column", "row"))
+    spacing = signature.number("spacing")
+    columns, rows = tap_mask.width(), tap_mask.height()
+    taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)
+    own = make_guide_planes("own", mask, features, scalars, inside=True, arrays=arrays)
     at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
-    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (grids.tap_mask[at] != 0)
+    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
     planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
     given = [*planes, *take(at, usable)]
     values, wide = hl.Func("tap_values"), hl.Func("wide")
@@ -178,23 +160,23 @@ def make_tap_grid(
 
     wide[X, C, Y] = values[find_block(X), C, Y]
     block = find_block(X), find_block(Y)
-    shift = grids.column + block[0] * factor - X, grids.row + block[1] * factor - Y
+    shift = column + block[0] * factor - X, row + block[1] * factor - Y
 
     u, v = hl.Var("u"), hl.Var("v")
-    offset = grids.spacing * hl.f32(u) + hl.f32(shift[0]), grids.spacing * hl.f32(v) + hl.f32(shift[1])
+    offset = spacing * hl.f32(u) + hl.f32(shift[0]), spacing * hl.f32(v) + hl.f32(shift[1])
     stages: list[hl.Func] = []
     stage = make_stage(stages, (X, Y, u, v))
     exponent: hl.Expr = hl.f32(0.0)
-    for feature, layout, scalars in zip(features, taps.layouts, grids.scalars, strict=True):
+    for feature, layout, parameters in zip(features, taps.layouts, scalars, strict=True):
         j = layout.read(lambda k: wide[X + u * factor, k, block[1] + v])
-        exponent = exponent + feature.log2_similarity(own.read(layout, X, Y), j, scalars, offset, stage)
+        exponent = exponent + feature.log2_similarity(own.read(layout, X, Y), j, parameters, offset, stage)
     log_weight = hl.Func("log_weight")
     log_weight[X, Y, u, v] = exponent
 
     def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
         return [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count, len(given))]
 
-    return TapGrid(wide, values, len(given), taps, own, log_weight, stages, read, block, shift)
+    return TapGrid(tap_mask, mask, wide, values, len(given), taps, own, log_weight, stages, read, block, shift)
 
 
 def _sum_taps(
@@ -255,14 +237,6 @@ def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapS
 
     gathered, (*light, total, squares, moment) = _sum_taps("sums", grid, radius, power, take)
     return gathered, Gathered(light, moment, total, count_samples(total, squares), are_means=False)
-
-
-def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:
-    """Return how many equal samples a sum of weights is worth.
-
-    The squares underflow before the sum does: then one far tap decides, which is one sample.
-    """
-    return hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))
 
 
 def compare_with_history(grid: TapGrid, pixels: Pixels, radius: hl.Expr, usable: hl.Expr) -> tuple[TapSum, hl.Expr]:

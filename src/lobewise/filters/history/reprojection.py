@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.buffers import HostImage, device_scope, download, lend, take_image, take_mask
-from lobewise.backend.jit import get_kernel
+from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
-from lobewise.filters.history.sums import HISTORY_CHANNELS, OutputPlanes, Sums, widen
+from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums, run_planes, widen
 from lobewise.filters.planes import C, GuidePlanes, X, Y, count_inputs, make_guide_planes, neutralize, prepare_planes
 from lobewise.filters.schedules.reprojection import schedule_reprojection
 from lobewise.frame import FloatArray
@@ -290,28 +290,20 @@ def run_reprojection(
     height, width = size = (masks[1].shape[0], masks[1].shape[1])
     virtual_from = None if virtual is None else virtual[1]
 
-    def make(target: hl.Target) -> ReprojectionFuncs:
+    def make(target: hl.Target) -> Scheduled:
         funcs = make_reprojection(features[1], virtual_from)
         schedule_reprojection(funcs, target)
-        return funcs
+        return Scheduled([funcs.out], funcs.signature)
 
     before: dict[str, HostImage] = {"mask_before": take_mask(masks[0]), **_take("before", features[0], size)}
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
     now: dict[str, HostImage] = {name: take_image(name, way, (*size, 2)) for name, way in ways.items()}
     now |= {"mask": take_mask(masks[1]), **_take("own", features[1], size)}
-    # Every array is held in a local name until the call has returned: Halide keeps no reference.
-    held = {name: image.reshape(height * width, *image.shape[2:]) for name, image in before.items()}
-    held |= {"past": _flatten_history(past, size), **{name: widen(image) for name, image in now.items()}}
-    planes = OutputPlanes(REPROJECTED, size, device)
-    get_kernel(device, ("reprojection", virtual_from, *map(describe_structure, features[1])), make)(
-        **{name: lend(array, device) for name, array in held.items()},
-        **give_scalars(features[1]),
-        memory=memory,
-        width_before=width,
-        height_before=height,
-        **planes.buffers,
-    )
-    return planes.get_image()
+    images = {name: image.reshape(height * width, *image.shape[2:]) for name, image in before.items()}
+    images |= {"past": _flatten_history(past, size), **{name: widen(image) for name, image in now.items()}}
+    numbers = {"memory": memory, "width_before": width, "height_before": height, **give_scalars(features[1])}
+    kernel = get_kernel(device, ("reprojection", virtual_from, *map(describe_structure, features[1])), make)
+    return run_planes(kernel, device, images, numbers, size)
 
 
 def _take(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:

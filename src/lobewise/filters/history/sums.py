@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import halide as hl
 import numpy as np
 
-from lobewise.backend.buffers import Buffer, HostImage, download, make_output
+from lobewise.backend.buffers import HostImage, download, lend, make_output
+from lobewise.backend.jit import Kernel
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 
@@ -95,29 +97,18 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.ascontiguousarray(planes, dtype=np.float32)
 
 
-class OutputPlanes:
-    """Planes that a kernel writes, and the image of which they are the channels.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the kernel's outputs.
-    size : (int, int)
-        Rows and columns of the image.
-    device : str
-        A name from `list_devices`.
-    """
-
-    def __init__(self, names: tuple[str, ...], size: tuple[int, int], device: str) -> None:
-        shape = size[0], max(size[1], count_lanes())
-        self._width = size[1]
-        # One memory for all of them: who reads the image finds its channels one after the other.
-        self._memory = np.empty((len(names), *shape), np.float32)
-        self._outputs = [make_output(shape, device, plane) for plane in self._memory]
-        self.buffers: dict[str, Buffer] = {name: buffer for name, (buffer, _) in zip(names, self._outputs, strict=True)}
-
-    def get_image(self) -> FloatArray:
-        """Return the image (height, width, count), once the kernel has returned."""
-        for _, plane in self._outputs:
-            download(plane)
-        return np.moveaxis(self._memory[..., : self._width], 0, -1)
+def run_planes(
+    kernel: Kernel, device: str, images: Mapping[str, HostImage], numbers: Mapping[str, float], size: tuple[int, int]
+) -> FloatArray:
+    """Run a kernel and return the planes that it writes as an image of that size, (height, width, count)."""
+    # One memory for all of them: who reads the image finds its channels one after the other.
+    memory = np.empty((len(kernel.outputs), size[0], max(size[1], count_lanes())), np.float32)
+    planes = {
+        each.name: make_output(plane.shape, device, plane) for each, plane in zip(kernel.outputs, memory, strict=True)
+    }
+    # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
+    lent = {name: lend(image, device) for name, image in images.items()}
+    kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in planes.items()})
+    for _, plane in planes.values():
+        download(plane)
+    return np.moveaxis(memory[..., : size[1]], 0, -1)
