@@ -11,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import (
-    find_bad_pixels,
-    find_good,
-    find_mean_color,
-    refill,
-    require_some_good,
-    sum_colors,
-)
+from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
@@ -99,8 +92,7 @@ def upsample(
     weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
     holes = ~supported | ~find_good(image)
-    if holes.any():
-        image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
+    image = fill_holes(image, holes, frame, chosen.device)
     return Result(
         image=image,
         diffuse=outputs[0].image if apart else None,

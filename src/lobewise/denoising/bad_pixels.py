@@ -83,6 +83,11 @@ def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device
     return np.where(holes[..., None], mean, source)
 
 
+def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame, device: str) -> FloatArray:
+    """Return ``image`` with its holes refilled, at last with the mean colour of the frame's good pixels."""
+    return refill(image, holes, find_mean_color(sum_colors(frame)), device) if holes.any() else image
+
+
 def sum_colors(frame: AnyFrame) -> NDArray[np.float64]:
     """Return the colours of every row's good pixels, summed, and how many there are, (height, 4)."""
     color = frame.radiance.color

@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
-from lobewise.denoising.bad_pixels import (
-    blacken_bad,
-    find_bad_pixels,
-    find_good,
-    find_mean_color,
-    refill,
-    require_some_good,
-    sum_colors,
-)
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
 from lobewise.denoising.guided import (
     CleanLayer,
@@ -97,9 +89,7 @@ def denoise(
     require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
     found = filter_frame(frame, chosen, features)
     image, parts = found.image, found.parts
-    holes = found.find_holes(bad)
-    if holes.any():
-        image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
+    image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
     if chosen.with_oidn:
         before, image = image, combine_with_peer(frame, image, found.extras, chosen.device)
         parts = share_out(image, before, parts)

@@ -173,8 +173,9 @@ class FireflyFuncs(NamedTuple):
     tally: hl.Func
 
 
-def define_fireflies(signature: Signature, tinted: bool, lanes: int) -> FireflyFuncs:
-    """Define the bounded halves and, row by row in ``lanes`` partial sums, the luminance and what was taken."""
+def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
+    """Return the bounded halves and, row by row in partial sums, the luminance and what was taken, to be compiled."""
+    signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
     size = "height", "width"
     halves = [signature.image(name, *size, 3) for name in "ab"]
     albedo = signature.image("albedo", *size, 3) if tinted else None
@@ -190,10 +191,11 @@ def define_fireflies(signature: Signature, tinted: bool, lanes: int) -> FireflyF
     crowds = _define_crowds(both)
     row = _define_row(crowds)
     factor = _define_factor(light, row)
-    energy = _define_energy(light, factor)
-    sums, tally, lane = _define_tally(energy, mask.width(), lanes)
+    energy, sums, tally, lane = _define_tally(light, factor, mask.width(), lanes)
     out = _define_bounded(halves, factor)
-    return FireflyFuncs(light, both, crowds, row, factor, energy, sums, lane, out, tally)
+    funcs = FireflyFuncs(light, both, crowds, row, factor, energy, sums, lane, out, tally)
+    schedule_fireflies(funcs, lanes, target)
+    return Scheduled([out, tally], signature)
 
 
 def _define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, mask: hl.ImageParam) -> hl.Func:
@@ -280,24 +282,24 @@ def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
     return factor
 
 
-def _define_energy(light: hl.Func, factor: hl.Func) -> hl.Func:
-    """Return the luminance of both halves, and what is taken of it."""
+def _define_tally(
+    light: hl.Func, factor: hl.Func, width: hl.Expr, lanes: int
+) -> tuple[hl.Func, hl.Func, hl.Func, hl.Var]:
+    """Return the luminance of both halves and what is taken of it; how a row of that adds up; and what is written.
+
+    A row has as many sums as a vector holds.
+    """
     here, energy = _read_light(light, X, Y), hl.Func("energy")
     parts = [here.raw_first, here.raw_second]
     taken = [part * (hl.f32(1.0) - factor[X, Y][k]) for k, part in enumerate(parts)]
     energy[X, Y] = hl.Tuple([parts[0] + parts[1], taken[0] + taken[1]])
-    return energy
-
-
-def _define_tally(energy: hl.Func, width: hl.Expr, lanes: int) -> tuple[hl.Func, hl.Func, hl.Var]:
-    """Return the energy of every row in as many sums as a vector holds: how it adds up, and what is written."""
     steps, lane = hl.RDom([(0, (width + lanes - 1) // lanes)], "steps"), hl.Var("lane")
     sums, tally = hl.Func("sums"), hl.Func("tally")
     sums[lane, Y] = hl.Tuple([hl.f32(0.0), hl.f32(0.0)])
     there = steps.x * lanes + lane
     sums[lane, Y] = hl.Tuple([sums[lane, Y][k] + energy[there, Y][k] for k in range(2)])
     tally[lane, Y] = hl.Tuple([sums[lane, Y][k] for k in range(2)])
-    return sums, tally, lane
+    return energy, sums, tally, lane
 
 
 def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func:
@@ -311,10 +313,3 @@ def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func
         colours.append(hl.reinterpret(hl.Float(32), hl.select(scale < hl.f32(1.0), scaled, kept)))
     out[C, X, Y] = hl.Tuple(colours)
     return out
-
-
-def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
-    signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
-    funcs = define_fireflies(signature, tinted, lanes)
-    schedule_fireflies(funcs, lanes, target)
-    return Scheduled([funcs.out, funcs.tally], signature)

@@ -146,8 +146,9 @@ class MixingFuncs(NamedTuple):
     out: hl.Func
 
 
-def define_mixing(signature: Signature, key: MixingKey, together: bool) -> MixingFuncs:
-    """Define features alone, or what the network makes of them; ``together`` puts both halves of candidates so."""
+def _make_mixing(key: MixingKey, target: hl.Target) -> Scheduled:
+    """Return the features alone, or what the network makes of them, to be compiled."""
+    signature, together = Signature("mixing"), target.has_gpu_feature()
     size = "height", "width"
     images = [[signature.image(f"candidate{k}_{half}", *size, COLORS) for half in "ab"] for k in range(key.candidates)]
     signature.output("mixed", *size, key.channels)
@@ -178,7 +179,8 @@ def define_mixing(signature: Signature, key: MixingKey, together: bool) -> Mixin
         out[C, X, Y] = hl.mux(C, mixed)
     else:
         out[C, X, Y] = features[X, C, Y]
-    return MixingFuncs(key, copies, light, spread, sharp, blurs, features, network, out)
+    schedule_mixing(MixingFuncs(key, copies, light, spread, sharp, blurs, features, network, out), target)
+    return Scheduled([out], signature)
 
 
 def _read_copy(copied: hl.Func) -> Pair:
@@ -276,13 +278,6 @@ def _mix(share: hl.Func, pairs: Sequence[Pair]) -> list[hl.Expr]:
         weighted = sum((share[X, k, Y] * value for k, value in enumerate(doubled)), hl.f32(0.0))
         mixed.append(hl.f32(0.5) * weighted / total)
     return mixed
-
-
-def _make_mixing(key: MixingKey, target: hl.Target) -> Scheduled:
-    signature = Signature("mixing")
-    funcs = define_mixing(signature, key, together=target.has_gpu_feature())
-    schedule_mixing(funcs, target)
-    return Scheduled([funcs.out], signature)
 
 
 def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:

@@ -43,8 +43,9 @@ class NoiseGuideFuncs(NamedTuple):
     out: hl.Func
 
 
-def define_noise_guide(signature: Signature) -> NoiseGuideFuncs:
-    """Define the guide."""
+def _make_noise_guide(target: hl.Target) -> Scheduled:
+    """Return the guide, to be compiled."""
+    signature = Signature("noise guide")
     halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
     offset = signature.number("offset")
     signature.output("guide", "height", "width", GUIDE_CHANNELS)
@@ -65,7 +66,8 @@ def define_noise_guide(signature: Signature) -> NoiseGuideFuncs:
     half = hl.f32(0.5)
     means = [half * (logs[X, k, Y] + logs[X, k + COLORS, Y]) for k in range(COLORS)]
     out[C, X, Y] = hl.mux(C, [*means, variance])
-    return NoiseGuideFuncs(logs, spread, rows, out)
+    schedule_noise_guide(NoiseGuideFuncs(logs, spread, rows, out), target)
+    return Scheduled([out], signature)
 
 
 class LightSumFuncs(NamedTuple):
@@ -77,8 +79,9 @@ class LightSumFuncs(NamedTuple):
     steps: hl.RDom
 
 
-def define_light_sums(signature: Signature, tinted: bool, lanes: int) -> LightSumFuncs:
-    """Define the sums."""
+def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
+    """Return the sums, to be compiled: rows in a fixed number of parts, so that they always add up in one order."""
+    signature, lanes = Signature("light sums"), target.natural_vector_size(hl.Float(32))
     lane, y = hl.Var("lane"), Y
     images = [signature.image(name, "height", "width", COLORS) for name in ("a", "b", *["albedo"] * tinted)]
     mask = signature.image("mask", "height", "width", type=hl.UInt(8))
@@ -99,7 +102,8 @@ def define_light_sums(signature: Signature, tinted: bool, lanes: int) -> LightSu
     out = hl.Func("out")
     out[lane, y] = hl.f32(0.0)
     out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
-    return LightSumFuncs(out, lane, steps)
+    schedule_light_sums(LightSumFuncs(out, lane, steps), lanes, target)
+    return Scheduled([out], signature)
 
 
 @device_scope()
@@ -135,15 +139,6 @@ def measure_light(
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
 
-def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
-    signature = Signature("light sums")
-    # Rows in a fixed number of parts, so that the order in which they are added never changes.
-    lanes = target.natural_vector_size(hl.Float(32))
-    funcs = define_light_sums(signature, tinted, lanes)
-    schedule_light_sums(funcs, lanes, target)
-    return Scheduled([funcs.out], signature)
-
-
 def find_level(rows: NDArray[np.float64]) -> float:
     """Return the mean light of the rows that `measure_light` gave; 0 where nothing has meaning."""
     light, count = rows.sum(axis=0)
@@ -171,10 +166,3 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu") -> I
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
     kernel = get_kernel(device, (make_noise_guide,), _make_noise_guide)
     return run_kernel(kernel, device, images, offset=max(DARKEST * level, 1e-30))["guide"]
-
-
-def _make_noise_guide(target: hl.Target) -> Scheduled:
-    signature = Signature("noise guide")
-    funcs = define_noise_guide(signature)
-    schedule_noise_guide(funcs, target)
-    return Scheduled([funcs.out], signature)

@@ -11,15 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import (
-    blacken_bad,
-    find_bad_pixels,
-    find_good,
-    find_mean_color,
-    refill,
-    require_some_good,
-    sum_colors,
-)
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.recipe import compose, keep_unfiltered
 from lobewise.errors import require_choice
@@ -228,8 +220,7 @@ class TemporalFilter:
             holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
         if not good.all():
             parts = {name: blacken_bad(part) for name, part in parts.items()}
-        if holes.any():
-            image = refill(image, holes, find_mean_color(sum_colors(frame)), chosen.device)
+        image = fill_holes(image, holes, frame, chosen.device)
         lobes = [name for name in layers if name != "rest"]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
