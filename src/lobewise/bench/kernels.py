@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,5 @@ def make_kernel_calls(
     frame: Frame, features: dict[str, list[Feature]], radius: int, form: str, device: str = "cpu"
 ) -> Calls:
     """Return what runs each list of features once over one image, as Open Image Denoise is given one image."""
-    mask = np.ones(frame.shape, dtype=bool)
-
-    def make_call(chosen: list[Feature]) -> Callable[[], Any]:
-        return lambda: run_filter(frame.radiance.color, mask, chosen, form=form, radius=radius, device=device)
-
-    return {name: make_call(chosen) for name, chosen in features.items()}
+    run = partial(run_filter, frame.radiance.color, np.ones(frame.shape, dtype=bool))
+    return {name: partial(run, chosen, form=form, radius=radius, device=device) for name, chosen in features.items()}

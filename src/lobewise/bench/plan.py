@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -190,12 +190,11 @@ def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
 
 def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
     def make() -> Calls:
-        sparse = make_sparse(fetch_frame(extent.recipe_size), scale)
-
-        def make_call(**settings: Any) -> Callable[[], Any]:
-            return lambda: upsample(sparse, device=device, **settings)
-
-        return {"bilinear": make_call(bilinear=True), **{name: make_call(similarity=name) for name in extent.core}}
+        run = partial(upsample, make_sparse(fetch_frame(extent.recipe_size), scale), device=device)
+        return {
+            "bilinear": partial(run, bilinear=True),
+            **{name: partial(run, similarity=name) for name in extent.core},
+        }
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
     return Job("upsampling", facts, make, extent.recipe_rounds, 1, 8.0 + extent.seconds)
@@ -204,15 +203,12 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
 def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
     def make() -> Calls:
         frame = add_halves(fetch_frame(extent.recipe_size))
-
-        def make_call(**settings: Any) -> Callable[[], Any]:
-            return lambda: denoise(frame, radius=RADIUS, device=device, **settings)
-
+        run = partial(denoise, frame, radius=RADIUS, device=device)
         calls: Calls = {}
         for similarity in (name for name in extent.core if name != "normal"):
             for form in ("separable", "full"):
-                calls[f"fast, {similarity}, {form}"] = make_call(quality="fast", similarity=similarity, form=form)
-        calls |= {quality: make_call(quality=quality) for quality in extent.qualities if quality != "fast"}
+                calls[f"fast, {similarity}, {form}"] = partial(run, quality="fast", similarity=similarity, form=form)
+        calls |= {quality: partial(run, quality=quality) for quality in extent.qualities if quality != "fast"}
         return {**calls, **_make_peer_calls(frame, peers)}
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
@@ -224,11 +220,8 @@ def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:
     """Return Open Image Denoise at these qualities, given guides that need no filter."""
-
-    def make_call(quality: str) -> Callable[[], Any]:
-        return lambda: denoise_oidn(frame, quality=quality, guides="centre")
-
-    return {OIDN_LABELS[quality]: make_call(quality) for quality in qualities}
+    run = partial(denoise_oidn, frame, guides="centre")
+    return {OIDN_LABELS[quality]: partial(run, quality=quality) for quality in qualities}
 
 
 def add_halves(frame: Frame) -> Frame:
