@@ -28,6 +28,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.points import OPAQUE_FROM, Points, find_points
+from lobewise.render.tracing.rays import invert_distance
 
 Moves = Mapping[str, ArrayLike]
 """By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
@@ -80,8 +81,7 @@ def trace_mirror_rays(scene: Any, points: Points) -> tuple[Any, Any]:
 
 def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict[str, Any]:
     si, surface, found = points.si, points.surface, points.active
-    inverse = dr.select(shiny & mirrored.is_valid(), dr.rcp(dr.maximum(mirrored.t, 1e-12)), 0.0)
-
+    inverse = invert_distance(mirrored, shiny & mirrored.is_valid())
     names = (field.name for field in fields(surface) if field.name != "opacity")
     return {
         **{name: dr.select(found, getattr(surface, name), 0.0) for name in names},

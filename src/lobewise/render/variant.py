@@ -51,8 +51,7 @@ def parse_llvm_version(path: str) -> int | None:
     >>> parse_llvm_version("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"), parse_llvm_version("/opt/libLLVM.so")
     (19, None)
     """
-    name = os.path.basename(path)
-    folder = os.path.dirname(path)
+    folder, name = os.path.split(path)
     for text, pattern in (
         (name, r"libLLVM[-.]?(\d+)"),
         (name, r"libLLVM\.(?:so|dylib)\.(\d+)"),

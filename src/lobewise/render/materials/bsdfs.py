@@ -188,11 +188,6 @@ def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: fl
     return float(np.pi * (value[:-1] / np.array(cosine)[:-1]).mean() / value[-1])
 
 
-def _find_spread(plugin: str, lobe_kind: LobeKind, numbers: dict[str, Any]) -> float:
-    alpha = np.array(numbers["alpha"]).item() if "alpha" in numbers else 0.0
-    return measure_diffuse_spread(plugin, lobe_kind.name.lower(), alpha, np.array(numbers["eta"]).item())
-
-
 def make_diffuse_context() -> Any:
     """Return the context that asks a BSDF for its diffuse lobes alone."""
     return make_context(mi.BSDFFlags.Diffuse)
@@ -239,6 +234,10 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
     parameters = mi.traverse(bsdf) if wanted else {}
     values = {name: mi.Float(parameters[name]) for name in sorted(wanted)}
     lobe_kind = _read_lobe_kind(plugin, "" if names else str(bsdf))
+    spread = 0.0
+    if "plastic" in plugin:
+        alpha, eta = (np.array(values.get(name, 0.0)).item() for name in ("alpha", "eta"))
+        spread = measure_diffuse_spread(plugin, lobe_kind.name.lower(), alpha, eta)
     return Material(
         bsdf=bsdf,
         plugin=plugin,
@@ -246,7 +245,7 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
         numbers=values,
         nested=tuple(read_material(objects[name], fits) for name in names),
         lobe_kind=lobe_kind,
-        diffuse_spread=_find_spread(plugin, lobe_kind, values) if "plastic" in plugin else 0.0,
+        diffuse_spread=spread,
     )
 
 
@@ -267,8 +266,7 @@ def read_scene_materials(scene: Any) -> dict[int, Material]:
 def list_lobe_tables(materials: dict[int, Material]) -> tuple[LobeTable, ...]:
     """Return the lobe tables of a scene's fitted materials, in the order of their numbers."""
     tables: dict[int, LobeTable] = {}
-    for material in materials.values():
-        for node in material:
-            if node.fitted is not None and node.fitted.fit.table is not None:
-                tables.setdefault(node.number, node.fitted.fit.table)
+    for node in (node for material in materials.values() for node in material):
+        if node.fitted is not None and node.fitted.fit.table is not None:
+            tables.setdefault(node.number, node.fitted.fit.table)
     return tuple(tables[number] for number in sorted(tables))

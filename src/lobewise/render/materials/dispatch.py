@@ -87,8 +87,7 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
         return dr.select(si.wi.z > 0, shares[0], shares[1])
     if material.plugin in ("normalmap", "bumpmap"):
         inner, _, local = enter_perturbed(material, si, frame, active)
-        turned = mi.Vector3f(dr.dot(local.s, wo), dr.dot(local.t, wo), dr.dot(local.n, wo))
-        return find_diffuse_share(material.nested[0], inner, turned, active)
+        return find_diffuse_share(material.nested[0], inner, local.to_local(wo), active)
     if material.plugin == "mask":
         return find_diffuse_share(material.nested[0], si, wo, active)
     weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
@@ -110,10 +109,6 @@ def _dispatch(
     return dr.dispatch(bsdf, visit, *arguments)
 
 
-def _make_black() -> Any:
-    return mi.Color3f(0)
-
-
 def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Surface:
     """Return the guides at hits on any of the materials; lanes that are not active get zeros."""
     surface: Surface = _dispatch(materials, describe_material, Surface, bsdf, si, active)
@@ -122,7 +117,7 @@ def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active:
 
 def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
     """Return `find_diffuse_share` at hits on any of the materials."""
-    return _dispatch(materials, find_diffuse_share, _make_black, bsdf, si, wo, active)
+    return _dispatch(materials, find_diffuse_share, lambda: mi.Color3f(0), bsdf, si, wo, active)
 
 
 def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
@@ -132,5 +127,5 @@ def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any
         value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)
         return mi.Color3f(value), find_diffuse_share(material, si, wo, active)
 
-    found: tuple[Any, Any] = _dispatch(materials, scatter, lambda: (_make_black(), _make_black()), bsdf, si, wo, active)
+    found: tuple[Any, Any] = _dispatch(materials, scatter, lambda: (mi.Color3f(0), mi.Color3f(0)), bsdf, si, wo, active)
     return found

@@ -1,7 +1,8 @@
 """Evaluate and sample a lone BSDF object, without a scene: what an unknown reflection tells of itself.
 
 Directions are local: z is the normal, x the tangent. Unless told otherwise textures are seen at the middle of their
-square, uv = (0.5, 0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0.
+square, uv = (0.5, 0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0. A BSDF that cannot
+be evaluated or sampled raises `UnsupportedBsdfError`.
 """
 
 from __future__ import annotations
@@ -51,13 +52,7 @@ def make_hits(view: Array, uv: Array | None = None) -> Any:
 
 
 def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv: Array | None = None) -> Array:
-    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3), at ``uv`` (n, 2): (n, 3), 1/sr.
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If the BSDF cannot be evaluated.
-    """
+    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3), at ``uv`` (n, 2): (n, 3), 1/sr."""
 
     def run() -> Any:
         return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view, uv), _to_vectors(light), mi.Bool(True)))
@@ -67,17 +62,10 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv
 
 
 def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0) -> Callable[..., Array]:
-    """Return `evaluate_bsdf` of one BSDF as `lobewise.fitting.fit.Evaluate`.
+    """Return `evaluate_bsdf` of some or all of a BSDF's lobes as `lobewise.fitting.fit.Evaluate`.
 
-    Parameters
-    ----------
-    bsdf : mitsuba.BSDF
-    lobes : mitsuba.BSDFFlags, optional
-        Only these lobes.
-    through : bool
-        Evaluate what is transmitted, as if the surface mirrored it.
-    turn : float
-        Angle from the BSDF's tangent to the x of the directions, radians, counter-clockwise.
+    With ``through`` that is what is transmitted, as if the surface mirrored it. ``turn`` is the angle from the BSDF's
+    tangent to the x of the directions, radians, counter-clockwise.
     """
     cosine, sine = np.cos(turn), np.sin(turn)
     matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -112,14 +100,7 @@ class Samples:
 def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) -> Samples:
     """Return ``count`` samples of the BSDF for each of the local directions ``view`` (V, 3), the same every time.
 
-    Textures are seen at ``uv`` (V, 2).
-
-    Refracted weights are not scaled by the square of the index.
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If the BSDF cannot be sampled.
+    Textures are seen at ``uv`` (V, 2). Refracted weights are not scaled by the square of the index.
     """
     points = np.tile(spread_points(count, 3), (len(view), 1)).astype(np.float32)
 
@@ -178,13 +159,7 @@ class Parts:
 
 
 def find_parts(bsdf: Any) -> Parts:
-    """Return which lobes a BSDF has and can be asked for.
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If it cannot be evaluated.
-    """
+    """Return which lobes a BSDF has and can be asked for."""
     diffuse, glossy, delta = list_flags(bsdf)
     view, light = _make_questions()
     asked = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
@@ -201,13 +176,7 @@ def find_parts(bsdf: Any) -> Parts:
 
 
 def digest_bsdf(bsdf: Any) -> str:
-    """Return a digest of what a BSDF answers to some hundred questions: BSDFs that answer alike are taken for the same.
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If it cannot be evaluated or sampled.
-    """
+    """Return a digest of what a BSDF answers to some hundred questions: those that answer alike count as the same."""
     view, light = _make_questions()
     answers: list[NDArray[Any]] = [np.asarray(list_flags(bsdf))]
     answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]

@@ -45,6 +45,12 @@ class WorldFrame:
     def to_world(self, v: Any) -> Any:
         return self.s * v.x + self.t * v.y + self.n * v.z
 
+    def to_local(self, v: Any) -> Any:
+        return mi.Vector3f(dr.dot(self.s, v), dr.dot(self.t, v), dr.dot(self.n, v))
+
+    def map_axes(self, turn: Callable[[Any], Any]) -> WorldFrame:
+        return WorldFrame(turn(self.s), turn(self.t), turn(self.n))
+
 
 def make_world_frame(si: Any) -> WorldFrame:
     """Return the shading frame of a hit before any map."""
@@ -246,13 +252,10 @@ def enter_perturbed(material: Material, si: Any, frame: WorldFrame, active: Any)
     n = dr.normalize(dr.select(away, mi.Vector3f(-n.x, -n.y, n.z), n))
     s = dr.normalize(s_source - n * dr.dot(n, s_source))
     local = WorldFrame(s, dr.cross(n, s), n)
-    inner.wi = mi.Vector3f(dr.dot(local.s, si.wi), dr.dot(local.t, si.wi), dr.dot(local.n, si.wi))
-    if material.plugin == "normalmap":
-        inner.sh_frame = mi.Frame3f(si.to_world(local.s), si.to_world(local.t), si.to_world(local.n))
-    else:
-        inner.sh_frame = mi.Frame3f(local.s, local.t, local.n)
-    world = WorldFrame(frame.to_world(local.s), frame.to_world(local.t), frame.to_world(local.n))
-    return inner, world, local
+    inner.wi = local.to_local(si.wi)
+    seen = local.map_axes(si.to_world) if material.plugin == "normalmap" else local
+    inner.sh_frame = mi.Frame3f(seen.s, seen.t, seen.n)
+    return inner, local.map_axes(frame.to_world), local
 
 
 def _describe_twosided(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
@@ -280,8 +283,8 @@ def _describe_blend(material: Material, si: Any, frame: WorldFrame, active: Any)
     weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
     first, second = (_describe(child, si, frame, active) for child in material.nested)
     shares = (1.0 - weight) * first.opacity, weight * second.opacity
-    specular = [share * mi.luminance(side.specular_albedo) for share, side in zip(shares, (first, second), strict=True)]
-    diffuse = [share * mi.luminance(side.diffuse_albedo) for share, side in zip(shares, (first, second), strict=True)]
+    specular = shares[0] * mi.luminance(first.specular_albedo), shares[1] * mi.luminance(second.specular_albedo)
+    diffuse = shares[0] * mi.luminance(first.diffuse_albedo), shares[1] * mi.luminance(second.diffuse_albedo)
     neither = (specular[0] == 0) & (specular[1] == 0)
     dominant: Surface = dr.select(
         dr.select(neither, diffuse[0] >= diffuse[1], specular[0] >= specular[1]), first, second

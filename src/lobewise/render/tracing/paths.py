@@ -16,7 +16,7 @@ from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Indirect, Points, average_samples
-from lobewise.render.tracing.rays import draw_point, make_opaque, make_ray, make_rng
+from lobewise.render.tracing.rays import draw_point, invert_distance, make_opaque, make_ray, make_rng
 from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
 ROULETTE_DEPTH = 5
@@ -115,7 +115,7 @@ class _Bounces:
     def _count_hit(self, path: _Path, si: Any) -> None:
         """Add what the first bounce's specular lobe sees: 1/t and position/t, so that a miss counts as infinity."""
         totals = path.sample.totals
-        inverse = dr.select(si.is_valid(), dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
+        inverse = invert_distance(si, si.is_valid())
         totals.hit_count += dr.select(path.looks_specular, 1.0, 0.0)
         totals.hit_inverse += dr.select(path.looks_specular, inverse, 0.0)
         totals.hit_position += dr.select(path.looks_specular, mi.Vector3f(si.p) * inverse, 0.0)
@@ -225,18 +225,10 @@ def add_samples(
 ) -> Sums:
     """Return ``sums`` with the samples ``samples[0]`` to ``samples[1] - 1`` of a run of pixels added, evaluated.
 
-    Parameters
-    ----------
-    pixels : (int, int)
-        First pixel (row-major) and how many.
-    size : (int, int)
-        Width and height of the image.
-    scale : int
-        Count every ``scale``-th pixel of a row and every ``scale``-th row only. A pixel's samples are the same bits.
-    place : (int, int)
-        Row and column of the first pixel that counts.
-    listed : mitsuba.UInt32, optional
-        The pixels themselves (row-major, of the whole image) that ``pixels`` counts, in place of a regular grid.
+    ``pixels`` is the first pixel (row-major) and how many, of an image of ``size``, width and height. With a ``scale``
+    only every ``scale``-th pixel of a row and every ``scale``-th row counts, from row and column ``place`` on;
+    ``listed`` are the pixels themselves that ``pixels`` counts, in place of a regular grid. A pixel's samples are the
+    same bits in all of them.
     """
     # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
     width, height = (dr.opaque(mi.UInt32, length) for length in size)

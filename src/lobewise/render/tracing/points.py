@@ -14,7 +14,7 @@ from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface
-from lobewise.render.tracing.rays import make_centre_ray
+from lobewise.render.tracing.rays import make_ray
 
 MOST_LAYERS = 32
 """How many transparent surfaces the pixel-centre ray may pass."""
@@ -138,6 +138,6 @@ def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tu
 
     ``size`` is width and height of the image; opaque, so that another size needs no other kernel.
     """
-    ray = make_centre_ray(scene, pixel, size)
+    ray = make_ray(scene, pixel, size, mi.Point2f(0.5))
     si, surface = find_first_opaque(scene, materials, ray)
     return Points(pixel, ray, si, si.bsdf(), surface, si.is_valid())

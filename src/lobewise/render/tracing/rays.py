@@ -7,11 +7,6 @@ from typing import Any
 from lobewise.render.bridge import dr, mi
 
 
-def make_centre_ray(scene: Any, pixel: Any, size: tuple[Any, Any]) -> Any:
-    """Return the rays through the centres of pixels."""
-    return make_ray(scene, pixel, size, mi.Point2f(0.5))
-
-
 def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
     """Return the rays through places in pixels, right and down from a pixel's corner, in [0, 1)."""
     width, height = size
@@ -28,6 +23,11 @@ def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
     rng = mi.PCG32()
     rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
     return rng
+
+
+def invert_distance(si: Any, seen: Any) -> Any:
+    """Return one over the distance of hits, 0 where nothing is seen."""
+    return dr.select(seen, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
 
 
 def draw_point(rng: Any) -> Any:

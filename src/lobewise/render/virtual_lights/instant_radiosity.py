@@ -20,7 +20,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
 from lobewise.render.tracing.light_sampling import Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Indirect, Points, average_samples
-from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
+from lobewise.render.tracing.rays import draw_point, invert_distance, make_opaque, make_rng
 from lobewise.render.virtual_lights.light_paths import LightPaths, LightSet, find_sphere
 from lobewise.render.virtual_lights.shading import Lighting
 
@@ -225,7 +225,7 @@ class VirtualLights:
 
         # What the first mirror sees.
         walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
-        walk.hit_inverse += dr.select(walk.looks & met, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
+        walk.hit_inverse += invert_distance(si, walk.looks & met)
 
         # Emitters that are met, if they are not direct light.
         emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
@@ -286,17 +286,7 @@ def find_sharpness_limit(lights: float) -> float:
     ``lambda`` takes in ``4 pi / lambda`` (``(int G)^2 / int G^2`` of its spherical Gaussian), so it holds ``2 lights /
     lambda`` of them. Sharper lobes than ``lambda = 2 lights`` hold less than one: they are dark or show a light's
     spike, and say nothing of the light between. Convolved with a Gaussian of ``tau^2 = 1 / (2 lights)`` no lobe is
-    sharper.
-
-    Parameters
-    ----------
-    lights : float
-        How many a pixel takes, > 0; see `VirtualLights.count_lights_seen`.
-
-    Raises
-    ------
-    InputError
-        If it is not above 0.
+    sharper. `VirtualLights.count_lights_seen` counts them; InputError where they are not above 0.
     """
     if not (math.isfinite(lights) and lights > 0.0):
         raise InputError("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
@@ -305,6 +295,5 @@ def find_sharpness_limit(lights: float) -> float:
 
 def _require_part(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
-        raise InputError(
-            name, expected="a part of the scene's diagonal, 0 to 1", got=repr(value), action="0.05 is usual"
-        )
+        expected = "a part of the scene's diagonal, 0 to 1"
+        raise InputError(name, expected=expected, got=repr(value), action="0.05 is usual")

@@ -43,6 +43,11 @@ class LightSet:
     depth: Any
     number: int
 
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """All but the number."""
+        return self.si, self.bsdf, self.incoming, self.cosine, self.flux, self.depth
+
 
 @dataclass
 class _Walk:
@@ -143,7 +148,7 @@ class LightPaths:
             depth=kept % dr.opaque(mi.UInt32, self._slots) + 1,
             number=number,
         )
-        dr.make_opaque(lights.si, lights.bsdf, lights.incoming, lights.cosine, lights.flux, lights.depth)
+        dr.make_opaque(*lights.arrays)
         return lights
 
     def _trace_rays(self) -> tuple[Any, Any, Any]:

@@ -38,9 +38,7 @@ class Lighting:
     @property
     def state(self) -> Any:
         """All arrays that shading reads beside the scene (a PyTree)."""
-        lights = self._lights
-        arrays = lights.si, lights.bsdf, lights.incoming, lights.cosine, lights.flux, lights.depth
-        return arrays, self._number, self._radius, self.bound
+        return self._lights.arrays, self._number, self._radius, self.bound
 
     def gather(
         self, si: Any, bsdf: Any, run: Any, runs: Any, most_depth: Any, rng: Any, active: Any
@@ -88,16 +86,7 @@ class Lighting:
         return mi.UInt32(mi.UInt64(run) * mi.UInt64(self._number) // mi.UInt64(runs))
 
     def _fetch(self, index: Any) -> LightSet:
-        lights = self._lights
-        return LightSet(
-            si=dr.gather(mi.SurfaceInteraction3f, lights.si, index),
-            bsdf=dr.gather(mi.BSDFPtr, lights.bsdf, index),
-            incoming=dr.gather(mi.Vector3f, lights.incoming, index),
-            cosine=dr.gather(mi.Float, lights.cosine, index),
-            flux=dr.gather(mi.Color3f, lights.flux, index),
-            depth=dr.gather(mi.UInt32, lights.depth, index),
-            number=1,
-        )
+        return LightSet(*(dr.gather(type(array), array, index) for array in self._lights.arrays), 1)
 
     def _aim(self, si: Any, light: LightSet) -> tuple[Any, Any]:
         """Return the direction to a light (unit vector of the world) and the inverse square of its distance."""
