@@ -19,12 +19,7 @@ _ABOVE, _BELOW = 48, 16
 class Nodes:
     """Directions over the whole sphere with solid angles, dense about the mirror direction, for one view.
 
-    Parameters
-    ----------
-    light : (n, 3)
-        Unit vectors in the view-aligned frame.
-    weight : (n,)
-        Solid angles, steradians; their sum is 4 pi.
+    ``light`` are unit vectors (n, 3) in the view-aligned frame; ``weight`` (n,) steradians, whose sum is 4 pi.
     """
 
     light: Array
@@ -38,14 +33,8 @@ def make_nodes(cosine: float, angular: int = 64) -> Nodes:
     ``4 v.h`` times as large. The half vectors of all lights fill the half of the sphere about the view, up to the angle
     ``atan2(v.z, -v.x cos(azimuth))`` from the normal; those of lights on the horizon are at half that angle. So the
     radius has two Gauss-Legendre rules that meet at the horizon, where reflection has its edge: 48 nodes above it,
-    spaced evenly on a logarithmic scale from 0.005 radians outwards, and 16 below. The azimuth has the trapezoid rule.
-
-    Parameters
-    ----------
-    cosine : float
-        In (0, 1].
-    angular : int
-        Number of azimuths; not fewer than 128 are taken where n.v < 0.2, because the edge turns sharply there.
+    spaced evenly on a logarithmic scale from 0.005 radians outwards, and 16 below. The azimuth has the trapezoid rule
+    with ``angular`` nodes; not fewer than 128 where n.v < 0.2, because the edge turns sharply there.
     """
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     angular = max(angular, 128) if cosine < 0.2 else angular

@@ -26,19 +26,8 @@ PREPARED = ("voxel_cones",)
 class Methods:
     """What computes indirect light in one scene.
 
-    Parameters
-    ----------
-    stages : Stages
-        Of the scene.
-    progress : callable, optional
-        Called with ``(done, total)`` while a method prepares.
-    options : mapping of mapping, optional
-        By the name of a method, arguments of its class that differ from their defaults.
-
-    Raises
-    ------
-    InputError
-        If there is no method of a name in ``options``.
+    ``progress`` is called with ``(done, total)`` while a method prepares; ``options`` are, by the name of a method,
+    arguments of its class that differ from their defaults: InputError where there is none of that name.
     """
 
     def __init__(
@@ -55,13 +44,7 @@ class Methods:
         self._made: dict[str, Any] = {}
 
     def get(self, name: str) -> IndirectMethod:
-        """Return a method, ready to shade.
-
-        Raises
-        ------
-        InputError
-            If there is none of that name, or the scene has nothing that it needs.
-        """
+        """Return a method, ready to shade; InputError if there is none, or the scene has nothing that it needs."""
         require_choice("method", name, METHODS)
         if name not in self._made:
             module, kind = _HOMES[name]

@@ -24,19 +24,9 @@ LONGEST_HISTORY = 40.0
 class Parts:
     """What was there as a frame was made; arrays that must not be changed.
 
-    Parameters
-    ----------
-    hits : FirstHits
-    noisy_direct, direct : DirectLight
-        Before and after its filter.
-    sparse : SparseFrame
-        The samples of indirect light.
-    before, result : Result
-        Indirect light before and after some pixels were shaded again.
-    indirect : array, shape (height, width, 3)
-        That which is shown.
-    history : array, shape (height, width), optional
-        Frames that each pixel knows.
+    Direct light is told before and after its filter; of indirect light the samples (``sparse``), the results before and
+    after some pixels were shaded again, and what is shown, (height, width, 3); ``history`` (height, width) tells the
+    frames that each pixel knows.
     """
 
     hits: FirstHits

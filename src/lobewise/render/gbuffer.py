@@ -95,22 +95,11 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
 
 
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:
-    """Return where each pixel's surface point was in the frame before.
+    """Return where each pixel's surface point was in the frame before, (height, width, 3).
 
-    Parameters
-    ----------
-    shape : (height, width)
-        Which shape each pixel shows, as `trace_guides` numbers them.
-    position : (height, width, 3)
-        Where the points are now.
-    moves : mapping of str to array_like, shape (4, 4)
-        By the id of a shape, the matrix that takes its points to where they were. A mesh, a sphere or whatever else:
-        its points keep their places in it.
-
-    Raises
-    ------
-    InputError
-        If the scene has no shape of that id, or a matrix is none.
+    Each pixel shows a ``shape`` (height, width), as `trace_guides` numbers them, at a ``position`` (height, width, 3).
+    A mesh, a sphere or whatever else: its points keep their places in it. InputError if the scene has no shape of an
+    id, or a matrix is none.
     """
     numbers = {each.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(each))[0]) for each in scene.shapes()}
     before = position

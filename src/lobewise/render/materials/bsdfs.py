@@ -61,39 +61,23 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Material:
-    """One BSDF object and what it is made of.
-
-    Parameters
-    ----------
-    bsdf : mitsuba.BSDF
-        The object itself.
-    plugin : str
-        A value of `PLUGIN_OF_CLASS`, or `FITTED`.
-    textures : dict
-        Its textures by parameter name.
-    numbers : dict
-        Its plain numbers by parameter name, as Dr.Jit arrays of width 1.
-    nested : tuple of Material
-        What a wrapper wraps.
-    lobe_kind : LobeKind
-        Kind of its own specular lobe, NONE for a wrapper.
-    diffuse_spread : float
-        Of a plastic: its diffuse albedo over its diffuse value for light along the normal, the same for every viewer.
-    fitted : FittedLobes, optional
-        Of a fitted one: what was found.
-    number : int
-        Of a fitted one with a lobe table: its place among those of the scene, from 1; else 0.
-    """
+    """One BSDF object and what it is made of; textures and numbers by parameter name."""
 
     bsdf: Any
     plugin: str
+    """A value of `PLUGIN_OF_CLASS`, or `FITTED`."""
     textures: dict[str, Any] = field(default_factory=dict)
     numbers: dict[str, Any] = field(default_factory=dict)
+    """Dr.Jit arrays of width 1."""
     nested: tuple[Material, ...] = ()
+    """What a wrapper wraps."""
     lobe_kind: LobeKind = LobeKind.NONE
+    """Kind of its own specular lobe, NONE for a wrapper."""
     diffuse_spread: float = 0.0
+    """Of a plastic: its diffuse albedo over its diffuse value for light along the normal, the same for every viewer."""
     fitted: FittedLobes | None = None
     number: int = 0
+    """Of a fitted one with a lobe table: its place among those of the scene, from 1; else 0."""
 
     def __iter__(self) -> Iterator[Material]:
         """Yield this material, then every one below it."""

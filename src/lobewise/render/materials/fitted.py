@@ -58,16 +58,12 @@ _MOST_FITS = 64
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found of a BSDF.
+    """What was found of a BSDF: its parts, the lobes of the smooth specular one (``table``), and more.
 
     Parameters
     ----------
-    parts : Parts
-        The lobes that it has.
     kind : LobeKind
         GGX for a smooth specular lobe, DELTA for mirrors and clear sheets alone, or NONE.
-    table : LobeTable or None
-        The lobes of the smooth specular part.
     turn : float
         Angle from the BSDF's tangent to that of the table, radians: an anisotropic table's lies along the longer
         axis of the lobe seen from above.
@@ -101,14 +97,8 @@ _fits: OrderedDict[str, Fit] = OrderedDict()
 def fit_bsdf(bsdf: Any) -> Fit:
     """Return what a BSDF reflects, found by evaluating and sampling it; a BSDF that answers alike is fitted once.
 
-    Textures count as they are at uv = (0.5, 0.5).
-
-    Raises
-    ------
-    UnsupportedBsdfError
-        If it cannot be evaluated or sampled.
-    MissingDependencyError
-        If SciPy is not installed.
+    Textures count as they are at uv = (0.5, 0.5). UnsupportedBsdfError if it cannot be evaluated or sampled,
+    MissingDependencyError without SciPy.
     """
     key = digest_bsdf(bsdf)
     if key not in _fits:

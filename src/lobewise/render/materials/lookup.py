@@ -27,24 +27,15 @@ _MOST_SHOWN = 5
 
 @dataclass(frozen=True)
 class SceneMaterial:
-    """The smooth specular part of a BSDF, and the views to fit it at.
-
-    Parameters
-    ----------
-    name : str
-        What it was asked for by.
-    evaluate : callable
-        See `lobewise.fitting.fit.Evaluate`; the frame's x is the BSDF's tangent.
-    cosines : (V,)
-        n.v of the views.
-    azimuths : (P,), optional
-        Azimuths of the views, where the material is anisotropic.
-    """
+    """The smooth specular part of a BSDF by the name that it was asked for, and the views to fit it at."""
 
     name: str
     evaluate: Evaluate
+    """The frame's x is the BSDF's tangent."""
     cosines: Array
+    """n.v of the views, (V,)."""
     azimuths: Array | None
+    """Of the views (P,), where the material is anisotropic."""
 
 
 def open_scene_material(reference: str) -> SceneMaterial:

@@ -81,14 +81,8 @@ def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: 
 class Samples:
     """What a BSDF's own sampling gave; N samples for each of V views.
 
-    Parameters
-    ----------
-    light : (V, N, 3)
-        Local directions.
-    weight : (V, N, 3)
-        BSDF times cosine over density; finite.
-    null, delta : (V, N), bool
-        Whether the ray passed unnoticed, or followed a single direction.
+    ``light`` are local directions (V, N, 3), ``weight`` (V, N, 3) the BSDF times cosine over density, finite; ``null``
+    and ``delta`` (V, N) tell whether the ray passed unnoticed, or followed a single direction.
     """
 
     light: Array
@@ -126,26 +120,18 @@ def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) 
 
 @dataclass(frozen=True)
 class Parts:
-    """Which lobes a BSDF has, and whether they can be evaluated one by one.
-
-    Parameters
-    ----------
-    diffuse, glossy, delta : bool
-        Lobes that it says it has; ``diffuse`` only where they can be told from glossy ones.
-    heeds_context : bool
-        Whether it evaluates the lobes that it is asked for, and no others.
-    behind : bool
-        Whether it reflects when it is seen from behind.
-    textured : bool
-        Whether it depends on uv.
-    """
+    """Which lobes a BSDF says it has, and whether they can be evaluated one by one."""
 
     diffuse: bool
+    """Only where diffuse lobes can be told from glossy ones."""
     glossy: bool
     delta: bool
     heeds_context: bool
+    """Whether it evaluates the lobes that it is asked for, and no others."""
     behind: bool
+    """Whether it reflects when it is seen from behind."""
     textured: bool
+    """Whether it depends on uv."""
 
     @property
     def diffuse_lobes(self) -> Any:

@@ -25,28 +25,18 @@ ROULETTE_DEPTH = 5
 
 @dataclass(frozen=True)
 class PathSettings:
-    """What a pass computes.
-
-    Parameters
-    ----------
-    max_depth : int
-        Longest path, in vertices after the camera; 1 is light sources alone, 2 direct light.
-    radiance : bool
-        Whether to compute radiance; without it paths end when the first bounce has told what it sees.
-    guides : bool
-        Whether to split radiance by lobe and to sum surfaces, hits and squares.
-    surfaces : bool
-        With ``guides``: whether to sum albedos, of the first surface and of what its reflections see, and normals of
-        the latter.
-    fewest_bounces : int
-        Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers.
-    """
+    """What a pass computes."""
 
     max_depth: int
+    """Longest path, in vertices after the camera; 1 is light sources alone, 2 direct light."""
     radiance: bool = True
+    """Without it paths end when the first bounce has told what it sees."""
     guides: bool = True
+    """Whether to split radiance by lobe and to sum surfaces, hits and squares."""
     surfaces: bool = True
+    """With ``guides``: sum albedos, of the first surface and of what its reflections see, and normals of the latter."""
     fewest_bounces: int = 0
+    """Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers."""
 
 
 @dataclass

@@ -41,7 +41,7 @@ class LightSet:
     cosine: Any
     flux: Any
     depth: Any
-    number: int
+    number: int = 1
 
     @property
     def arrays(self) -> tuple[Any, ...]:
@@ -124,13 +124,7 @@ class LightPaths:
         self._seed = seed
 
     def trace(self) -> LightSet:
-        """Return the lights that the paths leave.
-
-        Raises
-        ------
-        InputError
-            If no light leaves the emitters.
-        """
+        """Return the lights that the paths leave; InputError if no light leaves the emitters."""
         origin, direction, flux = self._trace_rays()
         strongest = dr.max(flux)
         kept = dr.compress((strongest > 0) & dr.isfinite(strongest))

@@ -86,7 +86,7 @@ class Lighting:
         return mi.UInt32(mi.UInt64(run) * mi.UInt64(self._number) // mi.UInt64(runs))
 
     def _fetch(self, index: Any) -> LightSet:
-        return LightSet(*(dr.gather(type(array), array, index) for array in self._lights.arrays), 1)
+        return LightSet(*(dr.gather(type(array), array, index) for array in self._lights.arrays))
 
     def _aim(self, si: Any, light: LightSet) -> tuple[Any, Any]:
         """Return the direction to a light (unit vector of the world) and the inverse square of its distance."""

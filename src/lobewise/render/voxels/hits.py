@@ -77,13 +77,7 @@ def _find_box(shape: Any) -> NDArray[np.float64]:
 
 
 def find_bounds(scene: Any, resolution: int) -> Bounds:
-    """Return the cube that holds the surfaces of a scene, slightly grown.
-
-    Raises
-    ------
-    InputError
-        If there are none, or they have no finite size.
-    """
+    """Return the cube that holds a scene's surfaces, slightly grown; InputError if none has a finite size."""
     # Lights and cameras, which belong to the scene's own box, need no voxels; a sky's is infinite.
     boxes = np.array([_find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
