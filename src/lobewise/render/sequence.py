@@ -75,7 +75,17 @@ def render_sequence(
         raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
     light_settings = {"spp": spp, "max_depth": max_depth, "light": light}
     moving = scene if isinstance(scene, MovingScene) else None
-    path = _Path(None if moving else scene, moving, cameras, scale, seed, guide_spp, reference, light_settings)
+    path = _Path(
+        None if moving else scene,
+        moving,
+        cameras,
+        scale,
+        list_places(scale),
+        seed,
+        guide_spp,
+        reference,
+        light_settings,
+    )
     return (path.render(index) for index in range(first, len(cameras)))
 
 
@@ -87,6 +97,7 @@ class _Path:
     moving: MovingScene | None
     cameras: Sequence[Camera]
     scale: int
+    places: Sequence[tuple[int, int]]
     seed: int
     guide_spp: int
     is_reference: bool
@@ -114,7 +125,7 @@ class _Path:
         if self.is_reference:
             return render_reference(self.scene, **common)
         if self.scale > 1:
-            place = list_places(self.scale)[index % self.scale**2]
+            place = self.places[index % len(self.places)]
             guides: dict[str, Any] = {"guide_spp": self.guide_spp, "guide_seed": self.seed}
             return render_sparse_frame(self.scene, scale=self.scale, place=place, **guides, **common, **since)
         alone = {"spp": self.guide_spp, "seed": self.seed, "max_depth": self.light["max_depth"]}
