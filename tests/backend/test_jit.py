@@ -260,6 +260,8 @@ class TestCheckedCalls:
             ({"image": Buffer(np.zeros((3, 5, 3), np.float32), (2, 0))}, "height is 4 in colour"),
             ({"rows": 5}, "height is 4 in colour, and got 5|height is 4 in colour"),
             ({"radios": 2}, "has no radios"),
+            ({"radius": np.zeros((4, 5), np.float32)}, "radius int32.*an image"),
+            ({"mask": 4}, "mask uint8.*got 4"),
         ],
     )
     def test_what_does_not(self, parameters, changes, told):

@@ -158,12 +158,14 @@ def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str,
         raise TypeError(f"a call of the kernel {kernel!r} {' and '.join(told)}")
     sizes: dict[str, tuple[int, str]] = {}
     for each in sorted(parameters, key=lambda each: ("input", "output", "number").index(each.role)):
+        value = given[each.name]
+        array = getattr(value, "array", None)
         if each.role == "number":
-            if each.axes and int(given[each.name]) != sizes[str(each.axes[0])][0]:
-                raise _refuse(kernel, each, given[each.name], sizes)
-        elif not _fits(each, given[each.name], sizes):
-            array = given[each.name].array
-            raise _refuse(kernel, each, f"{array.dtype} {array.shape}, strides {array.strides}", sizes)
+            if array is not None or (each.axes and int(value) != sizes[str(each.axes[0])][0]):
+                raise _refuse(kernel, each, "an image" if array is not None else value, sizes)
+        elif array is None or not _fits(each, value, sizes):
+            got = value if array is None else f"{array.dtype} {array.shape}, strides {array.strides}"
+            raise _refuse(kernel, each, got, sizes)
 
 
 def _fits(parameter: Parameter, memory: Memory, sizes: dict[str, tuple[int, str]]) -> bool:
