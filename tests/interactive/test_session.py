@@ -149,7 +149,7 @@ def test_methods_agree_about_the_brightness(session: Session, method: str) -> No
     frames = [session.render(None, replace(asked, method=method)) for _ in range(2)]
     assert frames[0].get_view("indirect").mean() == pytest.approx(expected, rel=0.25)
     # What is recorded in the first frame is replayed in the second, with other random numbers.
-    samples = [frame.parts["sparse"].radiance.color for frame in frames]
+    samples = [frame.parts.sparse.radiance.color for frame in frames]
     assert samples[1].mean() == pytest.approx(samples[0].mean(), rel=0.25)
 
 
@@ -157,10 +157,10 @@ def test_lobes_are_no_sharper_than_virtual_lights_are_dense(session: Session) ->
     asked = replace(QUICK, method="virtual_lights")
     found = {}
     for limit, settings in ((True, asked), (False, replace(asked, limit_lobes=False))):
-        found[limit] = session.render(None, settings).parts["result"].settings["tau"]
+        found[limit] = session.render(None, settings).parts.result.settings["tau"]
     assert found[True] > 1.5 * found[False]
     # What a user sets is left alone.
-    assert session.render(None, replace(asked, tau=0.02)).parts["result"].settings["tau"] == 0.02
+    assert session.render(None, replace(asked, tau=0.02)).parts.result.settings["tau"] == 0.02
 
 
 def test_lights_that_change_are_noticed(mi: Any) -> None:

@@ -39,7 +39,7 @@ def lobes(mi: Any) -> str:
 @pytest.fixture
 def fit_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take away the formulas of two plugins, so that they are fitted."""
-    from lobewise.render import bsdfs
+    from lobewise.render.materials import bsdfs
 
     known = {"RoughConductor", "RoughPlastic", "SmoothDiffuse"}
     rest = {name: plugin for name, plugin in bsdfs.PLUGIN_OF_CLASS.items() if name not in known}
@@ -291,7 +291,7 @@ class TestPythonBsdf:
     def test_a_frame_is_fitted_once_and_keeps_no_bsdf(
         self, mi: Any, lobes: str, make_furnace: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        from lobewise.render import fitted
+        from lobewise.render.materials import fitted
         from lobewise.render.materials.bsdfs import read_scene_materials
 
         fits = []
