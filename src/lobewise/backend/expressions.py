@@ -1,4 +1,4 @@
-"""What taps are computed with, as Halide expressions: a fast base-2 exponential and logarithm, vectors, bad numbers.
+"""What taps are computed with, as Halide expressions: a fast base-2 exponential and logarithm, bad numbers.
 
 A filter tap needs one exponential and at most one logarithm. Both are polynomials on the mantissa, without table,
 branch or conversion of rounding mode, so that every target vectorises them. The coefficients are minimax fits made
@@ -65,17 +65,6 @@ def is_bad(x: hl.Expr) -> hl.Expr:
     """Return whether a float32 is NaN, infinite or negative, from its bits (safe under fast-math)."""
     bits = hl.reinterpret(hl.UInt(32), x)
     return (bits >= hl.u32(0x7F800000)) & (bits != hl.u32(0x80000000))
-
-
-def dot(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> hl.Expr:
-    """Return the scalar product of two vectors."""
-    first, *rest = (p * q for p, q in zip(a, b, strict=True))
-    return sum(rest, first)
-
-
-def subtract(a: Sequence[hl.Expr], b: Sequence[hl.Expr]) -> list[hl.Expr]:
-    """Return a - b, component by component."""
-    return [p - q for p, q in zip(a, b, strict=True)]
 
 
 class _Halide:

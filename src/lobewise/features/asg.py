@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.backend.expressions import LOG2_E, dot, log2
+from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
+from lobewise.lobes.vectors import dot
 
 
 class AsgPlanes(NamedTuple):

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.backend.expressions import dot, log2
+from lobewise.backend.expressions import log2
 from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
+from lobewise.lobes.vectors import dot
 
 # (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
 # eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves

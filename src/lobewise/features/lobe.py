@@ -8,10 +8,10 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import halide as hl
 
-from lobewise.backend.expressions import dot, subtract
 from lobewise.features.base import DeclaredFeature, Vector
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField, find_hit_shift
+from lobewise.lobes.vectors import dot, subtract
 
 
 class HitPlanes(NamedTuple):

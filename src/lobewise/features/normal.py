@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import halide as hl
 
-from lobewise.backend.expressions import LOG2_E, dot, subtract
+from lobewise.backend.expressions import LOG2_E
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import dot, subtract
 
 # With x = 1 - cos d, 2^-(x (c0 + c1 x + ...)) is within 3.8e-3 of the Lambert similarity
 # ((pi - d) cos d + sin d) / pi for every angle d, and falls throughout: no logarithm and no root.

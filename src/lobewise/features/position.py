@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.backend.expressions import LOG2_E, dot, subtract
+from lobewise.backend.expressions import LOG2_E
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import dot, subtract
 
 
 class Place(NamedTuple):

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import halide as hl
 
-from lobewise.backend.expressions import LOG2_E, dot, log2
+from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import DeclaredFeature, Offset, Pixel, Stage, Vector
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import dot
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import halide as hl
 
-from lobewise.backend.expressions import LOG2_E, dot, exp2, log2, subtract
+from lobewise.backend.expressions import LOG2_E, exp2, log2
 from lobewise.errors import InputError
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import dot, subtract
 from lobewise.settings import MAX_LOBES
 
 

@@ -18,13 +18,12 @@ from enum import Enum
 import halide as hl
 
 from lobewise.backend import expressions
-from lobewise.backend.expressions import dot
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
 from lobewise.filters.forms import ATROUS_PROFILE, Taps, can_mirror, find_reach
 from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, clamp_likely, make_guide_planes, make_image
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import LUMINANCE, dot
 
 COLORS = 3
 SUM_CHANNELS = 5

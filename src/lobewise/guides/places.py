@@ -14,11 +14,11 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.expressions import dot, subtract
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
+from lobewise.lobes.vectors import dot, subtract
 
 FAR = 1e6
 """Distance, in distances from the camera, at which what a lobe does not hit is taken to be."""

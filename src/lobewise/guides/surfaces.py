@@ -8,10 +8,10 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.expressions import dot
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
+from lobewise.lobes.vectors import dot
 
 SMALLEST_NORMAL = 0.01
 """Squared length of a normal below which there is no surface: its normal is zero in every renderer's convention."""

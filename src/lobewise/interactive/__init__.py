@@ -5,5 +5,5 @@ Importing this package does not import Mitsuba: its first use does.
 
 import lazy_loader
 
-# As in the package itself: the names are in __init__.pyi.
+# As in the package itself: the names are in __init__.pyi, which `attach_stub` reads.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Vectors by component: the few operations that the lobes share, of numbers of any kind."""
+"""Vectors by component: the few operations that lobes, features and guides share, of numbers of any kind."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 def dot(a: Vector, b: Vector) -> Any:
-    """Return the scalar product of two 3-vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    """Return the scalar product of two vectors, added up from the first component on."""
+    first, *others = (a[k] * b[k] for k in range(len(a)))
+    return sum(others, first)
+
+
+def subtract(a: Vector, b: Vector) -> list[Any]:
+    """Return a - b, component by component."""
+    return [p - q for p, q in zip(a, b, strict=True)]
 
 
 def cross(a: Vector, b: Vector) -> list[Any]:
