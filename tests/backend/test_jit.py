@@ -217,8 +217,8 @@ def parameters() -> list[Parameter]:
     # Whenever it is declared, what is written comes last.
     signature.output("image", "height", "width", 3)
     signature.image("guide", "height", "width", 3)
-    signature.number("radius", hl.Int(32))
-    signature.number("rows", hl.Int(32), size="height")
+    signature.count("radius", 1, 8)
+    signature.number("scale")
     assert [each.name for each in signature.parameters][-1] == "image"
     return signature.parameters
 
@@ -230,7 +230,7 @@ def make_call(**changes: Any) -> dict[str, Any]:
         "mask": np.zeros((4, 5), np.uint8),
         "guide": np.zeros((4, 5, 3), np.float32),
         "radius": 2,
-        "rows": 4,
+        "scale": 0.5,
         "image": np.zeros((4, 5, 3), np.float32),
     } | changes
     return {name: Buffer(value) if isinstance(value, np.ndarray) else value for name, value in given.items()}
@@ -258,7 +258,10 @@ class TestCheckedCalls:
             ({"image": np.zeros((4, 5, 2), np.float32)}, "image float32"),
             ({"image": np.zeros((3, 5, 3), np.float32)}, "height is 4 in colour"),
             ({"image": Buffer(np.zeros((3, 5, 3), np.float32), (2, 0))}, "height is 4 in colour"),
-            ({"rows": 5}, "height is 4 in colour, and got 5|height is 4 in colour"),
+            ({"radius": 0}, "radius int32 number from 1 to 8, and got 0"),
+            ({"radius": 9}, "radius int32 number from 1 to 8, and got 9"),
+            ({"radius": 2.0}, "radius int32 number from 1 to 8, and got 2.0"),
+            ({"scale": "wide"}, "scale float32 number, and got wide"),
             ({"radios": 2}, "has no radios"),
             ({"radius": np.zeros((4, 5), np.float32)}, "radius int32.*an image"),
             ({"mask": 4}, "mask uint8.*got 4"),

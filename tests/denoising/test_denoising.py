@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -341,39 +338,6 @@ def test_a_frame_without_a_good_pixel_is_refused(quality: str) -> None:
     nothing = np.full((4, 4, 3), np.nan)
     with pytest.raises(LobewiseError, match="at least one pixel that is finite"):
         denoise(make_frame((4, 4)).with_changes(radiance=Radiance(color=nothing)), quality=quality)
-
-
-SAME_BITS = """
-import hashlib
-from tests.denoising.test_denoising import make_frame
-from lobewise.denoising import denoise
-for form, similarity, quality in (
-    ("full", "ggx", "fast"),
-    ("full", "ggx", "balanced"),
-    ("separable", "ggx", "fast"),
-    ("atrous", "ggx", "fast"),
-    ("full", "sg_mixture", "fast"),
-):
-    for again in range(2):
-        result = denoise(make_frame((133, 87)), similarity=similarity, form=form, quality=quality)
-        bits = result.image.tobytes() + result.weight_sum.tobytes()
-        print(form, similarity, quality, hashlib.sha256(bits).hexdigest())
-"""
-
-
-@pytest.mark.slow
-def test_same_bits_with_one_and_two_threads_and_twice() -> None:
-    def run(threads: int) -> list[str]:
-        environment = {**os.environ, "HL_NUM_THREADS": str(threads)}
-        done = subprocess.run(
-            [sys.executable, "-c", SAME_BITS], capture_output=True, text=True, check=True, env=environment
-        )
-        return done.stdout.splitlines()
-
-    lines = run(2)
-    assert len(lines) == 10
-    assert lines[::2] == lines[1::2]
-    assert lines == run(1)
 
 
 @BOTH

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -582,20 +579,3 @@ def test_images_of_another_size_are_refused() -> None:
     ):
         with pytest.raises(InputError, match="shape"):
             replace(given, **wrong).run()
-
-
-PROGRAM = """
-import sys
-from tests.filters.test_dual_buffer import *
-sys.stdout.buffer.write(get_bits(make_given(STANDARD, (131, 67)).run()))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.processor
-def test_threads_and_another_run_change_nothing() -> None:
-    expected = get_bits(make_given(STANDARD, (131, 67)).run())
-    assert get_bits(make_given(STANDARD, (131, 67)).run()) == expected
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == expected

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -195,20 +191,3 @@ def test_images_of_other_sizes_are_refused() -> None:
     a, b, mask = make_flat()
     with pytest.raises(InputError, match="half b"):
         bound_fireflies((a, b[1:]), None, mask)
-
-
-PROGRAM = """
-import sys
-from tests.filters.test_fireflies import *
-bounded = bound_fireflies(*make_case((131, 67)))
-sys.stdout.buffer.write(bounded.a.tobytes() + bounded.b.tobytes() + bounded.tally.tobytes())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.processor
-def test_threads_change_nothing() -> None:
-    bounded = bound_fireflies(*make_case((131, 67)))
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == bounded.a.tobytes() + bounded.b.tobytes() + bounded.tally.tobytes()

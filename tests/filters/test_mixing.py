@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from itertools import pairwise
 from typing import Any
 
@@ -312,20 +309,3 @@ def test_every_size_has_one_kernel() -> None:
     before = count_compiled_kernels()
     mix_candidates(*make_inputs((40, 3)), force_shares(NETWORK, [1.0, 2.0, 3.0]))
     assert count_compiled_kernels() == before
-
-
-PROGRAM = """
-import sys
-from tests.filters.test_mixing import *
-sys.stdout.buffer.write(mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.processor
-def test_threads_and_another_run_change_nothing() -> None:
-    expected = mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes()
-    assert mix_candidates(*make_inputs((131, 67)), NETWORK).tobytes() == expected
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == expected

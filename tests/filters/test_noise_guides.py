@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -198,21 +194,3 @@ def test_images_of_another_size_are_refused() -> None:
         measure_light((a, b[:7]), None, np.ones((8, 9), bool))
     with pytest.raises(InputError, match="shape"):
         measure_light((a, b), a[..., 0], np.ones((8, 9), bool))
-
-
-PROGRAM = """
-import sys
-from tests.filters.test_noise_guides import *
-light = measure_light(*make_samples((131, 67)))
-sys.stdout.buffer.write(make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() + light.tobytes())
-"""
-
-
-@pytest.mark.processor
-def test_threads_and_another_run_change_nothing() -> None:
-    expected = make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes()
-    assert make_noise_guide(*make_halves((131, 67)), LEVEL).tobytes() == expected
-    expected += measure_light(*make_samples((131, 67))).tobytes()
-    alone = {**os.environ, "HL_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, env=alone)
-    assert done.stdout == expected

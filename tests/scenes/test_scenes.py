@@ -12,6 +12,7 @@ import pytest
 from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, LobeKind
 from lobewise.render import list_moving_scenes, list_scenes, load_scene
+from tests.render.tracing.test_paths import compare_with_mitsuba
 
 Frames = Callable[[str], Frame]
 
@@ -143,6 +144,17 @@ def test_scene_is_lit_and_glossy(built_in_frames: Frames, name: str) -> None:
     assert (~shiny).mean() > 0.1
     sky = (frame.gbuffer.depth == 0).mean()
     assert sky == 0 if name not in SKY else 0.02 < sky < SKY[name]
+
+
+@pytest.mark.mitsuba
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list_scenes())
+def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str, built_in_frames: Frames) -> None:
+    frame = built_in_frames(name)
+    scene = load_scene(name, width=frame.width)
+
+    # Of small lights and their caustics some pixels catch one sample and some none; their variance means nothing.
+    compare_with_mitsuba(mi, scene, frame.spp or 0, frame=frame, has_sparks=name == "sparks")
 
 
 @pytest.mark.mitsuba

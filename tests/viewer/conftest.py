@@ -206,7 +206,7 @@ def visit(browser: Any) -> Iterator[Callable[..., Page]]:
     """Return a function that opens a page on a viewer; at the end none may have met an error."""
     pages: list[Page] = []
 
-    def open_page(viewer: Viewer, size: tuple[int, int] = (900, 700)) -> Page:
+    def open_page(viewer: Viewer, size: tuple[int, int] = (720, 520)) -> Page:
         seen = viewer.statistics["frames"]
         pages.append(Page(browser, viewer, size))
         pages[-1].wait_for_frames(1, since=seen)

@@ -25,7 +25,7 @@ from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.runtime import Runtime, compile_object, get_runtime
-from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
+from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_modules
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
@@ -63,6 +63,7 @@ class Kernel:
         self._function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(address)
         self.name = name
         self.parameters = tuple(parameters)
+        self._accepted: set[Hashable] = set()
 
     @property
     def outputs(self) -> list[Parameter]:
@@ -86,7 +87,10 @@ class Kernel:
         DeviceError
             If the device fails; what it wrote is then of no use.
         """
-        check_call(self.name, self.parameters, arguments)
+        layout = describe_call(arguments)
+        if layout not in self._accepted:
+            check_call(self.name, self.parameters, arguments)
+            self._accepted.add(layout)
         # Held until the call has returned.
         held: list[Any] = [
             _SCALARS[each.type](arguments[each.name]) if each.role == "number" else arguments[each.name]

@@ -6,8 +6,9 @@ function's order of arguments follows from it and is written nowhere else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any, Protocol
 
 import halide as hl
@@ -30,9 +31,11 @@ class Parameter:
     type : str
         NumPy's name of it.
     axes : tuple
-        Of an image in NumPy's order, rows first. Of a number the size that it must be equal to, or nothing.
+        Of an image, in NumPy's order, rows first.
     strides : tuple
         Entries of memory from one to the next along each axis; None where that is free.
+    bounds : tuple
+        Of a whole number, the least and the largest.
     """
 
     name: str
@@ -40,6 +43,7 @@ class Parameter:
     type: str
     axes: tuple[Axis, ...] = ()
     strides: tuple[int | None, ...] = ()
+    bounds: tuple[int, ...] = ()
 
 
 class Memory(Protocol):
@@ -106,12 +110,20 @@ class Signature:
         self.arguments.append(param)
         return param
 
-    def number(self, name: str, type: hl.Type | None = None, *, size: str | None = None) -> hl.Param:
-        """Declare a number, float32 by default, and return its parameter; ``size`` is the axis that it tells."""
-        kind = hl.Float(32) if type is None else type
+    def number(self, name: str, type: hl.Type | None = None) -> hl.Param:
+        """Declare a real number, float32 by default, and return its parameter."""
+        return self._declare_number(name, hl.Float(32) if type is None else type)
+
+    def count(self, name: str, least: int = 0, most: int = 1 << 16) -> hl.Param:
+        """Declare a whole number, int32, and return its parameter; a call outside the bounds is refused.
+
+        Counts decide what memory is touched.
+        """
+        return self._declare_number(name, hl.Int(32), (least, most))
+
+    def _declare_number(self, name: str, kind: hl.Type, bounds: tuple[int, ...] = ()) -> hl.Param:
         param = hl.Param(kind, name)
-        axes = () if size is None else (size,)
-        self._given.append(Parameter(name, "number", _name_type(kind), axes))
+        self._given.append(Parameter(name, "number", _name_type(kind), bounds=bounds))
         self.arguments.append(param)
         return param
 
@@ -142,7 +154,17 @@ def _name_type(kind: hl.Type) -> str:
 
 def unpack_parameters(packed: Sequence[Sequence[Any]]) -> list[Parameter]:
     """Return parameters that were kept as lists of their fields, in JSON."""
-    return [Parameter(name, role, kind, tuple(axes), tuple(strides)) for name, role, kind, axes, strides in packed]
+    return [Parameter(name, role, kind, *map(tuple, rest)) for name, role, kind, *rest in packed]
+
+
+def describe_call(given: Mapping[str, Any]) -> Hashable:
+    """Return all that `check_call` looks at: a call that is described alike is as good."""
+    return tuple(
+        (name, value if isinstance(value, Integral) else type(value))
+        if (array := getattr(value, "array", None)) is None
+        else (name, array.dtype, array.shape, array.strides, tuple(value.first))
+        for name, value in given.items()
+    )
 
 
 def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str, Any]) -> None:
@@ -161,11 +183,18 @@ def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str,
         value = given[each.name]
         array = getattr(value, "array", None)
         if each.role == "number":
-            if array is not None or (each.axes and int(value) != sizes[str(each.axes[0])][0]):
+            if array is not None or not _is_number(each, value):
                 raise _refuse(kernel, each, "an image" if array is not None else value, sizes)
         elif array is None or not _fits(each, value, sizes):
             got = value if array is None else f"{array.dtype} {array.shape}, strides {array.strides}"
             raise _refuse(kernel, each, got, sizes)
+
+
+def _is_number(parameter: Parameter, value: Any) -> bool:
+    if not parameter.bounds:
+        return isinstance(value, Real)
+    least, most = parameter.bounds
+    return isinstance(value, Integral) and least <= int(value) <= most
 
 
 def _fits(parameter: Parameter, memory: Memory, sizes: dict[str, tuple[int, str]]) -> bool:
@@ -188,9 +217,8 @@ def _fits(parameter: Parameter, memory: Memory, sizes: dict[str, tuple[int, str]
 
 def _refuse(kernel: str, parameter: Parameter, got: Any, sizes: Mapping[str, tuple[int, str]]) -> TypeError:
     told = [f"{axis} is {sizes[axis][0]} in {sizes[axis][1]}" for axis in map(str, parameter.axes) if axis in sizes]
-    shape = ", ".join(map(str, parameter.axes))
     beside = f" ({', '.join(told)})" if told else ""
-    return TypeError(
-        f"the kernel {kernel!r} takes as {parameter.name} {parameter.type} ({shape}), strides {parameter.strides}"
-        f"{beside}, and got {got}"
-    )
+    kind = f"({', '.join(map(str, parameter.axes))}), strides {parameter.strides}" if parameter.axes else "number"
+    if parameter.bounds:
+        kind += f" from {parameter.bounds[0]} to {parameter.bounds[1]}"
+    return TypeError(f"the kernel {kernel!r} takes as {parameter.name} {parameter.type} {kind}{beside}, and got {got}")

@@ -200,7 +200,7 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
         albedo=signature.image("albedo", *size, COLORS) if key.reads_albedo else None,
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=declare_features(signature, "tap", features, *size),
-        step=signature.number("step", hl.Int(32)),
+        step=signature.count("step", 1),
         scalars=declare_scalars(signature, features),
         strictness=signature.image("strictness", *size) if key.strict else None,
     )

@@ -153,7 +153,7 @@ def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Input
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=Groups(*(declare_features(signature, name, features, *size) for name, features in named)),
         scalars=Groups(*(declare_scalars(signature, features, name) for name, features in named)),
-        step=signature.number("step", hl.Int(32)),
+        step=signature.count("step", 1),
         guide=signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None,
         noise=signature.number("noise"),
         exponents=[Exponents(*exponents[count * k : count * (k + 1)]) for k in range(key.variants)],

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from lobewise.frame import Frame
-from lobewise.render import list_scenes, load_scene
 from tests.render.tolerances import FRACTION_BEYOND, NOISE, Z_BLOCK, Z_MEAN, Z_USUAL
 
 pytestmark = pytest.mark.mitsuba
@@ -87,16 +86,6 @@ def test_agrees_with_mitsuba_on_smooth_surfaces_and_sky(mi: Any, make_box_scene:
         "lamp": {"type": "point", "position": [1.0, 2.5, 2.0], "intensity": rgb(3.0, 3.0, 3.0)},
     }
     compare_with_mitsuba(mi, make_box_scene(items), 512)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list_scenes())
-def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str, built_in_frames: Callable[[str], Frame]) -> None:
-    frame = built_in_frames(name)
-    scene = load_scene(name, width=frame.width)
-
-    # Of small lights and their caustics some pixels catch one sample and some none; their variance means nothing.
-    compare_with_mitsuba(mi, scene, frame.spp or 0, frame=frame, has_sparks=name == "sparks")
 
 
 @pytest.fixture(scope="module")

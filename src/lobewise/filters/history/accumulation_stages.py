@@ -124,7 +124,7 @@ def read_history(history: hl.ImageParam) -> Sums:
 
 def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
     """Declare a whole number; what is known not to be negative makes plainer loops."""
-    count = signature.number(name, hl.Int(32))
+    count = signature.count(name, least)
     count.set_range(least, 1 << 16)
     return count
 
@@ -142,7 +142,7 @@ def make_tap_grid(
     arrays = declare_features(signature, "own", features, "height", "width")
     scalars = declare_scalars(signature, features)
     factor = declare_count(signature, "factor", 1)
-    column, row = (signature.number(name, hl.Int(32)) for name in ("column", "row"))
+    column, row = (signature.count(name) for name in ("column", "row"))
     spacing = signature.number("spacing")
     columns, rows = tap_mask.width(), tap_mask.height()
     taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)

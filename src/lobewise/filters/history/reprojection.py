@@ -163,7 +163,7 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None = No
     arrays_now = declare_features(signature, "own", features, "height", "width")
     scalars = declare_scalars(signature, features)
     memory = signature.number("memory")
-    width, height = (signature.number(name, hl.Int(32)) for name in ("width_before", "height_before"))
+    width, height = (signature.count(name, 1) for name in ("width_before", "height_before"))
     for name in REPROJECTED:
         signature.output(name, "height", "width")
 
