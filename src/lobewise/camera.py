@@ -37,11 +37,15 @@ class Camera:
         Full vertical angle of view, radians, in (0, pi).
     fov_x : float, optional
         Full horizontal angle of view, radians; by default that of square pixels.
+    shift : (float, float)
+        Where the centre of the image lies on the plane at distance 1 from the camera, to the right and upwards of where
+        ``forward`` meets it: not (0, 0) for a shifted lens, or for a part of a larger image.
 
     Raises
     ------
     InputError
-        If a vector is not three finite numbers, is zero, or ``up`` is parallel to ``forward``.
+        If a vector is not three finite numbers, is zero, or ``up`` is parallel to ``forward``, or an angle or the shift
+        is out of range.
     """
 
     position: NDArray[np.float64]
@@ -49,13 +53,20 @@ class Camera:
     up: NDArray[np.float64]
     fov_y: float
     fov_x: float | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
     band: tuple[int, int] | None = field(default=None, init=False, repr=False, compare=False)
     """First row and whole height, where the images are but some rows of a taller one; see `crop_rows`."""
 
     if TYPE_CHECKING:  # what it takes is more than what it keeps
 
         def __init__(
-            self, position: ArrayLike, forward: ArrayLike, up: ArrayLike, fov_y: float, fov_x: float | None = None
+            self,
+            position: ArrayLike,
+            forward: ArrayLike,
+            up: ArrayLike,
+            fov_y: float,
+            fov_x: float | None = None,
+            shift: tuple[float, float] = (0.0, 0.0),
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -75,6 +86,10 @@ class Camera:
                 raise InputError(
                     f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
                 )
+        shift = tuple(float(part) for part in self.shift)
+        if len(shift) != 2 or not np.isfinite(shift).all():
+            raise InputError("camera shift", expected="two finite numbers", got=str(self.shift), action="pass (x, y)")
+        object.__setattr__(self, "shift", shift)
         forward = forward / np.linalg.norm(forward)
         up = np.cross(right / np.linalg.norm(right), forward)
         object.__setattr__(self, "position", position)
@@ -106,6 +121,13 @@ class Camera:
         half_width = half_height * width / rows if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
         return half_width, half_height
 
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """Direction to the centre of the image, shape (3,), 1 deep along ``forward``."""
+        if self.shift == (0.0, 0.0):
+            return self.forward
+        return self.forward + self.shift[0] * self.right + self.shift[1] * self.up
+
     def get_pixel_angle(self, height: int) -> float:
         """Return the angle that one pixel at the image centre subtends vertically, radians."""
         return float(2.0 * np.tan(0.5 * self.fov_y) / self.get_rows(height)[1])
@@ -116,7 +138,7 @@ class Camera:
         half_width, half_height = self.get_half_extent(width, height)
         x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width
         y = (1.0 - (np.arange(first, first + height) + 0.5) / rows * 2.0) * half_height
-        return x, y
+        return x + self.shift[0], y + self.shift[1]
 
     def make_ray_directions(self, width: int, height: int) -> NDArray[np.float32]:
         """Return the unit directions through the pixel centres, shape (height, width, 3), row 0 on top."""

@@ -23,8 +23,8 @@ def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int
         offset = points - camera.position
         ahead = offset @ camera.forward
         scale = np.divide(1.0, ahead, out=np.full_like(ahead, np.nan), where=ahead > 0)
-        x = (offset @ camera.right) * scale / half_width
-        y = (offset @ camera.up) * scale / half_height
+        x = ((offset @ camera.right) * scale - camera.shift[0]) / half_width
+        y = ((offset @ camera.up) * scale - camera.shift[1]) / half_height
         return np.stack([(x + 1.0) * 0.5 * width, (1.0 - y) * 0.5 * height], axis=-1).astype(np.float32)
 
 

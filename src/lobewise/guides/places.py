@@ -42,8 +42,9 @@ def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, N
     return {
         "before": camera.position,
         "before_forward": camera.forward,
-        "before_right": camera.right / half_width,
-        "before_up": camera.up / half_height,
+        # A step is divided by its depth: of a shifted image the centre is taken off before.
+        "before_right": (camera.right - camera.shift[0] * camera.forward) / half_width,
+        "before_up": (camera.up - camera.shift[1] * camera.forward) / half_height,
     }
 
 

@@ -28,7 +28,7 @@ def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[
     first_row, rows = camera.get_rows(height)
     half_width, half_height = camera.get_half_extent(width, height)
     right, down = 2.0 * half_width / width * camera.right, -2.0 * half_height / rows * camera.up
-    corner = camera.forward - half_width * camera.right + half_height * camera.up
+    corner = camera.middle - half_width * camera.right + half_height * camera.up
     first_ray = corner + 0.5 * (right + down)
     return {"first_ray": first_ray, "ray_right": right, "ray_down": down, "first_row": np.array([float(first_row)])}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,13 @@ def _get_perspective_sensor(scene: Any) -> Any:
 
 
 def get_camera(scene: Any) -> Camera:
-    """Return the pinhole camera of a scene's first sensor.
+    """Return the pinhole camera of a scene's first sensor; a shifted principal point is its ``shift``.
 
     Raises
     ------
     InputError
         If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
-        of sensor, a mirrored ``to_world``, a crop window, a shifted principal point.
+        of sensor, a mirrored ``to_world``.
     """
     sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)
@@ -62,11 +63,17 @@ def get_camera(scene: Any) -> Camera:
     corners = np.array([[0, 0, width - 1, width - 1], [0, height - 1, 0, height - 1]])
     film = (corners + 0.5) / [[width], [height]]
     rays, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(film.astype(np.float32)), mi.Point2f(0.5))
+    directions = np.array(rays.d, dtype=np.float64).T
+    # On the plane at distance 1; the mean of the corners is the centre of the image.
+    plane = directions / (directions @ camera.forward)[:, None]
+    shift = (float((plane @ camera.right).mean()), float((plane @ camera.up).mean()))
+    if max(map(abs, shift)) > RAY_TOLERANCE:
+        camera = replace(camera, shift=shift)
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
-    error = float(np.abs(np.array(rays.d).T - expected).max())
+    error = float(np.abs(directions - expected).max())
     if not error < RAY_TOLERANCE:
         got = f"rays that differ by {error:.2g} from it"
-        action = "remove crop windows, principal point offsets and negative scales from the sensor"
+        action = "remove negative scales from the sensor"
         raise InputError("sensor", expected="a pinhole whose film is centred and not mirrored", got=got, action=action)
     return camera
 
@@ -79,10 +86,14 @@ def set_camera(scene: Any, camera: Camera) -> None:
     Raises
     ------
     InputError
-        If the scene has no perspective sensor, or the camera's pixels are not square.
+        If the scene has no perspective sensor, the camera's pixels are not square, or its image is shifted in another
+        way than the sensor's.
     """
     sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)
+    if not np.allclose(camera.shift, get_camera(scene).shift, atol=RAY_TOLERANCE):
+        action = "give the sensor principal_point_offset_x and _y"
+        raise InputError("camera shift", expected="that of the sensor", got=str(camera.shift), action=action)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
         expected = f"square pixels on an image of {width}x{height}"

@@ -35,9 +35,9 @@ def read_camera(part: Part) -> Camera | None:
     if not found:
         return None
     values: dict[str, Any] = {}
-    for name, size in (("position", 3), ("forward", 3), ("up", 3), ("fov_y", 1), ("fov_x", 1)):
+    for name, size in (("position", 3), ("forward", 3), ("up", 3), ("fov_y", 1), ("fov_x", 1), ("shift", 2)):
         numbers = _read_numbers(found.get(name), size)
-        if numbers is None and not (name == "fov_x" and name not in found):
+        if numbers is None and not (name in ("fov_x", "shift") and name not in found):
             raise InputError(
                 "camera in the header",
                 expected=f"the attribute {CAMERA}{name} with {size} real number{'s' if size > 1 else ''}",
@@ -80,7 +80,9 @@ def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
 def _read_numbers(item: Attribute | None, size: int) -> tuple[float, ...] | None:
     if item is None:
         return None
-    code = {(3, "v3d"): "<3d", (3, "v3f"): "<3f", (1, "double"): "<d", (1, "float"): "<f"}.get((size, item.type))
+    code = {
+        (3, "v3d"): "<3d", (3, "v3f"): "<3f", (2, "v2d"): "<2d", (2, "v2f"): "<2f", (1, "double"): "<d", (1, "float"): "<f",
+    }.get((size, item.type))
     if code is None or struct.calcsize(code) != len(item.value):
         return None
     return struct.unpack(code, item.value)
@@ -94,4 +96,6 @@ def describe_camera(camera: Camera) -> dict[str, Any]:
     out[CAMERA + "fov_y"] = np.array([camera.fov_y], dtype=np.float64)
     if camera.fov_x is not None:
         out[CAMERA + "fov_x"] = np.array([camera.fov_x], dtype=np.float64)
+    if camera.shift != (0.0, 0.0):
+        out[CAMERA + "shift"] = np.array(camera.shift, dtype=np.float64)
     return out

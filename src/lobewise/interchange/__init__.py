@@ -1,0 +1,1 @@
+"""Files of other renderers: what their channels mean, frames made of them, and results put back where they came from."""

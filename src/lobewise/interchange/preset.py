@@ -1,0 +1,221 @@
+"""Presets: what the channels of one renderer mean, one readable file each (``presets/*.toml``), checked when read.
+
+A preset says how its files are recognised, which passes hold which image of a frame and what becomes of their values,
+which passes make up a layer of light, and what to switch on in that renderer for what is missing. The words that it may
+use are those of `ROLES`, `CONVERSIONS` and the fields of `Preset`; any other is refused.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from lobewise.errors import FileError, InputError, require_choice
+from lobewise.io.files import PathLike, require_readable
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROLES = {
+    "color": "total radiance",
+    "diffuse": "radiance whose first scattering was diffuse",
+    "specular": "radiance whose first scattering was specular",
+    "albedo": "albedo of all lobes together",
+    "diffuse_albedo": "albedo of the diffuse lobe",
+    "specular_albedo": "albedo of the specular lobe",
+    "normal": "shading normal",
+    "position": "world position",
+    "depth": "distance along the ray",
+    "roughness": "roughness of the specular lobe",
+    "motion": "pixels to the previous frame",
+    "variance": "variance of the mean",
+    "alpha": "share of the pixel that shows a surface",
+}
+"""What passes can be, beside layers and Cryptomatte."""
+SINGLES = ("depth", "roughness", "alpha")
+CONVERSIONS = {
+    "camera_space": "from camera space (x right, y up, z away from the camera) to the world",
+    "camera_space_back": "from camera space (x right, y up, z towards the camera) to the world",
+    "encoded": "from [0, 1] to [-1, 1]",
+    "planar": "from the distance along the camera's axis to that along the ray",
+    "square": "from perceptual roughness to alpha, its square",
+    "invert": "from glossiness to roughness, 1 minus it",
+    "hundredth": "from centimetres to metres",
+    "negate": "the other way round",
+    "y_up": "from y up to y down",
+    "cycles_roughness": "from the mean over all closures, diffuse counted as 1, to the specular lobes' own",
+}
+"""What can be done to values on their way, in the order in which they are named."""
+LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "exact")
+"""What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
+passes as it is."""
+ATTRIBUTES = ("name", "title", "attributes", "passes", "samples", "samples_squared", "prefix", "notes", "advice", "layer", "cryptomatte")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One way in which a renderer gives an image: a pass, perhaps one component of it, and what becomes of its values."""
+
+    source: str
+    component: str | None = None
+    convert: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LayerRule:
+    """One layer of light: the sum of some passes, times an albedo where the renderer divides them by it."""
+
+    name: str
+    lobe: str
+    light: tuple[str, ...]
+    albedo: str | None = None
+    times_albedo: bool = False
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What the files of one renderer mean.
+
+    Parameters
+    ----------
+    name, title : str
+        In options and in sentences.
+    attributes, passes : tuple of str
+        Patterns of header attributes, any of which tells the renderer, and of passes, all of which do together.
+    roles : mapping of str to tuple of Rule
+        For each role the ways to find it, the best first.
+    layers : tuple of LayerRule
+        Alternatives of one name: the first whose passes are all there.
+    cryptomatte : tuple of str
+        Names of Cryptomatte's passes, without their numbers, the finest first.
+    samples, samples_squared : tuple of str
+        Attributes that hold the samples per pixel, or their square root.
+    notes : tuple of str
+        What a user should know of any such file, one sentence each.
+    advice : mapping of str to str
+        For each role, what to switch on in that renderer.
+    """
+
+    name: str
+    title: str
+    attributes: tuple[str, ...] = ()
+    passes: tuple[str, ...] = ()
+    roles: Mapping[str, tuple[Rule, ...]] = field(default_factory=dict)
+    layers: tuple[LayerRule, ...] = ()
+    cryptomatte: tuple[str, ...] = ()
+    samples: tuple[str, ...] = ()
+    samples_squared: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    advice: Mapping[str, str] = field(default_factory=dict)
+
+
+@cache
+def load_presets() -> dict[str, Preset]:
+    """Return the presets of this package by name; "generic" goes by the usual names alone and comes last."""
+    folder = files("lobewise.interchange").joinpath("presets")
+    found = {}
+    for item in sorted(folder.iterdir(), key=lambda one: (one.name == "generic.toml", one.name)):
+        if item.name.endswith(".toml"):
+            preset = _parse(item.read_text("utf-8"), item.name)
+            found[preset.name] = preset
+    return found
+
+
+def find_preset(name: PathLike) -> Preset:
+    """Return the preset of a name, or of a file that ends in ``.toml``.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or the file says what no preset can.
+    FileError
+        If the file cannot be read.
+    """
+    if str(name).endswith(".toml"):
+        path = require_readable(name)
+        try:
+            return _parse(path.read_text("utf-8"), str(path))
+        except UnicodeDecodeError:
+            raise FileError(f"preset {str(path)!r}", expected="text", got="bytes", action="write it as UTF-8") from None
+    require_choice("preset", str(name), load_presets())
+    return load_presets()[str(name)]
+
+
+def _parse(text: str, where: str) -> Preset:
+    try:
+        given = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise FileError(f"preset {where!r}", expected="TOML", got=str(problem), action="mend that line") from None
+    what = f"preset {where!r}"
+    for key in given:
+        require_choice(f"{what}, key", key, [*ATTRIBUTES, *ROLES])
+    name = _take(given, "name", str, what, Path(where).stem)
+    return Preset(
+        name=name,
+        title=_take(given, "title", str, what, name),
+        attributes=_take_texts(given, "attributes", what),
+        passes=_take_texts(given, "passes", what),
+        roles={
+            role: tuple(_parse_rule(rule, f"{what}, {role}") for rule in _take(given, role, list, what, []))
+            for role in ROLES
+            if role in given
+        },
+        layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(given, "layer", list, what, [])),
+        cryptomatte=_take_texts(given, "cryptomatte", what),
+        samples=_take_texts(given, "samples", what),
+        samples_squared=_take_texts(given, "samples_squared", what),
+        notes=_take_texts(given, "notes", what),
+        advice={
+            require_choice(f"{what}, advice", role, [*ROLES, "camera", "layers", "cryptomatte"]): str(told)
+            for role, told in _take(given, "advice", dict, what, {}).items()
+        },
+    )
+
+
+def _parse_rule(given: Any, what: str) -> Rule:
+    if isinstance(given, str):
+        return Rule(given)
+    for key in _require_table(given, what):
+        require_choice(what, key, ("pass", "component", "convert"))
+    convert = _take_texts(given, "convert", what)
+    for word in convert:
+        require_choice(f"{what}, convert", word, CONVERSIONS)
+    return Rule(_take(given, "pass", str, what), _take(given, "component", str, what, None), convert)
+
+
+def _parse_layer(given: Any, what: str) -> LayerRule:
+    for key in _require_table(given, what):
+        require_choice(what, key, ("name", "lobe", "light", "albedo", "times_albedo"))
+    name = _take(given, "name", str, what)
+    lobe = require_choice(f"{what}, lobe", _take(given, "lobe", str, what), LOBES)
+    albedo = _take(given, "albedo", str, what, None)
+    return LayerRule(name, lobe, _take_texts(given, "light", what), albedo, bool(given.get("times_albedo", False)))
+
+
+def _require_table(given: Any, what: str) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise InputError(what, expected="a table", got=repr(given), action='write { pass = "..." }')
+    return given
+
+
+def _take(given: Mapping[str, Any], key: str, kind: type, what: str, *default: Any) -> Any:
+    if key not in given and default:
+        return default[0]
+    value = given.get(key)
+    if not isinstance(value, kind):
+        raise InputError(f"{what}, {key}", expected=f"a {kind.__name__}", got=repr(value), action="see presets/*.toml")
+    return value
+
+
+def _take_texts(given: Mapping[str, Any], key: str, what: str) -> tuple[str, ...]:
+    texts = _take(given, key, list, what, [])
+    if not all(isinstance(text, str) for text in texts):
+        raise InputError(f"{what}, {key}", expected="a list of texts", got=repr(texts), action="quote each of them")
+    return tuple(texts)

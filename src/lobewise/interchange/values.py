@@ -1,0 +1,76 @@
+"""What becomes of a pass's values on their way into a frame: spaces, units, signs; each conversion by its name."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
+
+FARTHEST = 1e9
+"""Distances from here on stand for nothing: renderers write 1e10, 1e30 or infinity for the background."""
+SMALLEST_SHARE = 0.02
+"""Of the albedo that reflects or transmits, below which Cycles' mean roughness tells nothing of it."""
+
+
+def convert_plain(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Return values after those conversions that need no camera, in their order."""
+    for name in names:
+        if name == "encoded":
+            values = np.float32(2.0) * values - np.float32(1.0)
+        elif name == "square":
+            values = np.square(np.clip(values, 0.0, 1.0))
+        elif name == "invert":
+            values = np.float32(1.0) - values
+        elif name == "hundredth":
+            values = np.float32(0.01) * values
+        elif name == "negate":
+            values = -values
+        elif name == "y_up":
+            values = values * np.array([1.0, -1.0], np.float32)
+    return values
+
+
+def convert_space(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray:
+    """Return vectors in world space; without a camera they stay as they are, alike in what their angles are."""
+    sign = 1.0 if "camera_space" in names else -1.0 if "camera_space_back" in names else 0.0
+    if camera is None or sign == 0.0:
+        return values
+    axes = np.stack([camera.right, camera.up, sign * camera.forward]).astype(np.float32)
+    return values @ axes
+
+
+def convert_depth(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray | None:
+    """Return distances along the rays, 0 for none; None for distances along the axis of a camera that is not known."""
+    found = np.where(np.isfinite(values) & (values > 0.0) & (values < FARTHEST), values, np.float32(0.0))
+    if "planar" not in names:
+        return found
+    if camera is None:
+        return None
+    height, width = values.shape
+    return np.asarray(found / (camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)))
+
+
+def undo_mean_roughness(
+    mean: FloatArray, diffuse: FloatArray | None, specular: FloatArray | None
+) -> tuple[FloatArray, NDArray[np.bool_]] | None:
+    """Return the roughness of the lobes that reflect and transmit, and where it is known.
+
+    Cycles' pass is the mean over all closures, each with its albedo for weight and diffuse ones counted as 1: of
+    albedos D and S, ``mean = (D + r S) / (D + S)``. Source: Cycles' src/kernel/film/denoising_passes.h. Ill-conditioned
+    where S is small: there the surface counts as diffuse.
+
+    Parameters
+    ----------
+    mean : (height, width)
+        The pass, perceptual roughness.
+    diffuse, specular : (height, width, 3), optional
+        Both albedos; None where one is not known.
+    """
+    if diffuse is None or specular is None:
+        return None
+    d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
+    known = s > SMALLEST_SHARE * np.maximum(d + s, np.float32(1e-6))
+    found = (mean * (d + s) - d) / np.where(known, s, np.float32(1.0))
+    return np.clip(np.where(known, found, np.float32(1.0)), 0.0, 1.0), known
