@@ -29,6 +29,7 @@ ROOMS = [
     "guides",
     "filters",
     "peers",
+    "interchange",
     "denoising",
     "upsampling",
     "adaptive",

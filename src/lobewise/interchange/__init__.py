@@ -1,1 +1,1 @@
-"""Files of other renderers: what their channels mean, frames made of them, and results put back where they came from."""
+"""Files of other renderers: what their channels mean, frames made of them, results put back where they came from."""

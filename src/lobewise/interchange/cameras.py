@@ -6,6 +6,7 @@ its third axis, and what its screen spans, is told by its own matrices, not assu
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 from lobewise.interchange.preset import Preset
 from lobewise.io.exr.container import Attribute, Part, Window
@@ -65,9 +65,10 @@ def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> 
     to_camera, to_screen = _read_matrix(found.get("worldToCamera")), _read_matrix(found.get("worldToNDC"))
     if to_camera is None:
         return None
-    to_world = np.linalg.inv(to_camera)
-    right, up, axis = (row[:3] / np.linalg.norm(row[:3]) for row in to_world[:3])
-    eye = to_world[3, :3]
+    to_world: Matrix = np.asarray(np.linalg.inv(to_camera), dtype=np.float64)
+    rows: Matrix = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=1, keepdims=True)
+    right, up, axis = rows
+    eye: Matrix = to_world[3, :3]
     if to_screen is not None:
         deep = np.append(axis, 0.0) @ to_screen
         if deep[3] < 0.0:
@@ -213,7 +214,8 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
     whole = np.hstack([points, one])
     zero = np.zeros_like(whole)
     for _ in range(2):
-        system = np.vstack([np.hstack([whole, zero, -x[:, None] * whole]), np.hstack([zero, whole, -y[:, None] * whole])])
+        across, upwards = np.hstack([whole, zero, -x[:, None] * whole]), np.hstack([zero, whole, -y[:, None] * whole])
+        system = np.vstack([across, upwards])
         _, values, axes = np.linalg.svd(system.T @ system)
         if values[-2] < 1e-9 * values[0]:
             return None  # all points on one plane or line: many cameras see them so
@@ -230,7 +232,7 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
     right = right - (right @ forward) * forward
     up = matrix[1, :3] / scale
     up = up - (up @ forward) * forward
-    focal = float(np.sqrt(max(np.linalg.norm(right) * np.linalg.norm(up), 1e-12)))
+    focal = math.sqrt(max(float(np.linalg.norm(right)) * float(np.linalg.norm(up)), 1e-12))
     right = right / np.linalg.norm(right)
     up = up - (up @ right) * right
     up = up / np.linalg.norm(up)
@@ -278,5 +280,5 @@ def _turn(angles: Matrix) -> Matrix:
         return np.eye(3)
     x, y, z = angles / angle
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-
+    turned: Matrix = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return turned

@@ -1,8 +1,8 @@
 """What a file holds, whoever wrote it: every pass with its prefix, its components and the part that it lies in.
 
 A pass is a group of channels that differ in their last word alone. One renderer writes all of them in one part
-(``ViewLayer.DiffCol.R``), the next a part for each (a part ``DiffCol`` with channels ``R``, ``G``, ``B``), and the words
-for components are many: all of it comes out the same here.
+(``ViewLayer.DiffCol.R``), the next a part for each (a part ``DiffCol`` with channels ``R``, ``G``, ``B``), and the
+words for components are many: all of it comes out the same here.
 """
 
 from __future__ import annotations
@@ -87,7 +87,11 @@ def _join_letters(found: dict[tuple[int, str], Pass]) -> list[Pass]:
     joined = []
     for (index, path), one in found.items():
         names = {letter: found.get((index, path[:-1] + letter)) for letter in "xyz"}
-        if path.endswith("x") and len(path) > 1 and all(other and set(other.channels) == {""} for other in names.values()):
+        if (
+            path.endswith("x")
+            and len(path) > 1
+            and all(other and set(other.channels) == {""} for other in names.values())
+        ):
             joined.append(Pass(one.part, path[:-1], {letter: path[:-1] + letter for letter in "xyz"}))
     return joined
 

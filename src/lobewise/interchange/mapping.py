@@ -144,7 +144,7 @@ def map_channels(
 
 
 def parse_mapping(role: str, text: str, passes: Sequence[Pass]) -> Found:
-    """Return the image that ``channel,channel,...`` or a pass stands for, with ``:conversion`` behind where it is asked.
+    """Return the image that ``channel,channel,...`` or a pass stands for; ``:conversion`` may stand behind.
 
     Raises
     ------
@@ -166,7 +166,9 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass]) -> Found:
     for name in names:
         require_choice(f"--map {role}, channel", name, known)
     if len(names) != count:
-        raise InputError(f"--map {role}", expected=f"{count} channels", got=repr(given), action="separate them by commas")
+        raise InputError(
+            f"--map {role}", expected=f"{count} channels", got=repr(given), action="separate them by commas"
+        )
     return Found(known[names[0]], tuple(names), tuple(convert))
 
 

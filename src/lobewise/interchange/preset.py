@@ -56,12 +56,23 @@ CONVERSIONS = {
 LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "exact")
 """What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
 passes as it is."""
-ATTRIBUTES = ("name", "title", "attributes", "passes", "samples", "samples_squared", "prefix", "notes", "advice", "layer", "cryptomatte")
+ATTRIBUTES = (
+    "name",
+    "title",
+    "attributes",
+    "passes",
+    "samples",
+    "samples_squared",
+    "notes",
+    "advice",
+    "layer",
+    "cryptomatte",
+)
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One way in which a renderer gives an image: a pass, perhaps one component of it, and what becomes of its values."""
+    """One way in which a renderer gives an image: a pass, perhaps one component of it, and what becomes of it."""
 
     source: str
     component: str | None = None

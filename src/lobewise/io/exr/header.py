@@ -81,7 +81,12 @@ def _read_numbers(item: Attribute | None, size: int) -> tuple[float, ...] | None
     if item is None:
         return None
     code = {
-        (3, "v3d"): "<3d", (3, "v3f"): "<3f", (2, "v2d"): "<2d", (2, "v2f"): "<2f", (1, "double"): "<d", (1, "float"): "<f",
+        (3, "v3d"): "<3d",
+        (3, "v3f"): "<3f",
+        (2, "v2d"): "<2d",
+        (2, "v2f"): "<2f",
+        (1, "double"): "<d",
+        (1, "float"): "<f",
     }.get((size, item.type))
     if code is None or struct.calcsize(code) != len(item.value):
         return None
