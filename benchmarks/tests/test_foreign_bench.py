@@ -1,0 +1,147 @@
+"""The bench of other renderers' frames: errors without the reference's noise, passes of files, ratios, live renders."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.metrics import rel_mse
+
+pytest.importorskip("mitsuba", reason="it shares the tuning of the bench of quality, which renders its frames")
+files, judging, foreign = (import_module(f"benchmarks.foreign.{part}") for part in ("files", "judging", "__main__"))
+
+ROOT = Path(__file__).parents[2]
+SMALL = ROOT / "tests" / "data" / "foreign"
+FILES = {
+    "blender": SMALL / "blender_4.5_seed1.exr",
+    "blender-5.2": SMALL / "blender_5.2_multipart.exr",
+    "luxcore": SMALL / "luxcore" / "RGB.exr",
+}
+RENDERERS = {renderer.name: renderer for renderer in files.RENDERERS}
+NOISE = JUDGED = 0.04
+# What noise of the denominator leaves: an error of 0.04 + 0.04^2, which squared is 8 % more.
+RELATIVE = 0.1
+# 40,000 products of two normal deviations of 0.04 have a mean of 0 with a deviation of 8e-6.
+NOTHING = 4e-5
+
+
+def find_python(module: str) -> str:
+    """Return an interpreter that has a renderer's module: this one, or the one that a variable of its name tells."""
+    variable = f"LOBEWISE_{module.upper()}_PYTHON"
+    if importlib.util.find_spec(module):
+        return sys.executable
+    if variable not in os.environ:
+        pytest.skip(f"no {module} here: pip install it, or set {variable} to a Python that has it")
+    return os.environ[variable]
+
+
+def render(module: str, script: str, folder: Path, size: str) -> None:
+    command = [find_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", "room"]
+    options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size]
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run([*command, *options], check=True, env=clean, capture_output=True, timeout=300)
+
+
+def test_noise_of_the_reference_leaves_no_error() -> None:
+    random = np.random.default_rng(5)
+    truth = random.uniform(0.5, 2.0, (100, 133, 3))
+    first, second = (truth * random.normal(1.0, NOISE, truth.shape) for _ in range(2))
+    judge = judging.make_judge(first, second)
+    image = truth * (1.0 + JUDGED)
+    exact = rel_mse(image, truth)
+    assert judge.measure(image)[0] == pytest.approx(exact, rel=RELATIVE)
+    assert judge.measure(truth)[0] == pytest.approx(0.0, abs=NOTHING)
+    assert judge.measure_noise() == pytest.approx(0.5 * NOISE**2, rel=0.05)
+    # The plain metric counts the noise of the mean.
+    assert rel_mse(image, 0.5 * (first + second)) > 1.4 * exact
+
+
+def test_a_bright_dot_is_in_the_first_figure_alone() -> None:
+    truth = np.ones((50, 50, 3))
+    image = truth * 1.1
+    image[20, 30] = 50.0
+    every, trimmed = judging.make_judge(truth, truth).measure(image)
+    assert trimmed == pytest.approx(rel_mse(truth * 1.1, truth), rel=2e-3)
+    assert every > 10.0 * trimmed
+
+
+def test_frames_are_found_where_their_reference_is(tmp_path: Path) -> None:
+    for name in ("a_8_1", "a_8_2", "a_128_1", "a_reference_1", "a_reference_2", "b_8_1", "b_reference_1"):
+        (tmp_path / f"{name}.exr").touch()
+        (tmp_path / "apart" / name).mkdir(parents=True)
+        (tmp_path / "apart" / name / "RGB.exr").touch()
+    found = files.find_frames(RENDERERS["blender"], tmp_path)
+    assert found == {
+        "a": {8: {seed: tmp_path / f"a_8_{seed}.exr" for seed in (1, 2)}, 128: {1: tmp_path / "a_128_1.exr"}}
+    }
+    apart = files.find_frames(RENDERERS["luxcore"], tmp_path / "apart")
+    assert apart["a"][8][2] == tmp_path / "apart" / "a_8_2" / "RGB.exr"
+    assert set(apart) == {"a"}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_guides_and_lone_passes_come_from_every_layout(name: str, tmp_path: Path) -> None:
+    renderer, path = RENDERERS[name], FILES[name]
+    albedo, normal = (renderer.read_guide(path, index) for index in (0, 1))
+    assert albedo.shape == normal.shape
+    assert 0.05 < albedo.mean() < 1.0
+    lengths = np.linalg.norm(normal, axis=-1)
+    assert 0.9 < np.median(lengths) < 1.01
+    kept = renderer.keep_alone(path, tmp_path)
+    written = kept.parent.glob("*.exr") if renderer.apart else [kept]
+    for each in renderer.alone:
+        components = "XYZ" if each == "Normal" else "RGB"
+        file, owner = (kept.with_name(f"{each}.exr"), "") if renderer.apart else (kept, each)
+        origin = path.with_name(f"{each}.exr") if renderer.apart else path
+        np.testing.assert_array_equal(
+            files.read_pass(file, owner, components), files.read_pass(origin, owner, components)
+        )
+    assert sum(file.stat().st_size for file in written) < 0.4 * sum(
+        file.stat().st_size for file in (path.parent.glob("*.exr") if renderer.apart else [path])
+    )
+    with pytest.raises(KeyError):
+        files.read_pass(kept, "Position", "XYZ")
+
+
+def test_ratios_are_geometric_means() -> None:
+    def make_row(**errors: float) -> dict[str, object]:
+        names = {**dict.fromkeys((*foreign.METHODS, foreign.TUNED), 1.0), **errors}
+        return {name: {kind: [value, value] for kind in foreign.KINDS} for name, value in names.items()}
+
+    scenes = {"a": {"samples": {"8": make_row(balanced=0.5)}}, "b": {"samples": {"8": make_row(balanced=2.0)}}}
+    scenes["b"]["samples"]["32"] = make_row(balanced=8.0, oidn=2.0)
+    row = foreign.summarise(scenes)["rel_mse"]["balanced / oidn"]
+    assert row == {"8": 1.0, "32": 4.0, "all": pytest.approx(4.0 ** (1.0 / 3.0), rel=1e-3)}
+
+
+def test_blender_still_writes_what_is_kept(tmp_path: Path) -> None:
+    render("bpy", "render_blender.py", tmp_path, "64x48")
+    fresh, kept = tmp_path / "room_8_1.exr", FILES["blender"]
+    for name, components in (("Combined", "RGBA"), ("Position", "XYZ"), ("CryptoObject00", "rgba"), ("Roughness", "X")):
+        # The same seed: what differs is the version of Blender.
+        np.testing.assert_allclose(
+            np.median(files.read_pass(fresh, name, components), axis=(0, 1)),
+            np.median(files.read_pass(kept, name, components), axis=(0, 1)),
+            rtol=0.05,
+            atol=0.01,
+        )
+
+
+def test_luxcore_still_writes_what_is_kept(tmp_path: Path) -> None:
+    render("pyluxcore", "render_luxcore.py", tmp_path, "48x36")
+    fresh, kept = tmp_path / "room_8_1", FILES["luxcore"].parent
+    assert {path.name for path in fresh.iterdir()} == {path.name for path in kept.iterdir()}
+    for name in ("RGB", "POSITION", "SHADING_NORMAL", "ALBEDO"):
+        np.testing.assert_allclose(
+            np.median(files.read_pass(fresh / f"{name}.exr", "", "RGB"), axis=(0, 1)),
+            np.median(files.read_pass(kept / f"{name}.exr", "", "RGB"), axis=(0, 1)),
+            rtol=0.1,
+            atol=0.02,
+        )
