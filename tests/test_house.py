@@ -15,6 +15,7 @@ ROOMS = [
     "lobe_table",
     "camera",
     "images",
+    "radiance",
     "frame",
     "sparse_frame",
     "motion",

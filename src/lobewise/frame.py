@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.images import ABSENT, Images, MaybeImage, refuse_size, say_size
+from lobewise.images import ABSENT, Images, MaybeImage, as_images, refuse_size, say_size
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
 from lobewise.lobe_table import LobeTable
+from lobewise.radiance import Radiance as Radiance
+from lobewise.radiance import RadianceLayer as RadianceLayer
 
 
 class LobeKind(IntEnum):
@@ -31,54 +34,6 @@ class LobeKind(IntEnum):
     """Microfacet lobe with Beckmann normals."""
     DELTA = 3
     """Perfect mirror or smooth dielectric; the alphas are 0."""
-
-
-@dataclass(frozen=True, repr=False)
-class Radiance(Images):
-    """Linear radiance of one image, in total and by part; also used for its variance.
-
-    Parameters
-    ----------
-    color : array_like, shape (height, width, 3)
-        Total radiance, linear, scene-referred, >= 0.
-    diffuse, specular : array_like, shape (height, width, 3), optional
-        The part whose first bounce was diffuse, or specular. What neither holds (``color - diffuse - specular``)
-        is emission and background.
-    direct, indirect : array_like, shape (height, width, 3), optional
-        The part that came straight from a light to the first surface, and the rest.
-
-    Raises
-    ------
-    InputError
-        If an array is not real, has the wrong shape, no pixels, or not the size of the others.
-    """
-
-    color: FloatArray
-    diffuse: FloatArray | None = None
-    specular: FloatArray | None = None
-    direct: FloatArray | None = None
-    indirect: FloatArray | None = None
-
-    if TYPE_CHECKING:  # what it takes is more than what it keeps
-
-        def __init__(
-            self,
-            color: ArrayLike,
-            diffuse: ArrayLike | None = None,
-            specular: ArrayLike | None = None,
-            direct: ArrayLike | None = None,
-            indirect: ArrayLike | None = None,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if self.color is None:
-            raise InputError("color", expected="an image", got="nothing", action="pass the noisy radiance")
-        self.check_images(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
-
-    @property
-    def parts(self) -> tuple[FloatArray, FloatArray] | None:
-        """Diffuse and specular radiance where they are known apart, else None."""
-        return None if self.diffuse is None or self.specular is None else (self.diffuse, self.specular)
 
 
 @dataclass(frozen=True, repr=False)
@@ -244,11 +199,18 @@ class Frame(Guided):
         Samples per pixel, >= 1.
     lobe_tables : tuple of LobeTable
         Fitted lobes of the materials that ``gbuffer.material`` names.
+    layers : tuple of RadianceLayer
+        The light by the lobe that scattered it first, where it is known finer than by ``radiance.diffuse`` and
+        ``radiance.specular``, which then are the sums of the layers. What they leave of the total (emission,
+        background) passes as it is.
+    also : mapping of str to array_like, shape (height, width, 3)
+        Noisy images that belong to the total, such as the light of every lamp; what sums to it before does so after.
 
     Raises
     ------
     InputError
-        If the parts do not have one size, ``spp`` is below 1, or a pixel names a table that is not there.
+        If the parts do not have one size, two layers have one name, ``spp`` is below 1, or a pixel names a table that
+        is not there.
     """
 
     radiance: Radiance
@@ -259,6 +221,8 @@ class Frame(Guided):
     variance: Radiance | None = None
     spp: int | None = None
     lobe_tables: tuple[LobeTable, ...] = ()
+    layers: tuple[RadianceLayer, ...] = ()
+    also: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("gbuffer", "half_a", "half_b", "variance"):
@@ -269,6 +233,7 @@ class Frame(Guided):
         if self.spp is not None and self.spp < 1:
             raise InputError("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
+        self._check_layers()
         material = self.gbuffer.material
         if material is not None and not (material.min() >= 0.0 and material.max() <= len(self.lobe_tables)):
             raise InputError(
@@ -276,6 +241,26 @@ class Frame(Guided):
                 expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
                 got=f"{material.min():g} to {material.max():g}",
                 action="give the frame the tables of its materials, or leave the channel out",
+            )
+
+    def _check_layers(self) -> None:
+        object.__setattr__(self, "layers", tuple(self.layers))
+        object.__setattr__(self, "also", as_images("also", self.also, self.shape))
+        names = [layer.name for layer in self.layers]
+        for layer in self.layers:
+            if layer.shape != self.shape:
+                assert layer.shape is not None
+                raise refuse_size(f"layer {layer.name!r}", "the radiance", self.shape, layer.shape)
+            if names.count(layer.name) > 1:
+                raise InputError(
+                    "layers", expected="names of their own", got=f"two {layer.name!r}", action="rename one"
+                )
+        if self.layers and self.radiance.parts is None:
+            raise InputError(
+                "layers",
+                expected="radiance.diffuse and radiance.specular, their sums, beside them",
+                got="neither",
+                action="use lobewise.radiance.sum_layers",
             )
 
     def __repr__(self) -> str:
@@ -296,6 +281,8 @@ def describe_content(frame: Any) -> str:
     told = [f"{name} ({', '.join(getattr(frame, name).names)})" for name in ("radiance", "gbuffer")]
     told += [name for name in ("half_a", "half_b", "variance", "camera") if getattr(frame, name, None) is not None]
     told += [f"{frame.spp} spp"] if frame.spp else []
+    layers = [layer.name for layer in getattr(frame, "layers", ())]
+    told += [f"layers ({', '.join(layers)})"] if layers else []
     tables = len(frame.lobe_tables)
     told += [f"{tables} lobe table{'s' if tables > 1 else ''}"] if tables else []
     return ", ".join(told)
@@ -322,6 +309,10 @@ class Result:
         Estimated variance of the image's luminance, where a history tells it.
     energy_lost : float
         Share of the light that was taken from fireflies before filtering, in [0, 1].
+    layers : mapping of str to (height, width, 3)
+        The filtered layers of a frame that has any, by name.
+    also : mapping of str to (height, width, 3)
+        The filtered images of ``Frame.also``, and under ``layer/part`` the parts of its layers.
     settings : dict
         Every parameter that was used, defaults resolved.
     seconds : float
@@ -338,6 +329,8 @@ class Result:
     specular: FloatArray | None = None
     variance: FloatArray | None = None
     energy_lost: float = 0.0
+    layers: Mapping[str, FloatArray] = field(default_factory=dict)
+    also: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def bad_pixel_count(self) -> int:

@@ -55,6 +55,19 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
     return out
 
 
+def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:
+    """Return images (height, width, 3) by name, each checked like `as_image` and of the size ``shape``."""
+    found = {}
+    for name, value in images.items():
+        image = as_image(f"{what} {name!r}", value, 3)
+        if image is None:
+            continue
+        if shape is not None and image.shape[:2] != shape:
+            raise refuse_size(f"{what} {name!r}", "the radiance", shape, image.shape)
+        found[name] = image
+    return found
+
+
 def refuse_size(
     name: str,
     whose: str,

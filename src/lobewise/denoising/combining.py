@@ -32,7 +32,7 @@ def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArr
     image : (height, width, 3)
         Ours, finite, >= 0.
     extras : sequence of arrays
-        What `find_candidates` tells of every layer.
+        What `find_candidates` tells of the diffuse and of the specular layer, or of the only one.
     device : str
         A name from `list_devices`.
 

@@ -128,11 +128,15 @@ class BoundedLayer:
     """One radiance in two halves, fireflies bounded."""
 
     layer: Layer
-    name: str
     plan: Plan
     bounded: BoundedHalves
     is_whole: bool
     """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
+
+    @property
+    def name(self) -> str:
+        """That of the layer."""
+        return self.layer.name
 
     @property
     def halves(self) -> tuple[Image, Image]:
@@ -171,13 +175,11 @@ class CleanLayer:
 def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
     """Return the layers of a frame with both their halves."""
     halves = find_halves(frame)
-    layers = make_lobe_layers(frame, settings)
-    named = [("diffuse", DIFFUSE), ("specular", SPECULAR)] if len(layers) == 2 else [("color", SPECULAR)]
     found = []
-    for layer, (name, plan) in zip(layers, named, strict=True):
-        before: tuple[FloatArray, FloatArray] = (getattr(halves.a, name), getattr(halves.b, name))
-        bounded = bound_fireflies(before, layer.albedo, layer.mask, device=settings.device)
-        found.append(BoundedLayer(layer, name, plan, bounded, halves.origin == "file"))
+    for layer in make_lobe_layers(frame, settings, finest=True):
+        bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
+        plan = DIFFUSE if layer.is_diffuse else SPECULAR
+        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file"))
     return found
 
 
@@ -197,18 +199,18 @@ def make_noisy_layers(
     bounded = make_bounded_layers(frame, settings)
     for number, each in enumerate(bounded):
         pilot: Sequence[Feature] = each.layer.features
-        if each.name != "diffuse" and settings.similarity in ("ggx", "asg"):
+        is_specular = not each.layer.is_diffuse and each.name != "color"
+        if not each.layer.is_diffuse and settings.similarity in ("ggx", "asg"):
             simple = replace(settings, similarity="sg")
-            pilot, _ = make_specular_features(frame, simple, each.layer.mask, len(bounded) == 2)
+            pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color")
         found.append(
             NoisyLayer(
                 replace(each.layer, features=(*each.layer.features, *extra)),
-                each.name,
                 each.plan,
                 each.bounded,
                 each.is_whole,
                 (*pilot, *extra),
-                find_seen(frame, each.layer.mask, settings) if each.name == "specular" else (),
+                find_seen(frame, each.layer.mask, settings) if is_specular else (),
                 levels[number] if levels is not None else find_level(measure_layer(each, settings)),
             )
         )
@@ -312,7 +314,8 @@ def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], suppor
     """
     guides, albedo = frame.gbuffer, noisy.layer.albedo
     means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo}
-    mean, coverage = means.get(noisy.name), guides.coverage
+    # A layer of its own knows no other albedo than that over the pixel's area.
+    mean, coverage = means.get(noisy.name, albedo if frame.layers else None), guides.coverage
     if coverage is None or mean is None or albedo is None:
         mean, coverage = albedo, None
     weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)

@@ -99,7 +99,7 @@ def find_high_reach(settings: ResolvedSettings) -> int:
 def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:
     """Run every filter of a layer."""
     layer = noisy.layer
-    kind = "diffuse" if noisy.name == "diffuse" else "specular"
+    kind = "diffuse" if noisy.layer.is_diffuse else "specular"
     radius, device = settings.radius, settings.device
 
     def guide(found: DualBufferOutput) -> Image:
@@ -211,7 +211,7 @@ def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
 def mix_layer(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> tuple[CleanLayer, FloatArray]:
     """Filter a layer in every way and mix what comes out; also return the candidates' extras."""
     candidates = find_candidates(frame, noisy, settings)
-    kind = "diffuse" if noisy.name == "diffuse" else "specular"
+    kind = "diffuse" if noisy.layer.is_diffuse else "specular"
     light = mix_candidates(
         candidates.pairs, MIDDLE, candidates.extras, noisy.level, load_networks()[kind], settings.device
     )

@@ -22,7 +22,7 @@ from lobewise.features import (
     SgMixtureFeature,
 )
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.frame import FloatArray
+from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
@@ -32,6 +32,8 @@ from lobewise.sparse_frame import AnyFrame
 
 Mask = NDArray[np.bool_]
 
+DARKEST_ALBEDO = 10.0 * ALBEDO_FLOOR
+"""Of light that is not known by lobe, what an albedo must be above to count as one."""
 NEAREST_HIT = 2.0
 """Hits count as no nearer than this many pixel footprints."""
 
@@ -56,6 +58,8 @@ class Layer:
     albedo: FloatArray | None
     mask: Mask
     features: tuple[Feature, ...]
+    name: str = "color"
+    is_diffuse: bool = False
 
 
 def _name_similarity(settings: ResolvedSettings) -> str:
@@ -136,32 +140,55 @@ def find_surface(frame: AnyFrame) -> Mask:
     return find_surface_pixels(frame.gbuffer, frame.shape)
 
 
-def make_layers(frame: AnyFrame, settings: ResolvedSettings, extra: Sequence[Feature] = ()) -> list[Layer]:
-    """Return the layers of a frame; ``extra`` features count in all of them."""
+def make_layers(
+    frame: AnyFrame, settings: ResolvedSettings, extra: Sequence[Feature] = (), *, finest: bool = False
+) -> list[Layer]:
+    """Return the layers of a frame, as `make_lobe_layers`; ``extra`` features count in all of them."""
     shared = (*make_position_features(frame, settings), *extra)
-    return [replace(layer, features=(*shared, *layer.features)) for layer in make_lobe_layers(frame, settings)]
+    layers = make_lobe_layers(frame, settings, finest=finest)
+    return [replace(layer, features=(*shared, *layer.features)) for layer in layers]
 
 
-def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings) -> list[Layer]:
-    """Return the layers of a frame, compared by what they reflect alone."""
+def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings, *, finest: bool = False) -> list[Layer]:
+    """Return the layers of a frame, compared by what they reflect alone.
+
+    With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular.
+    """
     guides, parts = frame.gbuffer, frame.radiance.parts
     normal = guides.require("normal", _name_similarity(settings))
     surface = find_surface(frame)
     specular, specular_mask = make_specular_features(frame, settings, surface, parts is not None)
     if parts is None:
-        albedo = None
-        if guides.diffuse_albedo is not None and guides.specular_albedo is not None:
-            albedo = guides.diffuse_albedo + guides.specular_albedo
-        return [Layer(frame.radiance.color, albedo, specular_mask, tuple(specular))]
+        return [Layer(frame.radiance.color, find_whole_albedo(guides), specular_mask, tuple(specular))]
     diffuse: Feature
     if settings.similarity == "normal":
         diffuse = NormalFeature(normal, settings.normal_exponent)
     else:
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
+    by_lobe = {True: (surface, (diffuse,)), False: (specular_mask, tuple(specular))}
+    if finest and isinstance(frame, Frame) and frame.layers:
+        return [
+            Layer(each.radiance, each.albedo, *by_lobe[each.is_diffuse], each.name, each.is_diffuse)
+            for each in frame.layers
+        ]
     return [
-        Layer(parts[0], guides.diffuse_albedo, surface, (diffuse,)),
-        Layer(parts[1], guides.specular_albedo, specular_mask, tuple(specular)),
+        Layer(parts[0], guides.diffuse_albedo, *by_lobe[True], "diffuse", is_diffuse=True),
+        Layer(parts[1], guides.specular_albedo, *by_lobe[False], "specular"),
     ]
+
+
+def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
+    """Return the albedo of all light together, (height, width, 3): the sum of both, or that which is known.
+
+    Light also comes from where it is 0 (lamps, the sky, mirrors whose albedo nobody told): nothing is divided by less
+    than `DARKEST_ALBEDO`, and where no channel has more, by 1.
+    """
+    known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
+    if not known:
+        return None
+    albedo: FloatArray = np.sum(known, axis=0, dtype=np.float32) if len(known) > 1 else known[0]
+    black = albedo.max(axis=-1, keepdims=True) <= DARKEST_ALBEDO
+    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
 
 
 def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:

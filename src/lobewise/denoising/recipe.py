@@ -91,14 +91,17 @@ def denoise(
     image, parts = found.image, found.parts
     image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
     if chosen.with_oidn:
-        before, image = image, combine_with_peer(frame, image, found.extras, chosen.device)
+        before, image = image, combine_with_peer(frame, image, found.choose_extras(), chosen.device)
         parts = share_out(image, before, parts)
-    apart = len(parts) == 2
+    diffuse, specular = join_parts(found.layers, parts)
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
         image=image,
-        diffuse=blacken_bad(parts[0]) if apart else None,
-        specular=blacken_bad(parts[1]) if apart else None,
+        diffuse=diffuse,
+        specular=specular,
+        layers={layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
+        if frame.layers
+        else {},
         weight_sum=np.ascontiguousarray(weight_sum),
         effective_samples=np.ascontiguousarray(effective_samples),
         bad_pixels=bad,
@@ -106,6 +109,18 @@ def denoise(
         seconds=time.perf_counter() - start,
         energy_lost=find_energy_lost(found.tallies),
     )
+
+
+def join_parts(layers: Sequence[Layer], parts: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return diffuse and specular light from that of all layers, finite; None both where it is not known apart."""
+    if layers[0].name == "color":
+        return None, None
+    sums: dict[bool, FloatArray] = {}
+    for layer, part in zip(layers, parts, strict=True):
+        good = blacken_bad(part)
+        sums[layer.is_diffuse] = sums[layer.is_diffuse] + good if layer.is_diffuse in sums else good
+    nothing = np.zeros_like(parts[0])
+    return sums.get(True, nothing), sums.get(False, nothing)
 
 
 def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> ResolvedSettings:
@@ -127,6 +142,11 @@ class Filtered:
     """What fireflies took of every layer, row by row."""
     extras: Sequence[FloatArray] = ()
     """What a network sees of every layer, with the quality "high"."""
+
+    def choose_extras(self) -> list[FloatArray]:
+        """Return the extras of the first layer of each kind, diffuse before specular."""
+        kinds = [layer.is_diffuse for layer in self.layers]
+        return [self.extras[kinds.index(kind)] for kind in (True, False) if kind in kinds]
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image is none, (height, width): not finite, or bad and reached by no layer."""
@@ -159,7 +179,7 @@ def find_reach(settings: ResolvedSettings) -> int:
 @device_scope()
 def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> Filtered:
     """Filter every layer in one pass, by its guides alone."""
-    layers = make_layers(frame, settings, features)
+    layers = make_layers(frame, settings, features, finest=True)
     outputs = [
         run_filter(
             layer.radiance,
@@ -209,8 +229,13 @@ def compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
     """Return the total: the filtered parts, and what was in none of them (emission, background) as it came."""
     if frame.radiance.parts is None:
         return parts[0]
-    diffuse, specular = frame.radiance.parts
+    noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
     with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
-        rest = frame.radiance.color - diffuse - specular
+        rest = frame.radiance.color - noisy[0]
+        for part in noisy[1:]:
+            rest = rest - part
     rest = np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
-    return np.asarray(parts[0] + parts[1] + rest, dtype=np.float32)
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return np.asarray(total + rest, dtype=np.float32)

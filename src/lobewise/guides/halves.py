@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import halide as hl
 
 from lobewise.backend import expressions
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import FloatArray, Frame
 
 PARTS = ("color", "diffuse", "specular")
 """Radiance that is filtered, in total and by part."""
@@ -21,14 +22,14 @@ class Halves:
 
     Parameters
     ----------
-    a, b : Radiance
-        The parts of `PARTS` that the frame has. NaN where a half has no sample: a filter gives it weight 0.
+    images : mapping of str to pair of (height, width, 3)
+        The parts of `PARTS` and the layers that the frame has, by name. NaN where a half has no sample: a filter gives
+        it weight 0.
     origin : {"file", "neighbours"}
         Whether every pixel has a half of its samples in each, or each has every other pixel.
     """
 
-    a: Radiance
-    b: Radiance
+    images: Mapping[str, tuple[FloatArray, FloatArray]]
     origin: str
 
 
@@ -39,18 +40,28 @@ def find_halves(frame: Frame) -> Halves:
     come from the same samples. Without them a pixel is in the half of its colour and NaN in the other. A pixel that is
     NaN, infinite or negative in a half becomes NaN there, and stays what it is in the other.
     """
+    wanted = _list_layers(frame) if frame.layers else _list_parts(frame)
+    if all(a is not None and b is not None for _, a, b in wanted.values()):
+        return Halves({name: (mark_bad(a), mark_bad(b)) for name, (_, a, b) in wanted.items()}, "file")
+    return Halves({name: split_checkerboard(image) for name, (image, _, _) in wanted.items()}, "neighbours")
+
+
+def _list_layers(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
+    """Return every layer and its halves, by name."""
+    return {layer.name: (layer.radiance, layer.half_a, layer.half_b) for layer in frame.layers}
+
+
+def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
+    """Return every part and its halves, by name."""
     names = [name for name in PARTS if getattr(frame.radiance, name) is not None]
-    a, b = frame.half_a, frame.half_b
-    if a is not None and b is not None and all(getattr(half, name) is not None for half in (a, b) for name in names):
-        return Halves(_map_parts(names, mark_bad, a), _map_parts(names, mark_bad, b), "file")
-    boards = {name: split_checkerboard(getattr(frame.radiance, name)) for name in names}
-    even, odd = (Radiance(**{name: both[k] for name, both in boards.items()}) for k in range(2))
-    return Halves(even, odd, "neighbours")
-
-
-def _map_parts(names: list[str], change: Callable[[FloatArray], FloatArray], radiance: Radiance) -> Radiance:
-    """Return the named parts of a radiance, changed."""
-    return Radiance(**{name: change(getattr(radiance, name)) for name in names})
+    return {
+        name: (
+            getattr(frame.radiance, name),
+            getattr(frame.half_a, name, None),
+            getattr(frame.half_b, name, None),
+        )
+        for name in names
+    }
 
 
 def mark_bad(image: FloatArray) -> FloatArray:

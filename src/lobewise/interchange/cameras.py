@@ -32,17 +32,26 @@ Positions of one sample lie anywhere within the pixel filter."""
 ROUNDS = 12
 
 
-def read_camera_attributes(parts: Iterable[Part], part: Part) -> tuple[Camera, str] | None:
-    """Return the camera that a file's header tells, for the data window of ``part``, and what told it; else None."""
+@dataclass(frozen=True)
+class Located:
+    """A camera, what told it, and whether its world is left-handed: then it stands in the mirror image, x turned."""
+
+    camera: Camera
+    told: str
+    mirrored: bool = False
+
+
+def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
+    """Return the camera that a file's header tells, for the data window of ``part``; else None."""
     found = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
     size = part.display_window
     aspect = _read(part.get("pixelAspectRatio"), "f", (1.0,))[0]
-    camera, told = None, ""
+    located = None
     if "worldToCamera" in found:
-        camera, told = _read_matrices(found, size, aspect), "worldToCamera"
+        located = _read_matrices(found, size, aspect)
     elif "cameraTransform" in found and "cameraFov" in found:
-        camera, told = _read_vray(found, size, aspect), "cameraTransform and cameraFov"
-    return None if camera is None else (_crop(camera, size, part.data_window), told)
+        located = _read_vray(found, size, aspect)
+    return None if located is None else replace(located, camera=_crop(located.camera, size, part.data_window))
 
 
 def _read(item: Attribute | None, kinds: str, default: tuple[float, ...] = ()) -> tuple[float, ...]:
@@ -60,7 +69,7 @@ def _read_matrix(item: Attribute | None) -> Matrix | None:
     return matrix
 
 
-def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> Camera | None:
+def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
     """Return the camera of ``worldToCamera``, and of ``worldToNDC`` or an angle beside it."""
     to_camera, to_screen = _read_matrix(found.get("worldToCamera")), _read_matrix(found.get("worldToNDC"))
     if to_camera is None:
@@ -74,14 +83,17 @@ def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> 
         if deep[3] < 0.0:
             axis, deep = -axis, -deep
         if deep[3] > 1e-9:
-            return _span(eye, axis, right, up, to_screen, deep, size, aspect)
+            mirrored = bool(np.cross(axis, up) @ right < 0.0)
+            camera = _span(eye, axis, right, up, to_screen, deep, size, aspect)
+            return Located(mirror(camera) if mirrored else camera, "worldToCamera and worldToNDC", mirrored)
     angle = _read(found.get("CameraFov"), "f") or _read(found.get("cameraFov"), "f")
     if not angle:
         return None
-    # Cameras that look along +z have their right hand on the left of a right-handed world.
-    if np.linalg.det(to_camera[:3, :3]) > 0.0:
-        axis = -axis
-    return _aim(eye, axis, up, np.tan(np.deg2rad(angle[0]) / 2.0), size, aspect)
+    # Without a screen nothing tells a left-handed world: in a right-handed one cameras look along -z.
+    return Located(
+        _aim(eye, -axis, up, float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect),
+        "worldToCamera and the angle of view",
+    )
 
 
 def _span(
@@ -103,14 +115,21 @@ def _aim(eye: Matrix, axis: Matrix, up: Matrix, half_width: float, size: Window,
     return Camera(eye, axis, up, float(2.0 * np.arctan(half_height)), float(2.0 * np.arctan(half_width)))
 
 
-def _read_vray(found: dict[str, Attribute], size: Window, aspect: float) -> Camera | None:
+def _read_vray(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
     """Return the camera of V-Ray's attributes: rows right, up, back and position; the horizontal angle in degrees."""
     matrix = _read_matrix(found["cameraTransform"])
     angle = _read(found["cameraFov"], "f")
     if matrix is None or not angle or not 0.0 < angle[0] < 180.0:
         return None
     rows = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)
-    return _aim(matrix[3, :3], -rows[2], rows[1], float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect)
+    camera = _aim(matrix[3, :3], -rows[2], rows[1], float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect)
+    return Located(camera, "cameraTransform and cameraFov")
+
+
+def mirror(camera: Camera) -> Camera:
+    """Return the camera in the mirror image of its world, x turned: there it sees what it saw, left and right kept."""
+    turn = np.array([-1.0, 1.0, 1.0])
+    return replace(camera, position=turn * camera.position, forward=turn * camera.forward, up=turn * camera.up)
 
 
 def _crop(camera: Camera, whole: Window, part: Window) -> Camera:
@@ -151,10 +170,11 @@ def _read_count(item: Attribute) -> int | None:
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A camera that was found, and how far points are from where it shows them: the median, in pixels."""
+    """A camera that was found, how far points are from where it shows them (the median, in pixels), and `Located`."""
 
     camera: Camera
     error: float
+    mirrored: bool = False
 
 
 def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -> float:
@@ -188,18 +208,25 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | Non
     center, spread = points.mean(axis=0), points.std()
     if not np.isfinite(points).all() or not spread > 0.0:
         return None
-    scaled = (points - center) / spread
     height, width = mask.shape
     # Columns to the right and rows upwards, in units of half the height.
     x, y = (columns + 0.5 - 0.5 * width) / (0.5 * height), (0.5 * height - rows - 0.5) / (0.5 * height)
-    start = _solve_projective(scaled, x, y)
-    state = None if start is None else _refine(scaled, x, y, *start)
-    if state is None:
-        return None
-    rotation, eye, focal = state
-    camera = Camera(center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
-    error = measure_fit(camera, position, mask)
-    return CameraFit(camera, error) if error < WORST_FIT else None
+    for mirrored in (False, True):
+        turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
+        scaled = turn * (points - center) / spread
+        start = _solve_projective(scaled, x, y)
+        if start is None:
+            return None
+        if np.linalg.det(start[0]) < 0.0:
+            continue
+        state = _refine(scaled, x, y, *start)
+        if state is None:
+            return None
+        rotation, eye, focal = state
+        camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
+        error = measure_fit(camera, (turn * position).astype(np.float32), mask)
+        return CameraFit(camera, error, mirrored) if error < WORST_FIT else None
+    return None
 
 
 def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -50,6 +50,7 @@ CONVERSIONS = {
     "hundredth": "from centimetres to metres",
     "negate": "the other way round",
     "y_up": "from y up to y down",
+    "of_samples": "from the variance of one sample to that of their mean",
     "cycles_roughness": "from the mean over all closures, diffuse counted as 1, to the specular lobes' own",
 }
 """What can be done to values on their way, in the order in which they are named."""

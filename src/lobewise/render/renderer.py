@@ -186,14 +186,14 @@ def render_frame(
     if not tables:
         del images["gbuffer.material"]
     parts = ("half_a", "half_b", "variance") if spp > 1 and not aov_only else ()
-    return Frame(
+    frame = Frame(
         radiance=Radiance(**select(images, "radiance")),
         gbuffer=GBuffer(**select(images, "gbuffer"), **motion),
         camera=camera,
-        **{name: Radiance(**select(images, name)) for name in parts},
         spp=spp,
         lobe_tables=tables,
     )
+    return frame.with_changes(**{name: Radiance(**select(images, name)) for name in parts}) if parts else frame
 
 
 def render_sparse_frame(

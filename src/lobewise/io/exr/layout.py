@@ -63,7 +63,8 @@ def build_frame(
 
     others = {owner: Radiance(**collect(owner)) for owner in ("half_a", "half_b", "variance") if collect(owner)}
     radiance, gbuffer = Radiance(**collect("radiance")), GBuffer(**collect("gbuffer"))
-    return Frame(radiance, gbuffer, camera, spp=spp, lobe_tables=lobe_tables, **others)
+    frame = Frame(radiance, gbuffer, camera, spp=spp, lobe_tables=lobe_tables)
+    return frame.with_changes(**others) if others else frame
 
 
 MAX_HALF = 65504.0

@@ -1,0 +1,144 @@
+"""The light of a foreign frame: layers from passes, what they leave of the image, and albedos."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lobewise.frame import FloatArray, RadianceLayer
+from lobewise.interchange.mapping import Found, FoundLayer
+
+LARGEST_EXCESS = 0.02
+"""Share of the light by which layers may exceed the image before they are not taken for its parts."""
+SMALLEST_REST = 0.002
+"""Share of the light from which on what no pass accounts for is filtered as a layer of its own."""
+REST = "rest"
+
+Read = Callable[[Found], FloatArray]
+
+
+@dataclass(frozen=True)
+class PartOutput:
+    """Where a part of a layer goes back to: its channels, and the albedo that it is divided by there."""
+
+    found: Found
+    divided_by: FloatArray | None = None
+
+
+@dataclass
+class Light:
+    """Layers of a frame, and where they and their parts (``layer/part``) came from."""
+
+    layers: tuple[RadianceLayer, ...] = ()
+    outputs: dict[str, PartOutput] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> Light:
+    """Return the layers that add up to an image, dropped as a whole where they do not.
+
+    Parameters
+    ----------
+    color : array, shape (height, width, 3)
+        The image.
+    found : sequence of FoundLayer
+        What the file holds.
+    read : callable
+        Gives the pixels of one of its images.
+    """
+    light, layers = Light(), []
+    known = np.zeros_like(color)
+    for each in found:
+        albedo = read(each.albedo) if each.albedo else None
+        passes = [read(one) for one in each.light]
+        factor = albedo if each.rule.times_albedo else None
+        parts = passes if factor is None else [one * factor for one in passes]
+        total: FloatArray = parts[0] if len(parts) == 1 else np.asarray(np.sum(parts, axis=0, dtype=np.float32))
+        with np.errstate(invalid="ignore"):
+            known += np.where(np.isfinite(total), total, np.float32(0.0))
+        if each.rule.lobe == "exact" or not (total != 0.0).any():
+            continue
+        names = [_name_pass(one) for one in each.light]
+        named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
+        shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
+        layers.append(RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named))
+        keys = [f"{each.rule.name}/{name}" for name in names] if named else [each.rule.name]
+        light.outputs |= {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
+    if not layers:
+        return Light(notes=light.notes)
+    return _check_sum(light, layers, color, known)
+
+
+def _name_pass(found: Found) -> str:
+    return found.source.path.rpartition(".")[2]
+
+
+def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, known: FloatArray) -> Light:
+    """Return layers that add up to the image together with what they leave of it, or none."""
+    good = np.isfinite(color) & np.isfinite(known)
+    total = float(np.sum(color, where=good, dtype=np.float64))
+    if not total > 0.0:
+        return Light(notes=["The image holds no light."])
+    apart = np.where(good, color - known, np.float32(0.0))
+    excess = float(np.sum(np.maximum(-apart, 0.0), dtype=np.float64)) / total
+    if excess > LARGEST_EXCESS:
+        names = ", ".join(layer.name for layer in layers)
+        return Light(
+            notes=[
+                f"The layers ({names}) hold {100.0 * excess:.1f} % more light than the image, so they are not its "
+                "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
+            ]
+        )
+    # Rounding of 16-bit floats is no light.
+    rest = np.maximum(apart - np.float32(2e-3) * np.where(good, np.abs(color), np.float32(0.0)), np.float32(0.0))
+    share = float(np.sum(rest, dtype=np.float64)) / total
+    if share > SMALLEST_REST:
+        filtered = not is_smooth(rest)
+        if filtered:
+            layers.append(RadianceLayer(REST, "glossy", rest))
+        fate = "noisy, so it is filtered as one of its own" if filtered else "without noise, so it passes as it is"
+        light.notes.append(f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}.")
+    light.layers = tuple(layers)
+    return light
+
+
+def is_smooth(image: FloatArray) -> bool:
+    """Return whether an image is free of noise: most of its light differs little from the mean of its neighbours."""
+    gray = image.mean(axis=-1)
+    if min(gray.shape) < 3:
+        return True
+    inner = gray[1:-1, 1:-1]
+    around = 0.25 * (gray[:-2, 1:-1] + gray[2:, 1:-1] + gray[1:-1, :-2] + gray[1:-1, 2:])
+    lit = inner > 0.0
+    if not lit.any():
+        return True
+    apart = np.abs(inner - around)[lit] / np.maximum(inner, around)[lit]
+    return bool(np.median(apart) < 0.05)
+
+
+def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:
+    """Return the albedo of all layers of one kind together, at most 1; None where one does not tell."""
+    albedos = [layer.albedo for layer in layers if layer.is_diffuse == diffuse and layer.name != REST]
+    if not albedos or any(albedo is None for albedo in albedos):
+        return None
+    return np.minimum(np.sum([albedo for albedo in albedos if albedo is not None], axis=0, dtype=np.float32), 1.0)
+
+
+def take_albedos(
+    images: Mapping[str, FloatArray], layers: Sequence[RadianceLayer]
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return diffuse and specular albedo: those of passes, else of the layers, else a lone one for all light."""
+    diffuse, specular = images.get("diffuse_albedo"), images.get("specular_albedo")
+    diffuse = sum_albedos(layers, diffuse=True) if diffuse is None else diffuse
+    specular = sum_albedos(layers, diffuse=False) if specular is None else specular
+    if diffuse is None and specular is None and not layers:
+        diffuse = images.get("albedo")
+    return _clip(diffuse), _clip(specular)
+
+
+def _clip(albedo: FloatArray | None) -> FloatArray | None:
+    if albedo is None:
+        return None
+    return np.clip(np.nan_to_num(albedo, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)

@@ -1,0 +1,339 @@
+"""Files of any renderer become frames: what is there is found, converted, and told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lobewise.camera import Camera
+from lobewise.errors import InputError, require_choice
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.interchange.cameras import read_camera_attributes, read_sample_count
+from lobewise.interchange.lighting import Light, PartOutput, take_albedos, take_layers
+from lobewise.interchange.mapping import ChannelMap, Found, map_channels
+from lobewise.interchange.placing import derive_normal, place_surfaces
+from lobewise.interchange.values import convert_plain, undo_mean_roughness
+from lobewise.io.exr.container import Container
+from lobewise.io.exr.frames import read_whole
+from lobewise.io.exr.layout import find_beauty, join_planes, name_file, plan_reading, require_shaded
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import Pixels, decode_part
+from lobewise.io.exr.schema import SCHEMA
+from lobewise.io.files import PathLike
+from lobewise.lobe_table import LobeTable
+from lobewise.radiance import sum_layers
+
+OWN = "lobewise"
+"""What is told as the preset of a file in lobewise's own channel names."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A frame, and what was made of the file that it comes from.
+
+    Parameters
+    ----------
+    frame : Frame
+        Ready to be denoised.
+    container : Container
+        The file.
+    map : ChannelMap or None
+        What its channels mean; None for a file in lobewise's own names.
+    notes : tuple of str
+        What was found, converted, dropped or is missing, one sentence each.
+    outputs : mapping of str to PartOutput
+        Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
+    """
+
+    frame: Frame
+    container: Container
+    map: ChannelMap | None = None
+    notes: tuple[str, ...] = ()
+    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
+
+    @property
+    def preset(self) -> str:
+        """By which names the file was read."""
+        return OWN if self.map is None else self.map.preset.name
+
+
+def is_own(container: Container) -> bool:
+    """Return whether a file is in lobewise's own channel names: it says so, or has guides by them and no renderer's."""
+    if any(item.name == SCHEMA for part in container.parts for item in part.attributes):
+        return True
+    beauty = find_beauty(container.parts)
+    if beauty is None or map_channels(container).preset.name != "generic":
+        return False
+    return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
+
+
+def read_frame(
+    path: PathLike,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    camera: Camera | None = None,
+    half: PathLike | None = None,
+    lobe_tables: Sequence[LobeTable] | None = None,
+) -> Frame:
+    """Return the frame of an EXR file, whichever renderer wrote it.
+
+    Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
+    recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
+    that are NaN, infinite or negative come through as they are.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    preset : str or path, optional
+        Name of the renderer whose conventions the file follows, or a file of them; by default what the file tells.
+    mapping : mapping of str to str, optional
+        Which channels are which image, such as ``{"normal": "N.X,N.Y,N.Z"}``, before what the preset says; behind a
+        colon a conversion, such as ``"rough.R:square"``.
+    camera : Camera, optional
+        In place of what the file tells.
+    half : path, optional
+        The same frame rendered again with another seed: then both are halves of the samples.
+    lobe_tables : sequence of LobeTable, optional
+        What the channel ``material.I`` of a file in lobewise's names counts, in place of the tables in its header.
+
+    Raises
+    ------
+    FileError
+        If a file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is none.
+    MissingChannelError
+        If there is no image, or an image has only some of its channels.
+    InputError
+        If a preset, role, conversion or channel is unknown, the camera in the header makes no sense, a pixel names a
+        lobe table that is not there, the frame was shaded sparsely, or the halves do not fit each other.
+    """
+    return import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, lobe_tables=lobe_tables).frame
+
+
+def import_file(
+    path: PathLike,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    camera: Camera | None = None,
+    half: PathLike | None = None,
+    lobe_tables: Sequence[LobeTable] | None = None,
+) -> Imported:
+    """Return the frame of an EXR file and what was made of it; see `read_frame`."""
+    container = read_container(path)
+    if preset is None and not mapping and is_own(container):
+        require_shaded(container)
+        frame = read_whole(path, container, lobe_tables)
+        found = Imported(frame if camera is None else frame.with_changes(camera=camera), container)
+    else:
+        if lobe_tables is not None:
+            raise InputError(
+                "lobe tables",
+                expected="a file in lobewise's own channel names",
+                got=f"{str(path)!r}, which is not",
+                action="leave them out",
+            )
+        with name_file(path):
+            found = _import_foreign(container, map_channels(container, preset=preset, mapping=mapping), camera)
+    if half is None:
+        return found
+    other = import_file(half, preset=preset, mapping=mapping, camera=camera, lobe_tables=lobe_tables)
+    with name_file(half):
+        return join_halves(found, other)
+
+
+def _import_foreign(container: Container, channels: ChannelMap, camera: Camera | None) -> Imported:
+    read = _Reader(container, channels)
+    images = {role: read(found) for role, found in channels.roles.items()}
+    color = images["color"]
+    beauty = channels.roles["color"].source.part
+    notes = [*channels.preset.notes]
+    if channels.others:
+        notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
+    light = _take_light(images, channels, read)
+    located = read_camera_attributes(container.parts, beauty)
+    places = place_surfaces(images, channels.roles, camera, located)
+    shape = color.shape[0], color.shape[1]
+    normal = places.normal if places.normal is not None else derive_normal(places, shape)
+    spp = read_sample_count(container.parts, channels.preset)
+    diffuse_albedo, specular_albedo = take_albedos(images, light.layers)
+    alpha = _take_alpha(images, channels, (diffuse_albedo, specular_albedo), notes)
+    motion = images.get("motion")
+    gbuffer = GBuffer(
+        depth=places.depth,
+        position=places.position if places.camera is not None else None,
+        normal=normal,
+        alpha_u=alpha,
+        diffuse_albedo=diffuse_albedo,
+        specular_albedo=specular_albedo,
+        motion=None if motion is None else convert_plain(motion, channels.roles["motion"].convert),
+    )
+    frame = Frame(
+        _make_radiance(color, images, light),
+        gbuffer,
+        places.camera,
+        variance=_take_variance(images, channels, spp),
+        spp=spp,
+        layers=light.layers,
+    )
+    notes += [*places.notes, *light.notes, *_note_what_lacks(channels, frame)]
+    outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
+    outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
+    return Imported(frame, container, channels, tuple(notes), outputs)
+
+
+class _Reader:
+    """Images of a file, each part decoded once."""
+
+    def __init__(self, container: Container, channels: ChannelMap) -> None:
+        self._container = container
+        self._pixels: dict[int, dict[str, Pixels]] = {}
+        self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
+
+    def __call__(self, found: Found) -> FloatArray:
+        """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
+        part = found.source.part
+        key = part.index, found.channels
+        if key not in self._images:
+            if part.index not in self._pixels:
+                self._pixels[part.index] = decode_part(self._container, part)
+            pixels = self._pixels[part.index]
+            image = join_planes([pixels[name] for name in found.channels])
+            self._images[key] = image[..., 0] if image.shape[2] == 1 else image
+        return self._images[key]
+
+
+def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: _Reader) -> Light:
+    """Return the layers, unless diffuse and specular light are passes themselves."""
+    if "diffuse" in images and "specular" in images:
+        return Light()
+    return take_layers(images["color"], channels.layers, read)
+
+
+def _make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
+    if not light.layers:
+        return Radiance(color, images.get("diffuse"), images.get("specular"))
+    nothing = np.zeros_like(color)
+    diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
+    return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
+
+
+def _take_alpha(
+    images: Mapping[str, FloatArray],
+    channels: ChannelMap,
+    albedos: tuple[FloatArray | None, FloatArray | None],
+    notes: list[str],
+) -> FloatArray | None:
+    """Return the microfacet alpha, (height, width)."""
+    if "roughness" not in images:
+        return None
+    found, roughness = channels.roles["roughness"], images["roughness"]
+    if "cycles_roughness" in found.convert:
+        undone = undo_mean_roughness(roughness, *albedos)
+        if undone is None:
+            notes.append(
+                f"{found.label} is a mean over diffuse and specular lobes, which the albedos of both would undo; "
+                "without them it is not used."
+            )
+            return None
+        roughness, known = undone
+        share = 100.0 * float(known.mean())
+        notes.append(
+            f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of the pixels."
+        )
+    return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
+
+
+def _take_variance(images: Mapping[str, FloatArray], channels: ChannelMap, spp: int | None) -> Radiance | None:
+    if "variance" not in images:
+        return None
+    variance = images["variance"]
+    if "of_samples" in channels.roles["variance"].convert:
+        if spp is None:
+            return None
+        variance = variance / np.float32(spp)
+    return Radiance(variance)
+
+
+COSTS = {
+    "normal": "edges and bumps are guessed from the image",
+    "roughness": "mirrors and rough surfaces are treated alike: normals are compared, not reflection lobes",
+    "camera": "where surfaces lie is not compared, nor their reflection lobes",
+    "layers": "diffuse and specular light are filtered together, which blurs reflections",
+    "albedo": "textures are filtered like noise",
+}
+"""What follows where a role is missing."""
+
+
+def _note_what_lacks(channels: ChannelMap, frame: Frame) -> list[str]:
+    guides, advice = frame.gbuffer, channels.preset.advice
+    there = {
+        "normal": "normal" in channels.roles,
+        "roughness": guides.alpha_u is not None,
+        "camera": frame.camera is not None and guides.is_placed,
+        "layers": frame.radiance.parts is not None,
+        "albedo": guides.diffuse_albedo is not None or guides.specular_albedo is not None,
+    }
+    notes = []
+    for role, known in there.items():
+        if known:
+            continue
+        told = advice.get(role) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
+        remedy = f"; {channels.preset.title} gives it by: {told}" if told and not told.startswith("none") else ""
+        remedy = f" ({told.removeprefix('none; ')})" if told.startswith("none") else remedy
+        notes.append(f"No {role}: {COSTS[role]}{remedy}.")
+    return notes
+
+
+def join_halves(first: Imported, second: Imported) -> Imported:
+    """Return one frame of two renders with different seeds: their mean, with each as a half of its samples.
+
+    Raises
+    ------
+    InputError
+        If they differ in size or layers, or are the same image.
+    """
+    a, b = first.frame, second.frame
+    names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
+    if a.shape != b.shape or names[0] != names[1] or a.radiance.names != b.radiance.names:
+        raise InputError(
+            "--half",
+            expected="the same frame rendered again: the same size and passes",
+            got=f"{b!r} beside {a!r}",
+            action="render both alike, with another seed",
+        )
+    if np.array_equal(a.radiance.color, b.radiance.color):
+        raise InputError(
+            "--half", expected="noise of its own", got="the same image", action="render it with another seed"
+        )
+    if a.spp is not None and b.spp is not None and a.spp != b.spp:
+        raise InputError("--half", expected=f"{a.spp} samples per pixel", got=str(b.spp), action="render both alike")
+    require_choice("--half, preset", second.preset, [first.preset])
+
+    def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+        return None if one is None or other is None else np.float32(0.5) * (one + other)
+
+    layers = []
+    for one, other in zip(a.layers, b.layers, strict=True):
+        parts = {name: np.float32(0.5) * (image + other.parts[name]) for name, image in one.parts.items()}
+        albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
+        radiance = np.float32(0.5) * (one.radiance + other.radiance)
+        layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
+    whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
+    frame = a.with_changes(
+        radiance=Radiance(**whole),  # type: ignore[arg-type]
+        half_a=a.radiance,
+        half_b=b.radiance,
+        layers=tuple(layers),
+        spp=None if a.spp is None else 2 * a.spp,
+    )
+    return Imported(
+        frame,
+        first.container,
+        first.map,
+        (*first.notes, "Two renders were joined as halves of the samples."),
+        first.outputs,
+    )
