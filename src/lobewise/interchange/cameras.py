@@ -217,7 +217,8 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | Non
         start = _solve_projective(scaled, x, y)
         if start is None:
             return None
-        if np.linalg.det(start[0]) < 0.0:
+        # Right, up and forward of a camera in a right-handed world are a left-handed triple.
+        if np.linalg.det(start[0]) > 0.0:
             continue
         state = _refine(scaled, x, y, *start)
         if state is None:

@@ -184,9 +184,8 @@ def derive_normal(places: Places, shape: tuple[int, int]) -> FloatArray:
     length = np.linalg.norm(found, axis=-1, keepdims=True)
     places.notes.append("The file has no normals; those of the surfaces through the positions stand for them.")
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(length > 0.0, found / length, -view / np.linalg.norm(view, axis=-1, keepdims=True)).astype(
-            np.float32
-        )
+        facing = -view / np.linalg.norm(view, axis=-1, keepdims=True)
+        return np.asarray(np.where(length > 0.0, found / length, facing), dtype=np.float32)
 
 
 def _choose_step(position: FloatArray, axis: int) -> FloatArray:

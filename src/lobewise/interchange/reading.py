@@ -242,7 +242,7 @@ def _take_alpha(
         roughness, known = undone
         share = 100.0 * float(known.mean())
         notes.append(
-            f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of the pixels."
+            f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of pixels."
         )
     return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
 
