@@ -255,9 +255,14 @@ def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: 
 
 
 def run_pass(
-    frame: Frame, noisy: NoisyLayer, number: int, before: DualBufferOutput | None, settings: ResolvedSettings
+    frame: Frame,
+    noisy: NoisyLayer,
+    number: int,
+    before: DualBufferOutput | None,
+    settings: ResolvedSettings,
+    guide: Image | None = None,
 ) -> DualBufferOutput:
-    """Run one pass of a layer's plan, ``before`` being what the one before it gave."""
+    """Run one pass of a layer's plan, ``before`` being what the one before it gave; ``guide`` by default made of it."""
     layer, chosen = noisy.layer, noisy.plan.passes[number]
     radius, step = chosen.get_kernel(settings.radius, follows=before is not None)
     seen = noisy.seen if before is not None else ()
@@ -272,7 +277,7 @@ def run_pass(
         seen=seen,
         step=step,
         albedo=None if sparse else layer.albedo,
-        guide=make_pass_guide(noisy, before, settings.device),
+        guide=make_pass_guide(noisy, before, settings.device) if guide is None else guide,
         noise=chosen.noise,
         # Nothing follows that asks for the noise that is left.
         joined=number == len(noisy.plan.passes) - 1,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
+from lobewise.denoising.also import filter_also
 from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
@@ -94,14 +95,17 @@ def denoise(
         before, image = image, combine_with_peer(frame, image, found.choose_extras(), chosen.device)
         parts = share_out(image, before, parts)
     diffuse, specular = join_parts(found.layers, parts)
+    layers: dict[str, FloatArray] = {}
+    if frame.layers:
+        layers = {layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
+    also = filter_also(frame, chosen, features, layers, image)
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
         image=image,
         diffuse=diffuse,
         specular=specular,
-        layers={layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
-        if frame.layers
-        else {},
+        layers=layers,
+        also=also,
         weight_sum=np.ascontiguousarray(weight_sum),
         effective_samples=np.ascontiguousarray(effective_samples),
         bad_pixels=bad,

@@ -10,6 +10,7 @@ import numpy as np
 from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.guides.cryptomatte import find_coverage
 from lobewise.interchange.cameras import read_camera_attributes, read_sample_count
 from lobewise.interchange.lighting import Light, PartOutput, take_albedos, take_layers
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
@@ -162,6 +163,7 @@ def _import_foreign(container: Container, channels: ChannelMap, camera: Camera |
     diffuse_albedo, specular_albedo = take_albedos(images, light.layers)
     alpha = _take_alpha(images, channels, (diffuse_albedo, specular_albedo), notes)
     motion = images.get("motion")
+    coverage = _take_coverage(channels, read, notes) if light.layers or diffuse_albedo is not None else None
     gbuffer = GBuffer(
         depth=places.depth,
         position=places.position if places.camera is not None else None,
@@ -170,6 +172,10 @@ def _import_foreign(container: Container, channels: ChannelMap, camera: Camera |
         diffuse_albedo=diffuse_albedo,
         specular_albedo=specular_albedo,
         motion=None if motion is None else convert_plain(motion, channels.roles["motion"].convert),
+        coverage=coverage,
+        # Of other renderers' pixels albedos are means over the area.
+        mean_diffuse_albedo=None if coverage is None else diffuse_albedo,
+        mean_specular_albedo=None if coverage is None else specular_albedo,
     )
     frame = Frame(
         _make_radiance(color, images, light),
@@ -245,6 +251,21 @@ def _take_alpha(
             f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of pixels."
         )
     return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
+
+
+def _take_coverage(channels: ChannelMap, read: _Reader, notes: list[str]) -> FloatArray | None:
+    """Return what Cryptomatte tells of silhouettes, (height, width, 9); of several the first, which is the finest."""
+    for passes in channels.cryptomatte:
+        stored = {channel.name: channel.pixel_type for channel in passes[0].source.part.channels}
+        if any(stored[name] != "float" for one in passes for name in one.channels):
+            notes.append(f"{passes[0].label} has ids of 16 bits, which are none, so it is not used.")
+            continue
+        ranks = np.concatenate([read(one) for one in passes], axis=-1)
+        ids, shares = np.ascontiguousarray(ranks[..., 0::2]).view(np.uint32), ranks[..., 1::2]
+        if shares.any():
+            notes.append(f"Silhouettes are resolved by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
+            return find_coverage(ids, shares)
+    return None
 
 
 def _take_variance(images: Mapping[str, FloatArray], channels: ChannelMap, spp: int | None) -> Radiance | None:

@@ -1,0 +1,101 @@
+"""Silhouettes from Cryptomatte: its ranks are the shares of a pixel that objects cover.
+
+Source: Friedman and Jones 2015, "Fully automatic ID mattes with support for motion blur and transparency" (an object's
+id is the bit pattern of a 32-bit float; every two ranks, id and share, fill one RGBA image, the largest share first).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray
+
+WHOLE = 0.999
+"""Share from which on a pixel shows one object alone."""
+NEAREST_FIRST = ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
+"""Rows and columns to the neighbours, those that share a side first."""
+
+
+def find_coverage(ids: NDArray[np.uint32], shares: FloatArray) -> FloatArray:
+    """Return which shares of every pixel's area the surfaces at the centres around it stand for.
+
+    A neighbour stands for the object that has the largest share of it. What other objects cover of a pixel goes to the
+    neighbours that stand for them, in equal parts: those that share a side with the pixel, else those at its corners,
+    else the pixel itself. What no rank tells of is background, an object as well.
+
+    Parameters
+    ----------
+    ids : array of uint32, shape (height, width, ranks)
+        Objects, 0 for none.
+    shares : array, shape (height, width, ranks)
+        Of the pixel's area, in [0, 1].
+
+    Returns
+    -------
+    array, shape (height, width, 9)
+        As `lobewise.GBuffer.coverage`.
+
+    Raises
+    ------
+    InputError
+        If the arrays do not have that shape.
+    """
+    if ids.ndim != 3 or ids.shape != shares.shape or ids.dtype != np.uint32:
+        raise InputError(
+            "Cryptomatte",
+            expected="ids of type uint32 and shares of one shape (height, width, ranks)",
+            got=f"{ids.dtype} of shape {ids.shape} and shares of shape {shares.shape}",
+            action="read id and share of every rank",
+        )
+    height, width, _ = ids.shape
+    shares = np.clip(np.nan_to_num(shares), 0.0, 1.0)
+    owner = _find_owners(ids, shares)
+    coverage = np.zeros((height, width, 9), np.float32)
+    coverage[..., 4] = 1.0
+    rows, columns = np.nonzero(shares.max(axis=-1) < WHOLE)
+    if not len(rows):
+        return coverage
+    here, parts = _list_objects(ids[rows, columns], shares[rows, columns])
+    around = np.pad(owner.astype(np.int64), 1, constant_values=-1)
+    neighbours = np.stack([around[rows + 1 + dy, columns + 1 + dx] for dy, dx in NEAREST_FIRST], axis=-1)
+    found = np.zeros((len(rows), 9), np.float32)
+    for rank in range(here.shape[1]):
+        _spread(found, here[:, rank], parts[:, rank], neighbours, owner[rows, columns])
+    coverage[rows, columns] = found
+    return coverage
+
+
+def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[np.uint32], FloatArray]:
+    """Return the objects of some pixels with the background as the last, and their shares, sum 1."""
+    total = shares.sum(axis=-1, keepdims=True)
+    rest = np.maximum(1.0 - total, 0.0)
+    parts = np.concatenate([shares, rest], axis=-1)
+    return np.concatenate([ids, np.zeros_like(ids[:, :1])], axis=-1), parts / np.maximum(total + rest, np.float32(1e-6))
+
+
+def _find_owners(ids: NDArray[np.uint32], shares: FloatArray) -> NDArray[np.uint32]:
+    """Return the object with the largest share of every pixel, the background among them."""
+    best = shares.argmax(axis=-1)[..., None]
+    own = np.take_along_axis(ids, best, axis=-1)[..., 0]
+    largest = np.take_along_axis(shares, best, axis=-1)[..., 0]
+    return np.where(1.0 - shares.sum(axis=-1) > largest, np.uint32(0), own)
+
+
+def _spread(
+    found: FloatArray,
+    objects: NDArray[np.uint32],
+    parts: FloatArray,
+    neighbours: NDArray[np.int64],
+    own: NDArray[np.uint32],
+) -> None:
+    """Add one rank of some pixels to their coverage, (count, 9)."""
+    shows = (neighbours == objects[:, None].astype(np.int64)) & (objects != own)[:, None]
+    sides = shows[:, :4].any(axis=1)
+    shows[sides, 4:] = False
+    count = shows.sum(axis=1)
+    found[:, 4] += np.where(count == 0, parts, 0.0)
+    each = np.where(count > 0, parts / np.maximum(count, 1), 0.0)
+    for number, (dy, dx) in enumerate(NEAREST_FIRST):
+        found[:, 3 * (dy + 1) + dx + 1] += np.where(shows[:, number], each, 0.0)
