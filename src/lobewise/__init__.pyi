@@ -11,9 +11,9 @@ from .frame import GBuffer as GBuffer
 from .frame import LobeKind as LobeKind
 from .frame import Radiance as Radiance
 from .frame import Result as Result
-from .io.exr import read_frame as read_frame
+from .interchange import read_frame as read_frame
+from .interchange import write_result as write_result
 from .io.exr import write_frame as write_frame
-from .io.exr import write_result as write_result
 from .io.exr.sparse import read_sparse_frame as read_sparse_frame
 from .io.exr.sparse import write_sparse_frame as write_sparse_frame
 from .lobe_table import LobeTable as LobeTable

@@ -468,7 +468,7 @@ class TestInspect:
             "16x12",
             "normal.X",
             "gbuffer.normal",
-            "Camera: in the header. Samples per pixel: 4.",
+            "Camera: known. Samples per pixel: 4.",
             "normal, sg, sg_mixture, asg, ggx",
             "lobewise/camera/fov_y",
             "missing: not needed for one frame",

@@ -10,7 +10,7 @@ import pytest
 from lobewise import TemporalFilter, read_frame, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
-from lobewise.io import write_result
+from lobewise.interchange import write_result
 from lobewise.io.exr import read_image
 from lobewise.sequence import filter_sequence, name_checkpoint
 from lobewise.sparse_frame import list_places, make_sparse

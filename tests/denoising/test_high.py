@@ -30,7 +30,8 @@ from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.filters.mixing import Network, count_features
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.io import describe_file, read_frame, write_frame, write_result
+from lobewise.interchange import write_result
+from lobewise.io import describe_file, read_frame, write_frame
 from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter

@@ -14,7 +14,8 @@ import pytest
 
 from lobewise.errors import FileError, InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, Result
-from lobewise.io import read_frame, write_frame, write_result
+from lobewise.interchange import write_result
+from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
 from lobewise.streaming.plan import cut_bands, widen

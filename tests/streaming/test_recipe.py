@@ -16,7 +16,8 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
 from lobewise.errors import FileError, InputError, LobewiseError
 from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.io import read_frame, write_frame, write_result
+from lobewise.interchange import write_result
+from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.settings import DenoiseSettings
 from lobewise.streaming import denoise_file, list_images, needs_bands, plan

@@ -13,6 +13,7 @@ from lobewise.cli.comparing import compare
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
+from lobewise.cli.foreign import Also, CameraFile, Half, Maps, Preset, parse_maps
 from lobewise.cli.rendering import render
 from lobewise.cli.shared import Input, show_progress
 from lobewise.cli.viewing import view
@@ -85,14 +86,27 @@ def inspect(
     source: Input,
     attributes: Annotated[bool, typer.Option("--attributes", "-a", help="Show the attributes as well.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    preset: Preset = None,
+    maps: Maps = None,
+    camera: CameraFile = None,
+    half: Half = None,
+    also: Also = None,
 ) -> None:
-    """Say what an EXR file holds, what is missing, and what denoising will use."""
+    """Say what an EXR file of any renderer holds, what is missing, and what denoising will use."""
     from dataclasses import asdict
 
     from lobewise.cli.output import print_description, to_json
-    from lobewise.io import describe_file
+    from lobewise.interchange import describe_file
+    from lobewise.interchange.camera_files import read_camera_file
 
-    found = describe_file(source)
+    found = describe_file(
+        source,
+        preset=preset,
+        mapping=parse_maps(maps or []),
+        camera=None if camera is None else read_camera_file(camera),
+        half=half,
+        also=also or (),
+    )
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
         return

@@ -95,7 +95,7 @@ def compare(
 
 
 def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> dict[str, Any]:
-    from lobewise.io import read_image
+    from lobewise.interchange import read_image
     from lobewise.metrics import EPSILON, evaluate
 
     target = read_image(reference)
@@ -179,7 +179,7 @@ class _Sequence:
 
 def _blame(path: Path, reference: Path, measure: Callable[[FloatArray], dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of the image of a file; what is wrong with either is said with its name."""
-    from lobewise.io import read_image
+    from lobewise.interchange import read_image
 
     image = read_image(path)
     try:
@@ -206,7 +206,7 @@ def _read_targets(
     frames: list[tuple[int, Path]], guiding: FramePattern | None
 ) -> Iterator[tuple[int, FloatArray, Any, bool]]:
     """Yield number, image, mask of what came into view or None, and whether the frame follows no other."""
-    from lobewise.io import read_image
+    from lobewise.interchange import read_image
     from lobewise.metrics import find_disoccluded
 
     before: Guides | None = None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from lobewise.cli.foreign import Also, CameraFile, Confidence, Half, Maps, Only, Preset, Reading, Suffix
 from lobewise.cli.options import with_settings
 from lobewise.cli.shared import Output, parse_place, show_progress
 from lobewise.cli.streaming import Bands, FileInBands, choose_bands
@@ -61,33 +62,61 @@ def denoise(
     temporal: Temporal = False,
     memory: Memory = TemporalSettings.memory,
     bands: Bands = "auto",
+    preset: Preset = None,
+    maps: Maps = None,
+    camera: CameraFile = None,
+    half: Half = None,
+    also: Also = None,
+    suffix: Suffix = "",
+    only: Only = False,
+    confidence: Confidence = False,
 ) -> None:
-    """Denoise an EXR file, or a sequence of them; other parts, channels and attributes are kept."""
+    """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
+    from lobewise.adaptive import find_unsupported
+    from lobewise.cli.output import print_note
     from lobewise.denoising import denoise as run_denoise
-    from lobewise.io import read_frame, write_result
+    from lobewise.interchange import write_result
     from lobewise.io.materials import read_lobe_table
     from lobewise.io.sequence import is_pattern
 
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
+    reading = Reading(preset, maps, camera, half, also, tables)
     alone = not is_pattern(source)
     adapts, mixes = _parse_percent(adaptive) > 0.0, settings["with_oidn"]
-    takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
+    takers = {
+        "--temporal": temporal,
+        "--adaptive": adapts,
+        "--with-oidn": mixes,
+        reading.option: bool(reading.option),
+        "--suffix": bool(suffix),
+        "--only": only,
+        "--confidence": confidence,
+    }
     whole = next((name for name, is_so in takers.items() if is_so), "")
+    told: set[str] = set()
 
     def read(path: Path) -> Any:
         if choose_bands(path, bands, settings, whole):
             return FileInBands(bands, tables, settings, shows_bar=alone)
-        return read_frame(path, lobe_tables=tables)
+        return reading.read(path, source, light_passes=not temporal)
 
-    def filter_one(frame: Any) -> Any:
-        return frame if isinstance(frame, FileInBands) else run_denoise(frame, **settings)
+    def filter_one(found: Any) -> Any:
+        return found if isinstance(found, FileInBands) else run_denoise(found.frame, **settings)
 
-    def write(target: Path, result: Any, frame: Any, path: Path) -> None:
+    def write(target: Path, result: Any, found: Any, path: Path) -> None:
         if isinstance(result, FileInBands):
             result.write(path, target)
-        else:
-            write_result(target, shade(result, frame), source=path)
+            return
+        done = shade(result, found.frame)
+        rerender = find_unsupported(done).astype("f4") if confidence else None
+        notes = write_result(
+            target, done, source=found, suffix=suffix, only=only, confidence=confidence, rerender=rerender
+        )
+        for note in notes:
+            if note not in told:
+                print_note(note)
+            told.add(note)
 
     _run(
         source,
@@ -95,8 +124,15 @@ def denoise(
         read=read,
         filter_one=filter_one,
         write=write,
-        settings={**settings, "material": [str(path) for path in material or []], "adaptive": [adaptive, scene]},
+        settings={
+            **settings,
+            "material": [str(path) for path in material or []],
+            "adaptive": [adaptive, scene],
+            "reading": [preset, maps, str(camera), str(half), also],
+            "writing": [suffix, only, confidence],
+        },
         temporal={**settings, "memory": memory} if temporal else None,
+        unwrap=lambda found: found.frame,
     )
 
 
@@ -203,15 +239,17 @@ def _run(
     write: Callable[[Path, Result, FrameT, Path], None],
     settings: dict[str, Any],
     temporal: dict[str, Any] | None,
+    unwrap: Callable[[Any], Any] = lambda frame: frame,
 ) -> None:
     """Filter one file, or every file of a pattern; mistakes in a file are told with its name."""
     from lobewise.cli.output import print_line, print_note
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_exr_name, require_writable
     from lobewise.io.sequence import is_pattern
     from lobewise.sequence import filter_sequence
     from lobewise.temporal import TemporalFilter
 
     current = source
+    require_exr_name(output)
 
     def read_one(path: Path) -> FrameT:
         nonlocal current
@@ -245,7 +283,7 @@ def _run(
 
         def add(self, frame: FrameT, *, cut: bool = False) -> Result:
             try:
-                return active.add(frame, cut=cut)
+                return active.add(frame if temporal is None else unwrap(frame), cut=cut)
             except LobewiseError as problem:
                 raise type(problem)(f"{current}: {problem}") from problem
 

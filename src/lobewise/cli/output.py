@@ -182,7 +182,19 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
         text = image.meaning if image.found else f"missing: {image.missing}"
         table.add_row(image.label, "yes" if image.found else "no", Text(text, style="" if image.found else "dim"))
     console.print(table)
-    camera = "in the header" if found.camera else "none in the header"
+    if found.reason:
+        console.print(Text(f"Read as {found.preset}, because {found.reason}."), soft_wrap=True)
+        listing = Table(title="what is taken", title_justify="left")
+        for column in ("image", "channels", "converted"):
+            listing.add_column(column, overflow="fold")
+        for role in found.roles:
+            listing.add_row(
+                Text(role.role),
+                Text(role.channels),
+                Text(role.conversion or "as it is", style="" if role.conversion else "dim"),
+            )
+        console.print(listing)
+    camera = "known" if found.camera else "unknown"
     console.print(Text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
     if found.materials:
         listed = "; ".join(f"{number} {text}" for number, text in enumerate(found.materials, start=1))

@@ -53,7 +53,26 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
         )
     if bands == "off" or whole:
         return False
+    if not _is_own(source):
+        if isinstance(bands, int):
+            raise InputError(
+                "--bands",
+                expected="auto or off for files of other renderers, which are read as a whole",
+                got=text,
+                action="leave it out",
+            )
+        return False
     return isinstance(bands, int) or _is_large(source, settings)
+
+
+def _is_own(source: Path) -> bool:
+    from lobewise.interchange.reading import is_own
+    from lobewise.io.exr.parsing import read_container
+
+    try:
+        return is_own(read_container(source))
+    except LobewiseError:
+        return False
 
 
 def _is_large(source: Path, settings: dict[str, Any]) -> bool:

@@ -1,1 +1,8 @@
 """Files of other renderers: what their channels mean, frames made of them, results put back where they came from."""
+
+from lobewise.interchange.describing import describe_file
+from lobewise.interchange.imported import Imported
+from lobewise.interchange.reading import import_file, read_frame, read_image
+from lobewise.interchange.replacing import write_result
+
+__all__ = ["Imported", "describe_file", "import_file", "read_frame", "read_image", "write_result"]

@@ -60,7 +60,7 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
             known += np.where(np.isfinite(total), total, np.float32(0.0))
         if each.rule.lobe == "exact" or not (total != 0.0).any():
             continue
-        names = [_name_pass(one) for one in each.light]
+        names = [name_pass(one.source.path) for one in each.light]
         named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
         shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
         layers.append(RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named))
@@ -71,8 +71,9 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
     return _check_sum(light, layers, color, known)
 
 
-def _name_pass(found: Found) -> str:
-    return found.source.path.rpartition(".")[2]
+def name_pass(path: str) -> str:
+    """Return the last word of a pass's path."""
+    return path.rpartition(".")[2]
 
 
 def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, known: FloatArray) -> Light:

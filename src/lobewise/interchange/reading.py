@@ -3,61 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, require_choice
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.cryptomatte import find_coverage
 from lobewise.interchange.cameras import read_camera_attributes, read_sample_count
-from lobewise.interchange.lighting import Light, PartOutput, take_albedos, take_layers
-from lobewise.interchange.mapping import ChannelMap, Found, map_channels
+from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.joining import add_also, join_halves
+from lobewise.interchange.lighting import Light, PartOutput, name_pass, take_albedos, take_layers
+from lobewise.interchange.mapping import ChannelMap, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Container
+from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.frames import read_whole
-from lobewise.io.exr.layout import find_beauty, join_planes, name_file, plan_reading, require_shaded
+from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.pixels import Pixels, decode_part
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.radiance import sum_layers
-
-OWN = "lobewise"
-"""What is told as the preset of a file in lobewise's own channel names."""
-
-
-@dataclass(frozen=True)
-class Imported:
-    """A frame, and what was made of the file that it comes from.
-
-    Parameters
-    ----------
-    frame : Frame
-        Ready to be denoised.
-    container : Container
-        The file.
-    map : ChannelMap or None
-        What its channels mean; None for a file in lobewise's own names.
-    notes : tuple of str
-        What was found, converted, dropped or is missing, one sentence each.
-    outputs : mapping of str to PartOutput
-        Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
-    """
-
-    frame: Frame
-    container: Container
-    map: ChannelMap | None = None
-    notes: tuple[str, ...] = ()
-    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
-
-    @property
-    def preset(self) -> str:
-        """By which names the file was read."""
-        return OWN if self.map is None else self.map.preset.name
+from lobewise.radiance import RadianceLayer, sum_layers
 
 
 def is_own(container: Container) -> bool:
@@ -114,6 +83,22 @@ def read_frame(
     return import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, lobe_tables=lobe_tables).frame
 
 
+def read_image(path: PathLike) -> FloatArray:
+    """Return only the image of any EXR file: float32, shape (height, width, 3).
+
+    Raises
+    ------
+    FileError
+        If the file is missing, unreadable, damaged, truncated or of zero size.
+    MissingChannelError
+        If there is no image.
+    """
+    container = read_container(path)
+    if is_own(container):
+        return read_own_image(path)
+    return ImageReader(container)(map_channels(container).roles["color"])
+
+
 def import_file(
     path: PathLike,
     *,
@@ -122,9 +107,28 @@ def import_file(
     camera: Camera | None = None,
     half: PathLike | None = None,
     lobe_tables: Sequence[LobeTable] | None = None,
+    also: Sequence[str] = (),
+    light_passes: bool = False,
 ) -> Imported:
-    """Return the frame of an EXR file and what was made of it; see `read_frame`."""
+    """Return the frame of an EXR file and what was made of it.
+
+    Parameters
+    ----------
+    path, preset, mapping, camera, half, lobe_tables
+        As in `read_frame`.
+    also : sequence of str
+        Patterns of passes, with * and ?, that are filtered like what they belong to: the layer whose pass their name
+        begins with (``DiffDir_key``), else the image.
+    light_passes : bool
+        Whether the passes that make up a layer (direct, indirect) are filtered each, so that they can be written back.
+
+    Raises
+    ------
+    FileError, MissingChannelError, InputError
+        As `read_frame`; or if no pass has a name of ``also``.
+    """
     container = read_container(path)
+    read = ImageReader(container)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
@@ -138,16 +142,35 @@ def import_file(
                 action="leave them out",
             )
         with name_file(path):
-            found = _import_foreign(container, map_channels(container, preset=preset, mapping=mapping), camera)
+            found = _import_foreign(read, map_channels(container, preset=preset, mapping=mapping), camera)
+    if also:
+        with name_file(path):
+            found = add_also(found, also, read)
+    if not light_passes:
+        found = _leave_passes(found)
     if half is None:
         return found
-    other = import_file(half, preset=preset, mapping=mapping, camera=camera, lobe_tables=lobe_tables)
+    given = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
+    other = import_file(half, also=also, light_passes=light_passes, **given)  # type: ignore[arg-type]
     with name_file(half):
         return join_halves(found, other)
 
 
-def _import_foreign(container: Container, channels: ChannelMap, camera: Camera | None) -> Imported:
-    read = _Reader(container, channels)
+def _leave_passes(found: Imported) -> Imported:
+    """Return a frame whose layers have no parts but those that were asked for."""
+    rules = found.map.layers if found.map else ()
+    passes = {(each.rule.name, name_pass(one.source.path)) for each in rules for one in each.light}
+
+    def strip(layer: RadianceLayer) -> RadianceLayer:
+        parts = {part: image for part, image in layer.parts.items() if (layer.name, part) not in passes}
+        return replace(layer, parts=parts)
+
+    layers = tuple(map(strip, found.frame.layers))
+    return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
+
+
+def _import_foreign(read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+    container = read.container
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -191,28 +214,7 @@ def _import_foreign(container: Container, channels: ChannelMap, camera: Camera |
     return Imported(frame, container, channels, tuple(notes), outputs)
 
 
-class _Reader:
-    """Images of a file, each part decoded once."""
-
-    def __init__(self, container: Container, channels: ChannelMap) -> None:
-        self._container = container
-        self._pixels: dict[int, dict[str, Pixels]] = {}
-        self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
-
-    def __call__(self, found: Found) -> FloatArray:
-        """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
-        part = found.source.part
-        key = part.index, found.channels
-        if key not in self._images:
-            if part.index not in self._pixels:
-                self._pixels[part.index] = decode_part(self._container, part)
-            pixels = self._pixels[part.index]
-            image = join_planes([pixels[name] for name in found.channels])
-            self._images[key] = image[..., 0] if image.shape[2] == 1 else image
-        return self._images[key]
-
-
-def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: _Reader) -> Light:
+def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: ImageReader) -> Light:
     """Return the layers, unless diffuse and specular light are passes themselves."""
     if "diffuse" in images and "specular" in images:
         return Light()
@@ -253,7 +255,7 @@ def _take_alpha(
     return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
 
 
-def _take_coverage(channels: ChannelMap, read: _Reader, notes: list[str]) -> FloatArray | None:
+def _take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> FloatArray | None:
     """Return what Cryptomatte tells of silhouettes, (height, width, 9); of several the first, which is the finest."""
     for passes in channels.cryptomatte:
         stored = {channel.name: channel.pixel_type for channel in passes[0].source.part.channels}
@@ -307,54 +309,3 @@ def _note_what_lacks(channels: ChannelMap, frame: Frame) -> list[str]:
         remedy = f" ({told.removeprefix('none; ')})" if told.startswith("none") else remedy
         notes.append(f"No {role}: {COSTS[role]}{remedy}.")
     return notes
-
-
-def join_halves(first: Imported, second: Imported) -> Imported:
-    """Return one frame of two renders with different seeds: their mean, with each as a half of its samples.
-
-    Raises
-    ------
-    InputError
-        If they differ in size or layers, or are the same image.
-    """
-    a, b = first.frame, second.frame
-    names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
-    if a.shape != b.shape or names[0] != names[1] or a.radiance.names != b.radiance.names:
-        raise InputError(
-            "--half",
-            expected="the same frame rendered again: the same size and passes",
-            got=f"{b!r} beside {a!r}",
-            action="render both alike, with another seed",
-        )
-    if np.array_equal(a.radiance.color, b.radiance.color):
-        raise InputError(
-            "--half", expected="noise of its own", got="the same image", action="render it with another seed"
-        )
-    if a.spp is not None and b.spp is not None and a.spp != b.spp:
-        raise InputError("--half", expected=f"{a.spp} samples per pixel", got=str(b.spp), action="render both alike")
-    require_choice("--half, preset", second.preset, [first.preset])
-
-    def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-        return None if one is None or other is None else np.float32(0.5) * (one + other)
-
-    layers = []
-    for one, other in zip(a.layers, b.layers, strict=True):
-        parts = {name: np.float32(0.5) * (image + other.parts[name]) for name, image in one.parts.items()}
-        albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
-        radiance = np.float32(0.5) * (one.radiance + other.radiance)
-        layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
-    whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
-    frame = a.with_changes(
-        radiance=Radiance(**whole),  # type: ignore[arg-type]
-        half_a=a.radiance,
-        half_b=b.radiance,
-        layers=tuple(layers),
-        spp=None if a.spp is None else 2 * a.spp,
-    )
-    return Imported(
-        frame,
-        first.container,
-        first.map,
-        (*first.notes, "Two renders were joined as halves of the samples."),
-        first.outputs,
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image, write_result
+from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 from lobewise.io.exr.describe import FileDescription, describe_file
 from lobewise.io.exr.sparse import read_sparse_frame, write_sparse_frame
 
@@ -14,6 +14,5 @@ __all__ = [
     "read_sparse_frame",
     "write_frame",
     "write_image",
-    "write_result",
     "write_sparse_frame",
 ]

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from lobewise.errors import FileError
+from lobewise.errors import FileError, InputError
 
 PathLike = str | os.PathLike[str]
 
@@ -86,6 +86,21 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
     except (OSError, ValueError) as problem:
         expected, got, action = "a path that can be written", say_reason(problem), "choose another path"
     raise FileError(f"{what} {str(path)!r}", expected=expected, got=got, action=action)
+
+
+EXR_NAMES = (".exr", ".sxr", ".mxr", "")
+
+
+def require_exr_name(path: PathLike) -> None:
+    """Raise InputError if the name of an output says that it is a file of another kind than EXR."""
+    kind = Path(path).suffix
+    if kind.lower() not in EXR_NAMES and not kind[1:].isdecimal():
+        raise InputError(
+            "output",
+            expected="a name that ends in .exr, as EXR is what is written",
+            got=repr(str(path)),
+            action=f"name it {str(Path(path).with_suffix('.exr'))!r}",
+        )
 
 
 def make_folder(path: PathLike, *, what: str = "output") -> Path:

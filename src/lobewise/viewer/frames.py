@@ -16,7 +16,8 @@ from lobewise.errors import LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.interactive.views import SHARPEST
-from lobewise.io.exr import read_frame, write_frame, write_result
+from lobewise.interchange import read_frame, write_result
+from lobewise.io.exr import write_frame
 from lobewise.io.exr.layout import require_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE

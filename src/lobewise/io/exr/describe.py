@@ -9,7 +9,7 @@ from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
 from lobewise.io.exr.container import Attribute, Container, Part, Window, show_name
 from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
-from lobewise.io.exr.layout import find_beauty, find_foreign, plan_reading
+from lobewise.io.exr.layout import find_beauty, plan_reading
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
 from lobewise.io.files import PathLike
@@ -56,6 +56,15 @@ class ImageDescription:
 
 
 @dataclass(frozen=True)
+class RoleDescription:
+    """One image that was taken from a file of another renderer: what it is, its channels, what becomes of them."""
+
+    role: str
+    channels: str
+    conversion: str
+
+
+@dataclass(frozen=True)
 class FileDescription:
     """What `describe_file` found.
 
@@ -80,7 +89,12 @@ class FileDescription:
     similarities : tuple of str
         Those that can be computed from this file, the plainest first.
     notes : tuple of str
-        What hinders denoising or lowers its quality, one sentence each.
+        What hinders denoising or lowers its quality, and of other renderers' files what was found and converted, one
+        sentence each.
+    preset, reason : str
+        By whose names the file is read, and what told.
+    roles : tuple of RoleDescription
+        Of other renderers' files, what is taken from which channels.
     """
 
     path: str
@@ -93,6 +107,9 @@ class FileDescription:
     materials: tuple[str, ...]
     similarities: tuple[str, ...]
     notes: tuple[str, ...]
+    preset: str = "lobewise"
+    reason: str = ""
+    roles: tuple[RoleDescription, ...] = ()
 
 
 def describe_file(path: PathLike) -> FileDescription:
@@ -123,13 +140,13 @@ def describe_file(path: PathLike) -> FileDescription:
         except LobewiseError as problem:
             notes.append(f"Denoising will refuse this file: {problem}")
     gbuffer = {field for owner, field in found if owner == "gbuffer"}
-    similarities = _list_similarities(gbuffer, camera)
+    similarities = list_similarities(gbuffer, camera)
     if beauty is not None:
         notes += _note_what_lacks(container, beauty, gbuffer, camera, similarities)
     return FileDescription(
         path=str(path),
         bytes=container.path.stat().st_size,
-        parts=tuple(_describe_part(part, used) for part in container.parts),
+        parts=tuple(describe_part(part, used) for part in container.parts),
         image_part=beauty.index if beauty else None,
         images=tuple(
             ImageDescription(slot.label, (slot.owner, slot.field) in found, slot.meaning, slot.missing)
@@ -149,7 +166,7 @@ def _describe_table(table: LobeTable) -> str:
     return f"{show_name(table.name)!r}: {kind} for each of {where}"
 
 
-def _list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
+def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
     if "normal" not in gbuffer:
         return ()
     lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
@@ -160,12 +177,6 @@ def _note_what_lacks(
     container: Container, beauty: Part, gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]
 ) -> list[str]:
     notes = []
-    renderer = find_foreign(container.parts)
-    if renderer:
-        notes.append(
-            f"{renderer} wrote this file; its channel names can mean other things than lobewise's, so only R, G and B "
-            "are read."
-        )
     if not similarities:
         notes.append("Without normal.X/Y/Z nothing tells similar pixels apart.")
     elif similarities == ("normal",):
@@ -192,7 +203,7 @@ def _note_what_lacks(
     return notes
 
 
-def _describe_part(part: Part, used: dict[tuple[int, str], str]) -> PartDescription:
+def describe_part(part: Part, used: dict[tuple[int, str], str]) -> PartDescription:
     return PartDescription(
         name=show_name(part.name),
         view=show_name(part.view),

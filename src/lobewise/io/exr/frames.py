@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, require_choice
-from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.errors import require_choice
+from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.exr.container import Container
-from lobewise.io.exr.header import describe_camera, make_headers, read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.header import describe_camera, read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import (
     MAX_HALF,
     build_frame,
@@ -19,15 +19,12 @@ from lobewise.io.exr.layout import (
     make_images,
     name_file,
     plan_reading,
-    plan_writing,
-    put_images,
     require_beauty,
     require_shaded,
 )
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.pixels import Pixels, decode_part, encode_file, encode_part
+from lobewise.io.exr.pixels import Pixels, decode_part, encode_file
 from lobewise.io.exr.schema import BEAUTY, LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
-from lobewise.io.exr.splice import write_container
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_to_json
 from lobewise.lobe_table import LobeTable
@@ -153,44 +150,6 @@ def write_image(path: PathLike, image: ArrayLike, *, half: bool = False, compres
         If the array is not such an image.
     """
     write_frame(path, Frame(Radiance(np.asarray(image))), half=half, compression=compression)
-
-
-def write_result(path: PathLike, result: Result, *, source: PathLike) -> None:
-    """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
-
-    Replaced are R, G and B, and where both the file and the result have them ``diffuse`` and ``specular``. Everything
-    else stays: the other parts byte for byte, the other channels in their pixel types, every attribute, the windows
-    and the compression. A channel stored as 16-bit float stays one, and values beyond its range become 65504. One
-    attribute is added, ``lobewise/denoised``, with the settings as JSON.
-
-    Raises
-    ------
-    FileError
-        If ``source`` cannot be read or ``path`` cannot be written; an existing file is then as it was.
-    MissingChannelError
-        If ``source`` has no R, G and B.
-    InputError
-        If the result does not have the size of the image in ``source``.
-    """
-    require_writable(path)
-    container = read_container(source)
-    beauty = require_beauty(container)
-    window = beauty.data_window
-    given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
-    images = {field: image for field, image in given.items() if image is not None}
-    chunks = {}
-    for part, slots in plan_writing(container, beauty, images):
-        for field in (slot.field for slot in slots):
-            if images[field].shape != (window.height, window.width, 3):
-                raise InputError(
-                    f"result.{'image' if field == 'color' else field}",
-                    expected=f"the size of {str(source)!r}, {window.width}x{window.height} pixels",
-                    got=f"an array of shape {images[field].shape}",
-                    action="denoise that file",
-                )
-        chunks[part.index] = encode_part(container, part, put_images(slots, images, decode_part(container, part)))
-    with container.path.open("rb") as stream, open_atomic(path) as out:
-        write_container(out, container, stream, make_headers(container, beauty, result.settings), chunks)
 
 
 def _fits_half(image: NDArray[Any], kind: str) -> bool:

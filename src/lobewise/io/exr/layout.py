@@ -14,31 +14,9 @@ from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.pixels import Pixels
-from lobewise.io.exr.schema import BEAUTY, SCHEMA, SLOTS, SPARSE, Slot
+from lobewise.io.exr.schema import BEAUTY, SLOTS, SPARSE, Slot
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-
-# Attributes that tell a file of another renderer, whose channels of the same name may mean another thing:
-# `diffuse` is lit radiance in one and albedo in the next, `normal` is in world space here and camera space there.
-FOREIGN = {
-    "vrayInfo/": "V-Ray",
-    "arnold/": "Arnold",
-    "cycles.": "Blender Cycles",
-    "unreal/": "Unreal Engine",
-    "rman_": "RenderMan",
-    "PixarRenderMan": "RenderMan",
-}
-
-
-def find_foreign(parts: Iterable[Part]) -> str | None:
-    """Return the name of the other renderer that wrote a file, if an attribute tells and the file is not ours."""
-    names = [item.name for part in parts for item in part.attributes]
-    if SCHEMA in names:
-        return None
-    for mark, renderer in FOREIGN.items():
-        if any(name.startswith(mark) for name in names):
-            return renderer
-    return None
 
 
 def find_beauty(parts: Iterable[Part]) -> Part | None:
@@ -100,13 +78,9 @@ def name_file(path: PathLike) -> Iterator[None]:
 
 
 def plan_writing(container: Container, beauty: Part, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-    """Return which of a result's images, by their fields, replace what in which part; those that none has are left out.
-
-    In a file of another renderer only the total is replaced.
-    """
-    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
+    """Return which of a result's images, by their fields, replace what in which part, as far as there is a place."""
     plan: dict[int, list[Slot]] = {}
-    for slot in known:
+    for slot in SLOTS:
         if slot.owner != "radiance" or slot.field not in fields:
             continue
         for part in _list_readable(container, beauty):
@@ -123,7 +97,7 @@ def put_images(
     changed = dict(pixels)
     for slot in slots:
         for index, name in enumerate(slot.channels):
-            changed[name] = _convert(images[slot.field][..., index], pixels[name].dtype)
+            changed[name] = convert_plane(images[slot.field][..., index], pixels[name].dtype)
     return changed
 
 
@@ -132,9 +106,8 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
 
     Raises MissingChannelError if an image has only some of its channels.
     """
-    known = SLOTS if find_foreign(container.parts) is None else (BEAUTY,)
     plan: dict[int, list[Slot]] = {}
-    for slot in known:
+    for slot in SLOTS:
         best: list[str] = []
         for part in _list_readable(container, beauty):
             names = {channel.name for channel in part.channels}
@@ -183,7 +156,7 @@ def _refuse_incomplete(path: PathLike, label: str, got: str) -> MissingChannelEr
     )
 
 
-def _convert(plane: NDArray[Any], dtype: np.dtype[Any]) -> Pixels:
+def convert_plane(plane: NDArray[Any], dtype: np.dtype[Any]) -> Pixels:
     """Return a plane in the type of the channel that it replaces."""
     if dtype == np.float16:
         plane = np.clip(plane, -MAX_HALF, MAX_HALF)

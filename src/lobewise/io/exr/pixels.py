@@ -32,7 +32,6 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
 
     Raises FileError if the pixels are damaged, or the part holds deep samples.
     """
-    OpenEXR = _load_library()
     name = f"input {str(container.path)!r}"
     if part.deep:
         raise FileError(
@@ -41,10 +40,7 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
     try:
         with container.path.open("rb") as stream:
             data = pack_part(container, part, stream)
-        with _hush_library():
-            channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
-            # The library leaves the pixels out, with a printed warning, where it cannot decode them.
-            pixels = {key: np.asarray(channel.pixels) for key, channel in channels.items()}
+        pixels = decode_bytes(data)
     except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
         raise FileError(
             name,
@@ -66,17 +62,35 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
     return pixels
 
 
+def decode_bytes(data: bytes) -> dict[str, Pixels]:
+    """Return every channel of a file with one part; those that cannot be decoded are left out, or raise anything."""
+    OpenEXR = _load_library()
+    with _hush_library():
+        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
+        # The library leaves the pixels out, with a printed warning, where it cannot decode them.
+        return {key: np.asarray(channel.pixels) for key, channel in channels.items()}
+
+
 def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) -> list[tuple[int, bytes]]:
     """Return the chunks of ``part`` with new pixels, as (index in the chunk table, bytes without part number).
 
     Raises FileError as `require_encodable`.
     """
     require_encodable(container, part)
+    data = encode_whole(part, pixels)
+    return list_chunks(parse_bytes(data).parts[0], data)
+
+
+def encode_whole(part: Part, pixels: Mapping[str, Pixels]) -> bytes:
+    """Return a file of ``part`` alone with new pixels, without the users' attributes."""
     header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
     header["lineOrder"] = part.line_order
-    data = encode_file(header, pixels, part=part)
-    made = parse_bytes(data).parts[0]
-    ordered = sorted(made.chunks, key=lambda chunk: chunk.offset)
+    return encode_file(header, pixels, part=part)
+
+
+def list_chunks(part: Part, data: bytes) -> list[tuple[int, bytes]]:
+    """Return the chunks of the only part of a file, as they lie in it."""
+    ordered = sorted(part.chunks, key=lambda chunk: chunk.offset)
     return [(chunk.index, data[chunk.offset : chunk.offset + chunk.size]) for chunk in ordered]
 
 

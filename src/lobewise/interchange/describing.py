@@ -1,0 +1,99 @@
+"""What a file holds and what denoising makes of it, whoever wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from lobewise.camera import Camera
+from lobewise.frame import Frame
+from lobewise.interchange.imported import Imported
+from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.preset import CONVERSIONS, ROLES
+from lobewise.interchange.reading import import_file, is_own
+from lobewise.io.exr.describe import (
+    FileDescription,
+    ImageDescription,
+    RoleDescription,
+    describe_part,
+    list_similarities,
+)
+from lobewise.io.exr.describe import describe_file as describe_own
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.files import PathLike
+
+
+def describe_file(
+    path: PathLike,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    camera: Camera | None = None,
+    half: PathLike | None = None,
+    also: Sequence[str] = (),
+) -> FileDescription:
+    """Return what an EXR file holds, by whose conventions it is read and why, and what becomes of it.
+
+    Of files in lobewise's own names no pixel is read; others are read as `import_file` reads them, whose parameters
+    these are.
+
+    Raises
+    ------
+    FileError, MissingChannelError, InputError
+        As `import_file`, for a file of another renderer; of one's own what is wrong is among the notes.
+    """
+    container = read_container(path)
+    asked = preset is not None or mapping or camera is not None or half is not None or also
+    if not container.parts or (not asked and is_own(container)):
+        return describe_own(path)
+    found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
+    return describe_import(found)
+
+
+def describe_import(found: Imported) -> FileDescription:
+    """Return the description of a file that was read."""
+    container, frame, channels = found.container, found.frame, found.map
+    if channels is None:
+        return describe_own(container.path)
+    used = {(one.source.part.index, name): what for what, one in _list_found(channels, found) for name in one.channels}
+    guides = set(frame.gbuffer.names)
+    return FileDescription(
+        path=str(container.path),
+        bytes=container.path.stat().st_size,
+        parts=tuple(describe_part(part, used) for part in container.parts),
+        image_part=channels.roles["color"].source.part.index,
+        images=tuple(_describe_role(channels, frame, role) for role in ROLES),
+        camera=frame.camera,
+        spp=frame.spp,
+        materials=(),
+        similarities=list_similarities(guides, frame.camera if frame.gbuffer.is_placed else None),
+        notes=found.notes,
+        preset=channels.preset.title,
+        reason=channels.reason,
+        roles=tuple(
+            RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
+            for what, one in _list_found(channels, found)
+        ),
+    )
+
+
+def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescription:
+    """Return whether a file has a role, what it means, and where it is missing how to have it."""
+    found = channels.roles.get(role)
+    missing = channels.preset.advice.get(role, "not needed to denoise")
+    if found is None and getattr(frame.gbuffer, role, None) is not None:
+        return ImageDescription(f"{role} (of the layers)", True, ROLES[role], missing)
+    return ImageDescription(role if found is None else found.label, found is not None, ROLES[role], missing)
+
+
+def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
+    """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
+    names = {layer.name for layer in imported.frame.layers}
+    # One albedo for all light serves where no layer has its own.
+    found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not names]
+    for layer in channels.layers:
+        if layer.rule.name in names or layer.rule.lobe == "exact":
+            found += [(f"light: {layer.rule.name}", one) for one in layer.light]
+            found += [(f"albedo: {layer.rule.name}", layer.albedo)] if layer.albedo else []
+    if imported.frame.gbuffer.coverage is not None and channels.cryptomatte:
+        found += [("silhouettes", one) for one in channels.cryptomatte[0]]
+    return found + [(f"also: {name}", imported.outputs[name].found) for name in imported.frame.also]

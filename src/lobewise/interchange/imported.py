@@ -1,0 +1,67 @@
+"""What is made of a file: its frame, what its channels mean, and where results go back to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from lobewise.frame import FloatArray, Frame
+from lobewise.interchange.lighting import PartOutput
+from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.io.exr.container import Container
+from lobewise.io.exr.layout import join_planes
+from lobewise.io.exr.pixels import Pixels, decode_part
+
+OWN = "lobewise"
+"""What is told as the preset of a file in lobewise's own channel names."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A frame, and what was made of the file that it comes from.
+
+    Parameters
+    ----------
+    frame : Frame
+        Ready to be denoised.
+    container : Container
+        The file.
+    map : ChannelMap or None
+        What its channels mean; None for a file in lobewise's own names.
+    notes : tuple of str
+        What was found, converted, dropped or is missing, one sentence each.
+    outputs : mapping of str to PartOutput
+        Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
+    """
+
+    frame: Frame
+    container: Container
+    map: ChannelMap | None = None
+    notes: tuple[str, ...] = ()
+    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
+
+    @property
+    def preset(self) -> str:
+        """By which names the file was read."""
+        return OWN if self.map is None else self.map.preset.name
+
+
+class ImageReader:
+    """Images of a file, each part decoded once."""
+
+    def __init__(self, container: Container) -> None:
+        self.container = container
+        self._pixels: dict[int, dict[str, Pixels]] = {}
+        self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
+
+    def __call__(self, found: Found) -> FloatArray:
+        """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
+        part = found.source.part
+        key = part.index, found.channels
+        if key not in self._images:
+            if part.index not in self._pixels:
+                self._pixels[part.index] = decode_part(self.container, part)
+            pixels = self._pixels[part.index]
+            image = join_planes([pixels[name] for name in found.channels])
+            self._images[key] = image[..., 0] if image.shape[2] == 1 else image
+        return self._images[key]

@@ -1,0 +1,130 @@
+"""What is added to a frame that was read: a second render as other half of the samples, further noisy images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lobewise.errors import InputError, require_choice
+from lobewise.frame import FloatArray, Radiance
+from lobewise.interchange.channels import COLOR, Pass, keep_beside, list_passes
+from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.lighting import PartOutput, name_pass
+from lobewise.interchange.mapping import Found
+
+
+def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
+    """Return a frame with the passes of some patterns beside what they belong to.
+
+    Raises
+    ------
+    InputError
+        If no pass has such a name, or the file is in lobewise's own names, which have no further passes.
+    """
+    if found.map is None:
+        raise InputError(
+            "--also",
+            expected="a file of another renderer",
+            got="one in lobewise's own channel names",
+            action="leave it out",
+        )
+    used = {channel for one in found.outputs.values() for channel in one.found.channels}
+    used |= {channel for one in found.map.roles.values() for channel in one.channels}
+    beside = keep_beside(list_passes(found.container), found.map.roles["color"].source.part)
+    layers = {layer.name: layer for layer in found.frame.layers}
+    whole, outputs, notes = dict(found.frame.also), dict(found.outputs), list(found.notes)
+    for pattern in patterns:
+        chosen = [(one, one.pick(COLOR)) for one in beside if one.matches(pattern)]
+        taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
+        if not taken:
+            raise InputError(
+                f"--also {pattern}",
+                expected="passes of three channels that are not used yet",
+                got="none of that name",
+                action="see lobewise inspect",
+            )
+        for one, channels in taken:
+            image, found_one = read(Found(one, channels)), Found(one, channels)
+            owner, albedo = _find_owner(found, one)
+            if owner is None:
+                name, told = one.path, "the image"
+                whole[name] = image
+            else:
+                name, told = f"{owner}/{one.path}", f"the layer {owner}"
+                factor = None if albedo is None else read(albedo)
+                radiance = image if factor is None else image * factor
+                layers[owner] = replace(layers[owner], parts={**layers[owner].parts, one.path: radiance})
+                outputs[name] = PartOutput(found_one, factor)
+            outputs.setdefault(name, PartOutput(found_one))
+            notes.append(f"{found_one.label} is filtered like {told}.")
+    frame = found.frame.with_changes(layers=tuple(layers.values()), also=whole)
+    return replace(found, frame=frame, outputs=outputs, notes=tuple(notes))
+
+
+def _find_owner(found: Imported, one: Pass) -> tuple[str | None, Found | None]:
+    """Return the layer that a pass belongs to and the albedo that its light is divided by; None for the image."""
+    assert found.map is not None
+    names = {layer.name for layer in found.frame.layers}
+    last, best = name_pass(one.path), ""
+    owner: tuple[str | None, Found | None] = None, None
+    for each in found.map.layers:
+        for light in each.light:
+            word = name_pass(light.source.path)
+            if each.rule.name in names and last.lower().startswith(word.lower()) and len(word) > len(best):
+                owner, best = (each.rule.name, each.albedo if each.rule.times_albedo else None), word
+    return owner
+
+
+def join_halves(first: Imported, second: Imported) -> Imported:
+    """Return one frame of two renders with different seeds: their mean, with each as a half of its samples.
+
+    Raises
+    ------
+    InputError
+        If they differ in size or layers, or are the same image.
+    """
+    a, b = first.frame, second.frame
+    names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
+    if a.shape != b.shape or names[0] != names[1] or a.radiance.names != b.radiance.names:
+        raise InputError(
+            "--half",
+            expected="the same frame rendered again: the same size and passes",
+            got=f"{b!r} beside {a!r}",
+            action="render both alike, with another seed",
+        )
+    if np.array_equal(a.radiance.color, b.radiance.color):
+        raise InputError(
+            "--half", expected="noise of its own", got="the same image", action="render it with another seed"
+        )
+    if a.spp is not None and b.spp is not None and a.spp != b.spp:
+        raise InputError("--half", expected=f"{a.spp} samples per pixel", got=str(b.spp), action="render both alike")
+    require_choice("--half, preset", second.preset, [first.preset])
+
+    def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+        return None if one is None or other is None else np.float32(0.5) * (one + other)
+
+    layers = []
+    for one, other in zip(a.layers, b.layers, strict=True):
+        parts = {name: np.float32(0.5) * (image + other.parts[name]) for name, image in one.parts.items()}
+        albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
+        radiance = np.float32(0.5) * (one.radiance + other.radiance)
+        layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
+    also = {name: np.float32(0.5) * (image + b.also[name]) for name, image in a.also.items()}
+    whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
+    frame = a.with_changes(
+        radiance=Radiance(**whole),  # type: ignore[arg-type]
+        half_a=a.radiance,
+        half_b=b.radiance,
+        layers=tuple(layers),
+        also=also,
+        spp=None if a.spp is None else 2 * a.spp,
+    )
+    return Imported(
+        frame,
+        first.container,
+        first.map,
+        (*first.notes, "Two renders were joined as halves of the samples."),
+        first.outputs,
+    )

@@ -1,0 +1,156 @@
+"""Results go back into the file that they come from: into the image and its layers, or beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray, Result
+from lobewise.interchange.imported import Imported
+from lobewise.interchange.reading import import_file
+from lobewise.io.exr.layout import plan_writing, require_beauty
+from lobewise.io.exr.replacing import write_copy
+from lobewise.io.files import PathLike
+
+CONFIDENCE = "lobewise."
+"""Before the names of the channels that tell how far to trust the result."""
+SMALLEST_FACTOR = 1e-6
+
+Planes = dict[int, dict[str, FloatArray]]
+
+
+def write_result(
+    path: PathLike,
+    result: Result,
+    *,
+    source: PathLike | Imported,
+    suffix: str = "",
+    only: bool = False,
+    confidence: bool = False,
+    rerender: FloatArray | None = None,
+) -> tuple[str, ...]:
+    """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
+
+    Replaced is the image where it came from, whatever it is called there, and where both the file and the result have
+    them the layers of light, each in its own channels. Everything else stays: the other parts byte for byte, the other
+    channels in their pixel types, every attribute, the windows and the compression (but a lossy one, where it would
+    change channels that are not touched). A channel stored as 16-bit float stays one, and values beyond its range
+    become 65504. One attribute is added, ``lobewise/denoised``, with the settings as JSON.
+
+    Parameters
+    ----------
+    path : path
+        The output; replaced in one step, or left as it was on failure.
+    result : Result
+        What `lobewise.denoise` made of the frame.
+    source : path or Imported
+        The file, or what `import_file` made of it: needed where that took options.
+    suffix : str
+        If given, the results stand beside what they came from, in passes whose names end in it, and that stays.
+    only : bool
+        Whether to leave out every other channel.
+    confidence : bool
+        Whether to add ``lobewise.weight_sum``, ``lobewise.effective_samples``, ``lobewise.bad_pixel`` (1 where the
+        pixel was refilled) and, where it is given, ``lobewise.rerender``.
+    rerender : array, shape (height, width), optional
+        1 where a pixel is worth rendering again; see `lobewise.find_unsupported`.
+
+    Returns
+    -------
+    tuple of str
+        What could not stay as it was or was not written, one sentence each.
+
+    Raises
+    ------
+    FileError
+        If ``source`` cannot be read or ``path`` cannot be written; an existing file is then as it was.
+    MissingChannelError
+        If ``source`` has no image.
+    InputError
+        If the result does not have the size of the image in ``source``, or a channel that is added exists.
+    """
+    found = source if isinstance(source, Imported) else import_file(source)
+    container = found.container
+    if found.map is None:
+        beauty = require_beauty(container)
+        planes = _plan_own(found, result)
+    else:
+        beauty = found.map.roles["color"].source.part
+        planes = _plan_foreign(found, result)
+    notes = _note_noisy(found, result)
+    changed: Planes = {} if suffix else planes
+    added: Planes = {}
+    if suffix:
+        added = {
+            index: {_add_suffix(name, suffix): plane for name, plane in each.items()} for index, each in planes.items()
+        }
+    if confidence:
+        own = {
+            "weight_sum": result.weight_sum,
+            "effective_samples": result.effective_samples,
+            "bad_pixel": result.bad_pixels.astype(np.float32),
+        }
+        if rerender is not None:
+            own["rerender"] = np.asarray(rerender, np.float32)
+        more = added.setdefault(beauty.index, {})
+        more |= {f"{CONFIDENCE}{name}": image for name, image in own.items()}
+    return (*notes, *write_copy(path, container, changed, result.settings, beauty, added=added, only=only))
+
+
+def _plan_own(found: Imported, result: Result) -> Planes:
+    """Return which channels of a file in lobewise's names get which values."""
+    given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
+    images = {field: image for field, image in given.items() if image is not None}
+    container = found.container
+    return {
+        part.index: {name: images[slot.field][..., k] for slot in slots for k, name in enumerate(slot.channels)}
+        for part, slots in plan_writing(container, require_beauty(container), images)
+    }
+
+
+def _plan_foreign(found: Imported, result: Result) -> Planes:
+    """Return which channels of another renderer's file get which values."""
+    images = _list_images(result)
+    planes: Planes = {}
+    for name, output in found.outputs.items():
+        if name not in images:
+            continue
+        image = images[name]
+        if output.divided_by is not None:
+            known = output.divided_by > SMALLEST_FACTOR
+            image = np.divide(image, output.divided_by, out=np.zeros_like(image), where=known)
+        mine = planes.setdefault(output.found.source.part.index, {})
+        mine |= {channel: image[..., k] for k, channel in enumerate(output.found.channels)}
+    return planes
+
+
+def _list_images(result: Result) -> Mapping[str, FloatArray]:
+    """Return every image of a result by the name that outputs have."""
+    images: dict[str, Any] = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
+    whole = {name: image for name, image in images.items() if image is not None}
+    return {**whole, **result.layers, **result.also}
+
+
+def _note_noisy(found: Imported, result: Result) -> list[str]:
+    """Say which passes of the layers stay noisy, because the result does not have them."""
+    images = _list_images(result)
+    left = [output.found.label for name, output in found.outputs.items() if name not in images]
+    return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
+
+
+def _add_suffix(name: str, suffix: str) -> str:
+    """Return a channel's name with a suffix to its pass: ``ViewLayer.Combined_clean.R``; of plain R ``clean.R``.
+
+    Raises
+    ------
+    InputError
+        If the suffix holds a dot.
+    """
+    if "." in suffix.strip("."):
+        raise InputError("--suffix", expected="a word without a dot", got=repr(suffix), action="write _denoised")
+    head, _, component = name.rpartition(".")
+    word = suffix.strip(".")
+    return f"{head}{word}.{component}" if head else f"{word.lstrip('_- ') or word}.{component}"
