@@ -109,10 +109,10 @@ class TestProgram:
         assert "--help." in err
 
     def test_our_own_failures_are_told_apart(self, frame_file, monkeypatch, capsys):
-        def explode(_path):
+        def explode(_path, **_options):
             raise ZeroDivisionError("a\nb")
 
-        monkeypatch.setattr("lobewise.io.describe_file", explode)
+        monkeypatch.setattr("lobewise.interchange.describe_file", explode)
         assert run(["inspect", str(frame_file)]) == 1
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
@@ -126,10 +126,10 @@ class TestProgram:
         assert "Traceback" in capsys.readouterr().err
 
     def test_interrupts(self, frame_file, monkeypatch, capsys):
-        def interrupt(_path):
+        def interrupt(_path, **_options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("lobewise.io.describe_file", interrupt)
+        monkeypatch.setattr("lobewise.interchange.describe_file", interrupt)
         assert run(["inspect", str(frame_file)]) == 130
         assert capsys.readouterr().err == "lobewise: interrupted; every output is whole, or as it was.\n"
 

@@ -229,14 +229,6 @@ class TestReading:
         assert frame.gbuffer.alpha_u is None
         assert frame.gbuffer.alpha_v is None
 
-    @pytest.mark.parametrize("mark", ["vrayInfo/version", "arnold/version", "cycles.ViewLayer.samples"])
-    def test_names_of_other_renderers_are_not_trusted(self, mark, tmp_path):
-        channels = {name: np.ones((2, 2), "f") for name in ("R", "G", "B", "diffuse.R", "diffuse.G", "diffuse.B")}
-        self.write(tmp_path / "a.exr", channels, {mark: "5"})
-        assert read_frame(tmp_path / "a.exr").radiance.diffuse is None
-        self.write(tmp_path / "b.exr", channels, {mark: "5", "lobewise/schema": 1})
-        assert read_frame(tmp_path / "b.exr").radiance.diffuse is not None
-
     def test_a_camera_in_part_or_senseless_is_refused(self, rng, tmp_path):
         path = tmp_path / "a.exr"
         rgb = {name: np.ones((2, 2), "f") for name in "RGB"}

@@ -13,7 +13,7 @@ from lobewise.cli.comparing import compare
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
-from lobewise.cli.foreign import Also, CameraFile, Half, Maps, Preset, parse_maps
+from lobewise.cli.reading import Also, CameraFile, Half, Maps, Preset, parse_maps
 from lobewise.cli.rendering import render
 from lobewise.cli.shared import Input, show_progress
 from lobewise.cli.viewing import view

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from lobewise.cli.foreign import Also, CameraFile, Confidence, Half, Maps, Only, Preset, Reading, Suffix
 from lobewise.cli.options import with_settings
+from lobewise.cli.reading import (
+    Also,
+    Bands,
+    CameraFile,
+    Confidence,
+    FileInBands,
+    Half,
+    Maps,
+    Only,
+    Preset,
+    Reading,
+    Suffix,
+    choose_bands,
+)
 from lobewise.cli.shared import Output, parse_place, show_progress
-from lobewise.cli.streaming import Bands, FileInBands, choose_bands
 from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings, TemporalSettings, list_knobs
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
+    from lobewise.interchange import Imported
     from lobewise.sparse_frame import AnyFrame, SparseFrame
 
     FrameT = TypeVar("FrameT", bound=AnyFrame)
@@ -37,6 +51,41 @@ Temporal = Annotated[bool, typer.Option("--temporal", help="With a sequence: let
 Memory = Annotated[
     float, typer.Option(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
 ]
+
+
+@dataclass
+class Writing:
+    """How results are written: the options, and what has been said of it already."""
+
+    suffix: str = ""
+    only: bool = False
+    confidence: bool = False
+    _told: set[str] = field(default_factory=set)
+
+    @property
+    def option(self) -> str:
+        """The first option that was given, empty for none."""
+        return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
+
+    def write(self, target: Path, result: Result, found: Imported) -> None:
+        """Write a result into a copy of the file that it comes from; what could not stay as it was is said once."""
+        from lobewise.adaptive import find_unsupported
+        from lobewise.cli.output import print_note
+        from lobewise.interchange import write_result
+
+        notes = write_result(
+            target,
+            result,
+            source=found,
+            suffix=self.suffix,
+            only=self.only,
+            confidence=self.confidence,
+            rerender=find_unsupported(result).astype("f4") if self.confidence else None,
+        )
+        for note in notes:
+            if note not in self._told:
+                print_note(note)
+            self._told.add(note)
 
 
 @with_settings(
@@ -72,29 +121,18 @@ def denoise(
     confidence: Confidence = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
-    from lobewise.adaptive import find_unsupported
-    from lobewise.cli.output import print_note
     from lobewise.denoising import denoise as run_denoise
-    from lobewise.interchange import write_result
     from lobewise.io.materials import read_lobe_table
     from lobewise.io.sequence import is_pattern
 
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
-    reading = Reading(preset, maps, camera, half, also, tables)
+    reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence)
     alone = not is_pattern(source)
     adapts, mixes = _parse_percent(adaptive) > 0.0, settings["with_oidn"]
-    takers = {
-        "--temporal": temporal,
-        "--adaptive": adapts,
-        "--with-oidn": mixes,
-        reading.option: bool(reading.option),
-        "--suffix": bool(suffix),
-        "--only": only,
-        "--confidence": confidence,
-    }
-    whole = next((name for name, is_so in takers.items() if is_so), "")
-    told: set[str] = set()
+    takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
+    given = next((name for name, is_so in takers.items() if is_so), "")
+    whole = given or reading.option or writing.option
 
     def read(path: Path) -> Any:
         if choose_bands(path, bands, settings, whole):
@@ -107,16 +145,8 @@ def denoise(
     def write(target: Path, result: Any, found: Any, path: Path) -> None:
         if isinstance(result, FileInBands):
             result.write(path, target)
-            return
-        done = shade(result, found.frame)
-        rerender = find_unsupported(done).astype("f4") if confidence else None
-        notes = write_result(
-            target, done, source=found, suffix=suffix, only=only, confidence=confidence, rerender=rerender
-        )
-        for note in notes:
-            if note not in told:
-                print_note(note)
-            told.add(note)
+        else:
+            writing.write(target, shade(result, found.frame), found)
 
     _run(
         source,

@@ -89,7 +89,8 @@ def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Fou
     """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
     names = {layer.name for layer in imported.frame.layers}
     # One albedo for all light serves where no layer has its own.
-    found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not names]
+    own = any(layer.albedo for layer in channels.layers if layer.rule.name in names)
+    found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not own]
     for layer in channels.layers:
         if layer.rule.name in names or layer.rule.lobe == "exact":
             found += [(f"light: {layer.rule.name}", one) for one in layer.light]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.siblings import Family
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import Pixels, decode_part
@@ -49,8 +50,8 @@ class Imported:
 class ImageReader:
     """Images of a file, each part decoded once."""
 
-    def __init__(self, container: Container) -> None:
-        self.container = container
+    def __init__(self, family: Family) -> None:
+        self._family = family
         self._pixels: dict[int, dict[str, Pixels]] = {}
         self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
 
@@ -60,7 +61,8 @@ class ImageReader:
         key = part.index, found.channels
         if key not in self._images:
             if part.index not in self._pixels:
-                self._pixels[part.index] = decode_part(self.container, part)
+                home = self._family.homes.get(part.index, (self._family.container, part))
+                self._pixels[part.index] = decode_part(*home)
             pixels = self._pixels[part.index]
             image = join_planes([pixels[name] for name in found.channels])
             self._images[key] = image[..., 0] if image.shape[2] == 1 else image

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lobewise.frame import FloatArray, RadianceLayer
 from lobewise.interchange.mapping import Found, FoundLayer
 
+DARKEST_ALBEDO = 0.01
 LARGEST_EXCESS = 0.02
 """Share of the light by which layers may exceed the image before they are not taken for its parts."""
 SMALLEST_REST = 0.002
@@ -63,6 +64,8 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
         names = [name_pass(one.source.path) for one in each.light]
         named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
         shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
+        if shares is not None and factor is None:
+            shares = lift_albedo(shares)
         layers.append(RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named))
         keys = [f"{each.rule.name}/{name}" for name in names] if named else [each.rule.name]
         light.outputs |= {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
@@ -117,6 +120,23 @@ def is_smooth(image: FloatArray) -> bool:
         return True
     apart = np.abs(inner - around)[lit] / np.maximum(inner, around)[lit]
     return bool(np.median(apart) < 0.05)
+
+
+def lift_albedo(albedo: FloatArray) -> FloatArray:
+    """Return an albedo that no light is lost by, (height, width, 3), where light and albedo come apart.
+
+    Nothing is divided by less than `DARKEST_ALBEDO`, and where no channel has more, by 1.
+    """
+    black = albedo.max(axis=-1, keepdims=True) <= DARKEST_ALBEDO
+    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
+
+
+def lend_albedo(light: Light, albedo: FloatArray) -> None:
+    """Give the diffuse layers that have no albedo the one of all light, if the file knows no other."""
+    if any(layer.albedo is not None for layer in light.layers):
+        return
+    lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
+    light.layers = tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in light.layers)
 
 
 def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:

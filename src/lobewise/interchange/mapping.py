@@ -10,6 +10,7 @@ from lobewise.errors import InputError, MissingChannelError, require_choice
 from lobewise.interchange.channels import COLOR, PLANE, VECTOR, Pass, keep_beside, list_passes
 from lobewise.interchange.preset import CONVERSIONS, ROLES, SINGLES, LayerRule, Preset, Rule, find_preset, load_presets
 from lobewise.io.exr.container import Container, show_name
+from lobewise.io.exr.layout import find_beauty
 from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
@@ -184,7 +185,8 @@ def _find_color(
     """Return the image, the prefix of its path and those of others like it."""
     if own is not None:
         return own, own.source.get_prefix(own.source.path.rpartition(".")[2]), ()
-    views = [one for one in passes if one.part.view in ("", container.parts[0].view)]
+    first = find_beauty(container.parts) or container.parts[0]
+    views = [one for one in passes if one.part.view in ("", first.view)]
     for rule in preset.roles.get("color", (Rule(""),)):
         alike = [one for one in views if one.matches(rule.source) and one.pick(COLOR)]
         if alike:

@@ -58,16 +58,8 @@ LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "e
 """What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
 passes as it is."""
 ATTRIBUTES = (
-    "name",
-    "title",
-    "attributes",
-    "passes",
-    "samples",
-    "samples_squared",
-    "notes",
-    "advice",
-    "layer",
-    "cryptomatte",
+    *("name", "title", "attributes", "passes", "files", "samples", "samples_squared"),
+    *("notes", "advice", "layer", "cryptomatte"),
 )
 
 
@@ -109,6 +101,8 @@ class Preset:
         Names of Cryptomatte's passes, without their numbers, the finest first.
     samples, samples_squared : tuple of str
         Attributes that hold the samples per pixel, or their square root.
+    files : tuple of str
+        Where every pass is a file of its own: what stands in the name of the image's.
     notes : tuple of str
         What a user should know of any such file, one sentence each.
     advice : mapping of str to str
@@ -124,6 +118,7 @@ class Preset:
     cryptomatte: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
     samples_squared: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     advice: Mapping[str, str] = field(default_factory=dict)
 
@@ -183,6 +178,7 @@ def _parse(text: str, where: str) -> Preset:
         cryptomatte=_take_texts(given, "cryptomatte", what),
         samples=_take_texts(given, "samples", what),
         samples_squared=_take_texts(given, "samples_squared", what),
+        files=_take_texts(given, "files", what),
         notes=_take_texts(given, "notes", what),
         advice={
             require_choice(f"{what}, advice", role, [*ROLES, "camera", "layers", "cryptomatte"]): str(told)

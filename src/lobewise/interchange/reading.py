@@ -14,9 +14,10 @@ from lobewise.guides.cryptomatte import find_coverage
 from lobewise.interchange.cameras import read_camera_attributes, read_sample_count
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
-from lobewise.interchange.lighting import Light, PartOutput, name_pass, take_albedos, take_layers
+from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers
 from lobewise.interchange.mapping import ChannelMap, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
+from lobewise.interchange.siblings import FIRST_INDEX, find_family
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.frames import read_image as read_own_image
@@ -34,7 +35,7 @@ def is_own(container: Container) -> bool:
     if any(item.name == SCHEMA for part in container.parts for item in part.attributes):
         return True
     beauty = find_beauty(container.parts)
-    if beauty is None or map_channels(container).preset.name != "generic":
+    if beauty is None or map_channels(find_family(container).container).preset.name != "generic":
         return False
     return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
 
@@ -96,7 +97,8 @@ def read_image(path: PathLike) -> FloatArray:
     container = read_container(path)
     if is_own(container):
         return read_own_image(path)
-    return ImageReader(container)(map_channels(container).roles["color"])
+    family = find_family(container)
+    return ImageReader(family)(map_channels(family.container).roles["color"])
 
 
 def import_file(
@@ -128,7 +130,8 @@ def import_file(
         As `read_frame`; or if no pass has a name of ``also``.
     """
     container = read_container(path)
-    read = ImageReader(container)
+    family = find_family(container)
+    read = ImageReader(family)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
@@ -142,7 +145,9 @@ def import_file(
                 action="leave them out",
             )
         with name_file(path):
-            found = _import_foreign(read, map_channels(container, preset=preset, mapping=mapping), camera)
+            found = _import_foreign(
+                container, read, map_channels(family.container, preset=preset, mapping=mapping), camera
+            )
     if also:
         with name_file(path):
             found = add_also(found, also, read)
@@ -169,8 +174,7 @@ def _leave_passes(found: Imported) -> Imported:
     return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
 
 
-def _import_foreign(read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
-    container = read.container
+def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -178,6 +182,8 @@ def _import_foreign(read: ImageReader, channels: ChannelMap, camera: Camera | No
     if channels.others:
         notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
     light = _take_light(images, channels, read)
+    if "albedo" in images:
+        lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
     places = place_surfaces(images, channels.roles, camera, located)
     shape = color.shape[0], color.shape[1]
@@ -211,6 +217,9 @@ def _import_foreign(read: ImageReader, channels: ChannelMap, camera: Camera | No
     notes += [*places.notes, *light.notes, *_note_what_lacks(channels, frame)]
     outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
+    if any(one.found.source.part.index >= FIRST_INDEX for one in outputs.values()):
+        notes.append("Passes in files of their own stay as they are there: only the image is written.")
+        outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
     return Imported(frame, container, channels, tuple(notes), outputs)
 
 

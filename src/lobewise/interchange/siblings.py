@@ -1,0 +1,84 @@
+"""Renderers that write a file for every pass: those that lie beside the image are read as if they were its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from lobewise.errors import LobewiseError
+from lobewise.interchange.preset import Preset, load_presets
+from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part
+from lobewise.io.exr.parsing import read_container
+
+FIRST_INDEX = 1 << 16
+"""Index of the first part that lies in another file."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """A file and those that hold its other passes.
+
+    Parameters
+    ----------
+    container : Container
+        The parts of all of them, each named by its pass.
+    homes : mapping of int to (Container, Part)
+        By index, parts that lie in other files, and where.
+    """
+
+    container: Container
+    homes: Mapping[int, tuple[Container, Part]] = field(default_factory=dict)
+
+
+def find_family(container: Container) -> Family:
+    """Return a file with what lies beside it: ``beach_RGB.exr`` with ``beach_ALBEDO.exr`` and others of its size.
+
+    Only files of one plain image have others beside them, and only where the passes that tell a renderer are there.
+    """
+    if len(container.parts) != 1 or {channel.name for channel in container.parts[0].channels} - set("RGBA"):
+        return Family(container)
+    for preset in load_presets().values():
+        for word in preset.files:
+            found = _find_parts(container, preset, word) if word in container.path.stem else {}
+            if all(name in found for name in preset.passes) and found:
+                main = _name_part(container.parts[0], 0, word)
+                homes = {FIRST_INDEX + number: home for number, home in enumerate(found.values())}
+                parts = [
+                    _name_part(home[1], index, name) for (index, home), name in zip(homes.items(), found, strict=True)
+                ]
+                whole = replace(container, version=container.version | MULTIPART, parts=(main, *parts))
+                return Family(whole, homes)
+    return Family(container)
+
+
+def _find_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
+    """Return the passes of a preset that lie beside a file named by ``word``."""
+    found = {}
+    head, _, tail = container.path.stem.rpartition(word)
+    for name in dict.fromkeys(_list_passes(preset)):
+        path = container.path.with_name(f"{head}{name}{tail}{container.path.suffix}")
+        if name != word and path.is_file():
+            other = _read(path)
+            if other is not None and other.parts[0].data_window == container.parts[0].data_window:
+                found[name] = (other, other.parts[0])
+    return found
+
+
+def _read(path: Path) -> Container | None:
+    try:
+        return read_container(path)
+    except LobewiseError:
+        return None
+
+
+def _list_passes(preset: Preset) -> Iterator[str]:
+    for rules in preset.roles.values():
+        yield from (rule.source for rule in rules if rule.source)
+    for layer in preset.layers:
+        yield from (*layer.light, *([layer.albedo] if layer.albedo else []))
+
+
+def _name_part(part: Part, index: int, name: str) -> Part:
+    attributes = tuple(item for item in part.attributes if item.name != "name")
+    return replace(part, index=index, attributes=(*attributes, Attribute("name", "string", name.encode())))

@@ -1,0 +1,181 @@
+"""Results go back where they came from; every other channel, part and attribute stays, bit for bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from renderers import WRITERS, make_scene, write
+
+import lobewise
+from lobewise.cli.main import run
+from lobewise.errors import InputError
+from lobewise.interchange import import_file, write_result
+from lobewise.io.exr.header import DENOISED
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import decode_part
+
+REAL = (
+    "arnold_multichannel.exr",
+    "beachball_multipart.0001.exr",
+    "beachball_singlepart.0001.exr",
+    "bright_rings_nan_inf.exr",
+    "display_window_t03.exr",
+    "mitsuba_multi_channels.exr",
+    "special_chars.exr",
+    "vray_cornellBox_CryptoWildcard.0001.exr",
+)
+FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
+RENDERED = ("gloss_8_1.exr", "glass_8_1.exr", "luxcore/RGB.exr")
+
+
+def read_all(path: Path) -> list[tuple[dict[str, bytes], dict[str, np.ndarray]]]:
+    """Return attributes and channels of every part."""
+    container = read_container(path)
+    return [
+        ({f"{item.type} {item.name}": item.value for item in part.attributes}, decode_part(container, part))
+        for part in container.parts
+    ]
+
+
+def require_untouched(source: Path, output: Path) -> int:
+    """Compare all that no result went to; return how many channels that is."""
+    touched = {
+        (one.found.source.part.index, channel)
+        for one in import_file(source, light_passes=True).outputs.values()
+        for channel in one.found.channels
+    }
+    before, after = read_all(source), read_all(output)
+    assert len(before) == len(after)
+    count = 0
+    for index, ((old_header, old), (new_header, new)) in enumerate(zip(before, after, strict=True)):
+        assert {key: value for key, value in new_header.items() if not key.endswith(DENOISED)} == old_header
+        assert list(old) == list(new)
+        for name, plane in old.items():
+            assert new[name].dtype == plane.dtype
+            if (index, name) not in touched:
+                count += 1
+                assert plane.tobytes() == new[name].tobytes(), name
+    return count
+
+
+@pytest.mark.real_exr
+@pytest.mark.parametrize("name", REAL)
+def test_real_files_without_any_option(name: str, exr_folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out.exr"
+    assert run(["denoise", str(exr_folder / name), "-o", str(output), "--quality", "fast"]) == 0
+    require_untouched(exr_folder / name, output)
+
+
+@pytest.mark.parametrize("name", RENDERED)
+def test_rendered_files_without_any_option(name: str, tmp_path: Path) -> None:
+    output = tmp_path / "out.exr"
+    assert run(["denoise", str(FOREIGN / name), "-o", str(output), "--quality", "fast"]) == 0
+    count = require_untouched(FOREIGN / name, output)
+    assert count > 40 or name.startswith("luxcore")
+    before, after = import_file(FOREIGN / name).frame, import_file(output).frame
+    assert not np.array_equal(before.radiance.color, after.radiance.color)
+
+
+@pytest.mark.parametrize("part_each", [False, True])
+def test_layers_still_add_up(part_each: bool, tmp_path: Path) -> None:
+    source, output = tmp_path / "a.exr", tmp_path / "b.exr"
+    write(source, WRITERS["cycles"](make_scene()), part_each=part_each)
+    assert run(["denoise", str(source), "-o", str(output)]) == 0
+    (_, *_), pixels = read_all(output)[0], {}
+    for _, channels in read_all(output):
+        pixels |= channels
+    if part_each:
+        found = import_file(output).frame
+        total = found.radiance.diffuse + found.radiance.specular
+        sky = ~make_scene().surface
+        np.testing.assert_allclose(total[~sky], found.radiance.color[~sky], rtol=1e-4, atol=1e-4)
+        return
+
+    def get(name: str) -> np.ndarray:
+        return np.stack([pixels[f"View Layer.001.{name}.{letter}"] for letter in "RGB"], axis=-1)
+
+    parts = get("DiffCol") * (get("DiffDir") + get("DiffInd")) + get("GlossCol") * (get("GlossDir") + get("GlossInd"))
+    np.testing.assert_allclose(parts + get("Env"), get("Combined"), rtol=1e-4, atol=1e-4 * get("Combined").mean())
+
+
+def make_groups(tmp_path: Path) -> tuple[Path, np.ndarray]:
+    """Write a file with two light groups of the whole and two of the diffuse layer."""
+    scene = make_scene()
+    written = WRITERS["arnold"](scene)
+    share = np.linspace(0.1, 0.9, scene.color.shape[1], dtype=np.float32)[None, :, None]
+    for name, image in (("RGBA_key", share * scene.color), ("RGBA_fill", scene.color - share * scene.color)):
+        written.channels.update({f"{name}.{letter}": image[..., k] for k, letter in enumerate("RGB")})
+    for name, image in (("diffuse_key", share * scene.diffuse), ("diffuse_fill", (1 - share) * scene.diffuse)):
+        written.channels.update({f"{name}.{letter}": image[..., k] for k, letter in enumerate("RGB")})
+    path = tmp_path / "groups.exr"
+    write(path, written)
+    return path, scene.color
+
+
+@pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
+def test_light_groups_sum_to_what_they_belong_to(quality: str, tmp_path: Path) -> None:
+    path, _ = make_groups(tmp_path)
+    found = import_file(path, also=["RGBA_*", "diffuse_key", "diffuse_fill"])
+    result = lobewise.denoise(found.frame, quality=quality)
+    assert set(result.also) == {"RGBA_key", "RGBA_fill", "diffuse/diffuse_key", "diffuse/diffuse_fill"}
+    whole = result.also["RGBA_key"] + result.also["RGBA_fill"]
+    np.testing.assert_allclose(whole, result.image, rtol=1e-4, atol=1e-4 * result.image.mean())
+    diffuse = result.also["diffuse/diffuse_key"] + result.also["diffuse/diffuse_fill"]
+    np.testing.assert_allclose(diffuse, result.layers["diffuse"], rtol=1e-4, atol=1e-4 * result.image.mean())
+
+
+def test_beside_alone_and_with_confidence(tmp_path: Path) -> None:
+    source = tmp_path / "a.exr"
+    write(source, WRITERS["arnold"](make_scene()))
+    (_, before), *_ = read_all(source)
+    assert run(["denoise", str(source), "-o", str(tmp_path / "b.exr"), "--suffix", "_clean", "--confidence"]) == 0
+    (_, beside), *_ = read_all(tmp_path / "b.exr")
+    for name, plane in before.items():
+        np.testing.assert_array_equal(beside[name], plane)
+    more = set(beside) - set(before)
+    lights = {f"{name}_clean.{letter}" for name in ("diffuse", "specular") for letter in "RGB"}
+    told = {f"lobewise.{name}" for name in ("weight_sum", "effective_samples", "bad_pixel", "rerender")}
+    assert more == {"clean.R", "clean.G", "clean.B"} | lights | told
+    assert beside["lobewise.effective_samples"].max() > 4.0
+    assert run(["denoise", str(source), "-o", str(tmp_path / "c.exr"), "--only"]) == 0
+    (_, alone), *_ = read_all(tmp_path / "c.exr")
+    assert set(alone) == {"R", "G", "B", *(f"{name}.{letter}" for name in ("diffuse", "specular") for letter in "RGB")}
+    np.testing.assert_array_equal(alone["R"], beside["clean.R"])
+    # A second time the names are taken.
+    assert run(["denoise", str(tmp_path / "b.exr"), "-o", str(tmp_path / "d.exr"), "--suffix", "_clean"]) == 2
+    assert not (tmp_path / "d.exr").exists()
+
+
+@pytest.mark.parametrize("compression", ["DWAA", "DWAB", "B44"])
+def test_lossy_compression_does_not_touch_the_others(compression: str, tmp_path: Path) -> None:
+    source, output = tmp_path / "a.exr", tmp_path / "b.exr"
+    written = WRITERS["karma"](make_scene())
+    header = {**written.attributes, "compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    channels = {key: np.ascontiguousarray(plane, np.float16) for key, plane in written.channels.items()}
+    OpenEXR.File(header, channels).write(str(source))
+    result = lobewise.denoise(lobewise.read_frame(source), quality="fast", radius=2)
+    notes = write_result(output, result, source=source)
+    (_, old), (_, new) = *read_all(source), *read_all(output)
+    for name in ("N.x", "P.y", "albedo.r", "roughness.r"):
+        assert old[name].tobytes() == new[name].tobytes()
+    kept = read_container(output).parts[0].compression == compression.lower()
+    assert kept != any("compressed with loss" in note for note in notes)
+
+
+def test_a_name_of_another_kind_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["denoise", str(FOREIGN / RENDERED[0]), "-o", str(tmp_path / "x.png")]) == 2
+    assert "name it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_sizes_must_match(tmp_path: Path) -> None:
+    result = lobewise.denoise(lobewise.read_frame(FOREIGN / RENDERED[0]), quality="fast", radius=1)
+    other = tmp_path / "a.exr"
+    written = WRITERS["karma"](make_scene())
+    written.channels = {name: plane[:-1] for name, plane in written.channels.items()}
+    write(other, written)
+    with pytest.raises(InputError, match="expected the size of"):
+        write_result(tmp_path / "b.exr", result, source=other)
