@@ -74,6 +74,8 @@ def name_file(path: PathLike) -> Iterator[None]:
     try:
         yield
     except LobewiseError as problem:
+        if repr(str(path)) in str(problem):
+            raise
         raise type(problem)(f"input {str(path)!r}: {problem}") from None
 
 

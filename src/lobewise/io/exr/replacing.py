@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -63,7 +64,7 @@ def write_copy(
     headers = make_headers(container, beauty, settings)
     chunks: dict[int, list[tuple[int, bytes]]] = {}
     told: list[str] = []
-    version = container.version
+    version, parts = container.version, list(container.parts)
     for index in sorted({*changed, *more}):
         part = container.parts[index]
         _check_planes(container, part, changed.get(index, {}), more.get(index, {}))
@@ -71,11 +72,12 @@ def write_copy(
         chunks[index], made, note = _encode(container, part, pixels, set(changed.get(index, {})))
         told += [note] if note else []
         headers[index] = [_take_over(item, made) for item in headers[index]]
+        parts[index] = replace(container.parts[index], chunks=made.chunks)
         version |= LONG_NAMES if any(len(name.encode()) > SHORT_NAME for name in pixels) else 0
-    whole = replace(container, version=version)
+    whole = replace(container, version=version, parts=tuple(parts))
     if only:
         kept = sorted(chunks)
-        whole = replace(whole, parts=tuple(replace(whole.parts[index], index=k) for k, index in enumerate(kept)))
+        whole = replace(whole, parts=tuple(replace(parts[index], index=k) for k, index in enumerate(kept)))
         headers = [headers[index] for index in kept]
         chunks = {k: chunks[index] for k, index in enumerate(kept)}
     with container.path.open("rb") as stream, open_atomic(path) as out:
@@ -140,6 +142,8 @@ def _keeps(data: bytes, pixels: Mapping[str, Pixels], names: list[str]) -> bool:
 
 
 def _take_over(item: Attribute, made: Part) -> Attribute:
-    """Return an attribute as it was, but channels and compression as they were written."""
+    """Return an attribute as it was, but channels, compression and the count of chunks as they were written."""
+    if item.name == "chunkCount":
+        return replace(item, value=struct.pack("<i", len(made.chunks)))
     written = made.get(item.name) if item.name in ("channels", "compression") else None
     return item if written is None else written
