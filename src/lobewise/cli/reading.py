@@ -216,7 +216,8 @@ def _is_own(source: Path) -> bool:
     try:
         return is_own(read_container(source))
     except LobewiseError:
-        return False
+        # Whoever reads it says what is wrong.
+        return True
 
 
 def _is_large(source: Path, settings: dict[str, Any]) -> bool:

@@ -98,7 +98,8 @@ def denoise(
     layers: dict[str, FloatArray] = {}
     if frame.layers:
         layers = {layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
-    also = filter_also(frame, chosen, features, layers, image)
+    more = frame.also or any(layer.parts for layer in frame.layers)
+    also = filter_also(frame, chosen, features, layers, image) if more else {}
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     return Result(
         image=image,
