@@ -28,7 +28,7 @@ REAL = (
     "vray_cornellBox_CryptoWildcard.0001.exr",
 )
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
-RENDERED = ("gloss_8_1.exr", "glass_8_1.exr", "luxcore/RGB.exr")
+RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
 
 
 def read_all(path: Path) -> list[tuple[dict[str, bytes], dict[str, np.ndarray]]]:

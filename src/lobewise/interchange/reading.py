@@ -267,8 +267,10 @@ def _take_alpha(
 def _take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> FloatArray | None:
     """Return what Cryptomatte tells of silhouettes, (height, width, 9); of several the first, which is the finest."""
     for passes in channels.cryptomatte:
-        stored = {channel.name: channel.pixel_type for channel in passes[0].source.part.channels}
-        if any(stored[name] != "float" for one in passes for name in one.channels):
+        kinds = {
+            channel.pixel_type for one in passes for channel in one.source.part.channels if channel.name in one.channels
+        }
+        if kinds != {"float"}:
             notes.append(f"{passes[0].label} has ids of 16 bits, which are none, so it is not used.")
             continue
         ranks = np.concatenate([read(one) for one in passes], axis=-1)
