@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages.bench import load_machines, make_bench_page, write_pictures
+from benchmarks.pages.foreign import make_foreign_page
 from benchmarks.pages.gallery import make_gallery_page
 from benchmarks.pages.interactive import make_interactive_page
 from benchmarks.pages.performance import make_performance_page
@@ -55,6 +56,8 @@ def main() -> None:
     trials, training = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
     (ROOT / "docs" / "quality.md").write_text(make_trials_page(trials, training))
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
+    foreign = json.loads((RESULTS / "foreign.json").read_text())
+    (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign))
     streamed = json.loads((RESULTS / "streaming.json").read_text())
     (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))
     performance = (json.loads((RESULTS / f"{name}.json").read_text()) for name in PERFORMANCE)

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, describe_machine, write_json
-from benchmarks.foreign.files import HALVES, REFERENCE, RENDERERS, Renderer, find_frames
+from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, find_frames
 from benchmarks.foreign.judging import Judge, make_judge
-from benchmarks.foreign.methods import BASE, METHODS, PEER, TUNED, Shot, run_tuned, tune
+from benchmarks.foreign.methods import BASE, HALVES, METHODS, PEER, TUNED, Shot, run_halves, run_tuned, tune
 from benchmarks.quality.measure import round_figure
 from lobewise import read_frame
 
@@ -31,21 +31,27 @@ KINDS = ("rel_mse", "without the worst")
 
 
 def measure_shots(shots: Mapping[int, Shot], judge: Judge) -> dict[str, Any]:
-    """Return the errors of all methods on one scene and sample count, a value for each seed."""
+    """Return the errors of all methods on one scene and sample count, a value for each seed of two."""
     best = tune(shots[min(shots)], judge)
     row: dict[str, Any] = {"normal-aware settings": {"normal_exponent": best[0], "screen_sigma": best[1]}}
     for name, method in {**METHODS, TUNED: lambda shot: run_tuned(shot, *best)}.items():
-        errors = [judge.measure(method(shot)) for shot in shots.values()]
-        row[name] = {
-            kind: [round_figure(value) for value in values]
-            for kind, values in zip(KINDS, zip(*errors, strict=True), strict=True)
-        }
+        row[name] = _list(judge.measure(method(shot)) for shot in shots.values())
+    for name, quality in HALVES.items():
+        row[name] = _list([judge.measure(run_halves(*list(shots.values())[:2], quality))])
     return row
+
+
+def _list(errors: Iterable[tuple[float, ...]]) -> dict[str, list[float]]:
+    """Return figures by their kind, rounded."""
+    return {
+        kind: [round_figure(value) for value in values]
+        for kind, values in zip(KINDS, zip(*errors, strict=True), strict=True)
+    }
 
 
 def measure_scene(renderer: Renderer, folder: Path, scene: str, frames: Mapping[int, Mapping[int, Path]]) -> Any:
     """Return the errors on a scene by samples per pixel."""
-    references = [read_frame(renderer.find(folder, f"{scene}_{REFERENCE}_{half}")) for half in HALVES]
+    references = [read_frame(renderer.find(folder, f"{scene}_{REFERENCE}_{half}")) for half in REFERENCES]
     judge = make_judge(*(each.radiance.color for each in references))
     row: dict[str, Any] = {
         "size": [references[0].width, references[0].height],
@@ -57,7 +63,7 @@ def measure_scene(renderer: Renderer, folder: Path, scene: str, frames: Mapping[
     for spp, paths in sorted(frames.items()):
         shots = {seed: Shot(renderer, path) for seed, path in sorted(paths.items())}
         row["samples"][str(spp)] = found = measure_shots(shots, judge)
-        cells = "  ".join(f"{name} {_average(found[name][KINDS[0]]):.5f}" for name in (*METHODS, TUNED))
+        cells = "  ".join(f"{name} {_average(found[name][KINDS[0]]):.5f}" for name in (*METHODS, TUNED, *HALVES))
         print(f"{renderer.name} {scene} {spp} spp  {cells}", flush=True)
     return row
 
@@ -98,12 +104,12 @@ def main() -> None:
         folder = asked.folder / renderer.name
         if (asked.renderer and renderer.name not in asked.renderer) or not folder.is_dir():
             continue
-        scenes = before.setdefault(renderer.name, {"scenes": {}})["scenes"]
         for scene, frames in find_frames(renderer, folder).items():
             if asked.scene and scene not in asked.scene:
                 continue
+            scenes = before.get(renderer.name, {"scenes": {}})["scenes"]
             scenes[scene] = measure_scene(renderer, folder, scene, frames)
-            before[renderer.name]["summary"] = summarise(scenes)
+            before[renderer.name] = {"scenes": scenes, "summary": summarise(scenes)}
             value = {
                 "what": "relative mean squared error, epsilon 0.01, freed of the reference's noise "
                 "(benchmarks/foreign/judging.py), of all pixels and without the worst 0.1 %; a value for each seed",

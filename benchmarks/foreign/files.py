@@ -13,7 +13,7 @@ import OpenEXR
 from lobewise.frame import FloatArray
 
 REFERENCE = "reference"
-HALVES = (1, 2)
+REFERENCES = (1, 2)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def find_frames(renderer: Renderer, folder: Path) -> dict[str, dict[int, dict[in
         spp, _, seed = rest.partition("_")
         if not (scene and spp.isdecimal() and seed.isdecimal()):
             continue
-        if all(renderer.find(folder, f"{scene}_{REFERENCE}_{half}").exists() for half in HALVES):
+        if all(renderer.find(folder, f"{scene}_{REFERENCE}_{half}").exists() for half in REFERENCES):
             path = renderer.find(folder, entry.name.removesuffix(".exr"))
             found.setdefault(scene, {}).setdefault(int(spp), {})[int(seed)] = path
     return found

@@ -53,8 +53,15 @@ METHODS: dict[str, Callable[[Shot], FloatArray]] = {
 """Every method without parameters. "oidn" is Open Image Denoise as Blender calls it: with its own passes for denoising,
 albedo and normal, each filtered first ("accurate" prefiltering), then told that they are clean."""
 
+HALVES = {"balanced, both renders": "balanced", "high, both renders": "high"}
+"""Methods that take two seeds as halves of twice the samples, by name, and their quality."""
 TUNED = "normal-aware"
 BASE, PEER = "balanced, color, albedo and normal alone", "oidn"
+
+
+def run_halves(first: Shot, second: Shot, quality: str) -> FloatArray:
+    """Return what is made of two renders with different seeds."""
+    return lobewise.denoise(lobewise.read_frame(first.path, half=second.path), quality=quality).image
 
 
 def run_tuned(shot: Shot, exponent: float, sigma: float) -> FloatArray:
