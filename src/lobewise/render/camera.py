@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
+from lobewise.images import FloatArray
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4
@@ -24,14 +26,14 @@ def _get_sensor(scene: Any) -> Any:
 
 
 def get_image_size(scene: Any) -> tuple[int, int]:
-    """Return ``(width, height)`` of the film of the scene's first sensor.
+    """Return ``(width, height)`` of the film of the scene's first sensor, of its crop window where it has one.
 
     Raises
     ------
     InputError
         If the scene has no sensor.
     """
-    width, height = _get_sensor(scene).film().size()
+    width, height = _get_sensor(scene).film().crop_size()
     return int(width), int(height)
 
 
@@ -44,7 +46,9 @@ def _get_perspective_sensor(scene: Any) -> Any:
 
 
 def get_camera(scene: Any) -> Camera:
-    """Return the pinhole camera of a scene's first sensor; a shifted principal point is its ``shift``.
+    """Return the pinhole camera of a scene's first sensor.
+
+    A shifted principal point, and a crop window off the film's centre, are its ``shift``.
 
     Raises
     ------
@@ -55,20 +59,24 @@ def get_camera(scene: Any) -> Camera:
     sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)
     parameters = mi.traverse(sensor)
-    fov_x = float(np.deg2rad(np.array(parameters["x_fov"]).item()))
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    fov_y = 2.0 * np.arctan(np.tan(0.5 * fov_x) * height / width)
+    # The angle is the whole film's, of which a crop window shows a part.
+    half_width = np.tan(0.5 * np.deg2rad(np.array(parameters["x_fov"]).item())) * width / sensor.film().size()[0]
+    fov_y = 2.0 * np.arctan(half_width * height / width)
     camera = Camera(position=matrix[:3, 3], forward=matrix[:3, 2], up=matrix[:3, 1], fov_y=float(fov_y))
 
+    def find_directions(film: FloatArray) -> NDArray[np.float64]:
+        rays, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(film.astype(np.float32)), mi.Point2f(0.5))
+        return np.array(rays.d, dtype=np.float64).T
+
+    edges = find_directions(np.array([[0.0, 1.0], [0.0, 1.0]]))
+    # On the plane at distance 1, where the mean of opposite corners is the centre of the image.
+    plane = edges / (edges @ camera.forward)[:, None] @ np.stack([camera.right, camera.up], axis=-1)
+    shift = plane.mean(axis=0)
+    if np.abs(shift).max() > RAY_TOLERANCE:
+        camera = replace(camera, shift=(float(shift[0]), float(shift[1])))
     corners = np.array([[0, 0, width - 1, width - 1], [0, height - 1, 0, height - 1]])
-    film = (corners + 0.5) / [[width], [height]]
-    rays, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(film.astype(np.float32)), mi.Point2f(0.5))
-    directions = np.array(rays.d, dtype=np.float64).T
-    # On the plane at distance 1; the mean of the corners is the centre of the image.
-    plane = directions / (directions @ camera.forward)[:, None]
-    shift = (float((plane @ camera.right).mean()), float((plane @ camera.up).mean()))
-    if max(map(abs, shift)) > RAY_TOLERANCE:
-        camera = replace(camera, shift=shift)
+    directions = find_directions((corners + 0.5) / [[width], [height]])
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
     error = float(np.abs(directions - expected).max())
     if not error < RAY_TOLERANCE:
@@ -104,5 +112,6 @@ def set_camera(scene: Any, camera: Camera) -> None:
     matrix[:3] = np.stack([-camera.right, camera.up, camera.forward, camera.position], axis=-1)
     parameters = mi.traverse(sensor)
     parameters["to_world"] = mi.Transform4f(matrix.astype(np.float32))
-    parameters["x_fov"] = float(np.rad2deg(2.0 * np.arctan(half_width)))
+    whole = half_width * sensor.film().size()[0] / width
+    parameters["x_fov"] = float(np.rad2deg(2.0 * np.arctan(whole)))
     parameters.update()
