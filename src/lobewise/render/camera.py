@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.images import FloatArray
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4
@@ -65,7 +64,7 @@ def get_camera(scene: Any) -> Camera:
     fov_y = 2.0 * np.arctan(half_width * height / width)
     camera = Camera(position=matrix[:3, 3], forward=matrix[:3, 2], up=matrix[:3, 1], fov_y=float(fov_y))
 
-    def find_directions(film: FloatArray) -> NDArray[np.float64]:
+    def find_directions(film: NDArray[np.float64]) -> NDArray[np.float64]:
         rays, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(film.astype(np.float32)), mi.Point2f(0.5))
         return np.array(rays.d, dtype=np.float64).T
 
