@@ -6,9 +6,13 @@ id is the bit pattern of a 32-bit float; every two ranks, id and share, fill one
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 
@@ -18,7 +22,7 @@ NEAREST_FIRST = ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (
 """Rows and columns to the neighbours, those that share a side first."""
 
 
-def find_coverage(ids: NDArray[np.uint32], shares: FloatArray) -> FloatArray:
+def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
     """Return which shares of every pixel's area the surfaces at the centres around it stand for.
 
     A neighbour stands for the object that has the largest share of it. What other objects cover of a pixel goes to the
@@ -27,9 +31,9 @@ def find_coverage(ids: NDArray[np.uint32], shares: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    ids : array of uint32, shape (height, width, ranks)
-        Objects, 0 for none.
-    shares : array, shape (height, width, ranks)
+    ids : sequence of array of uint32, shape (height, width)
+        Objects, 0 for none, a plane for every rank.
+    shares : sequence of array, shape (height, width)
         Of the pixel's area, in [0, 1].
 
     Returns
@@ -42,22 +46,21 @@ def find_coverage(ids: NDArray[np.uint32], shares: FloatArray) -> FloatArray:
     InputError
         If the arrays do not have that shape.
     """
-    if ids.ndim != 3 or ids.shape != shares.shape or ids.dtype != np.uint32:
+    planes = [*ids, *shares]
+    if not planes or len(ids) != len(shares) or {each.shape for each in planes} != {planes[0].shape[:2]}:
         raise InputError(
             "Cryptomatte",
-            expected="ids of type uint32 and shares of one shape (height, width, ranks)",
-            got=f"{ids.dtype} of shape {ids.shape} and shares of shape {shares.shape}",
+            expected="ids and shares in planes of one shape (height, width), as many of each",
+            got=f"{len(ids)} ids and {len(shares)} shares of the shapes {sorted({each.shape for each in planes})}",
             action="read id and share of every rank",
         )
-    height, width, _ = ids.shape
-    shares = np.clip(np.nan_to_num(shares), 0.0, 1.0)
-    owner = _find_owners(ids, shares)
-    coverage = np.zeros((height, width, 9), np.float32)
+    owner, edges = _find_owners(ids, shares)
+    coverage = np.zeros((*owner.shape, 9), np.float32)
     coverage[..., 4] = 1.0
-    rows, columns = np.nonzero(shares.max(axis=-1) < WHOLE)
+    rows, columns = np.nonzero(edges)
     if not len(rows):
         return coverage
-    here, parts = _list_objects(ids[rows, columns], shares[rows, columns])
+    here, parts = _list_objects(_gather(ids, rows, columns), _gather(shares, rows, columns))
     around = np.pad(owner.astype(np.int64), 1, constant_values=-1)
     neighbours = np.stack([around[rows + 1 + dy, columns + 1 + dx] for dy, dx in NEAREST_FIRST], axis=-1)
     found = np.zeros((len(rows), 9), np.float32)
@@ -67,20 +70,37 @@ def find_coverage(ids: NDArray[np.uint32], shares: FloatArray) -> FloatArray:
     return coverage
 
 
+def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
+    return np.stack([plane[rows, columns] for plane in planes], axis=-1)
+
+
 def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[np.uint32], FloatArray]:
     """Return the objects of some pixels with the background as the last, and their shares, sum 1."""
+    shares = np.clip(np.nan_to_num(shares), 0.0, 1.0)
     total = shares.sum(axis=-1, keepdims=True)
     rest = np.maximum(1.0 - total, 0.0)
     parts = np.concatenate([shares, rest], axis=-1)
     return np.concatenate([ids, np.zeros_like(ids[:, :1])], axis=-1), parts / np.maximum(total + rest, np.float32(1e-6))
 
 
-def _find_owners(ids: NDArray[np.uint32], shares: FloatArray) -> NDArray[np.uint32]:
-    """Return the object with the largest share of every pixel, the background among them."""
-    best = shares.argmax(axis=-1)[..., None]
-    own = np.take_along_axis(ids, best, axis=-1)[..., 0]
-    largest = np.take_along_axis(shares, best, axis=-1)[..., 0]
-    return np.where(1.0 - shares.sum(axis=-1) > largest, np.uint32(0), own)
+def _find_owners(
+    ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
+) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
+    """Return the object with the largest share of every pixel, the background among them, and where it shows others."""
+    owner, edges = np.empty(ids[0].shape, np.uint32), np.empty(ids[0].shape, np.bool_)
+
+    def find(chunk: Chunk) -> None:
+        largest = total = np.zeros(owner[chunk].shape, np.float32)
+        own = np.zeros(owner[chunk].shape, np.uint32)
+        for objects, plane in zip(ids, shares, strict=True):
+            share = np.clip(np.nan_to_num(plane[chunk]), 0.0, 1.0)
+            own = np.where(share > largest, objects[chunk], own)
+            largest, total = np.maximum(largest, share), total + share
+        owner[chunk] = np.where(1.0 - total > largest, np.uint32(0), own)
+        edges[chunk] = largest < WHOLE
+
+    run_chunks(find, *owner.shape[:2])
+    return owner, edges
 
 
 def _spread(

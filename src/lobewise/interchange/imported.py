@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
@@ -57,13 +59,16 @@ class ImageReader:
 
     def __call__(self, found: Found) -> FloatArray:
         """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
-        part = found.source.part
-        key = part.index, found.channels
+        key = found.source.part.index, found.channels
         if key not in self._images:
-            if part.index not in self._pixels:
-                home = self._family.homes.get(part.index, (self._family.container, part))
-                self._pixels[part.index] = decode_part(*home)
-            pixels = self._pixels[part.index]
-            image = join_planes([pixels[name] for name in found.channels])
-            self._images[key] = image[..., 0] if image.shape[2] == 1 else image
+            planes = self.read_planes(found)
+            self._images[key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[key]
+
+    def read_planes(self, found: Found) -> list[Pixels]:
+        """Return the channels of an image one by one, (height, width) each, in their types."""
+        part = found.source.part
+        if part.index not in self._pixels:
+            home = self._family.homes.get(part.index, (self._family.container, part))
+            self._pixels[part.index] = decode_part(*home)
+        return [self._pixels[part.index][name] for name in found.channels]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from lobewise.chunks import Chunk, run_chunks
 from lobewise.frame import FloatArray, RadianceLayer
 from lobewise.interchange.mapping import Found, FoundLayer
 
@@ -53,13 +54,9 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
     known = np.zeros_like(color)
     for each in found:
         albedo = read(each.albedo) if each.albedo else None
-        passes = [read(one) for one in each.light]
         factor = albedo if each.rule.times_albedo else None
-        parts = passes if factor is None else [one * factor for one in passes]
-        total: FloatArray = parts[0] if len(parts) == 1 else np.asarray(np.sum(parts, axis=0, dtype=np.float32))
-        with np.errstate(invalid="ignore"):
-            known += np.where(np.isfinite(total), total, np.float32(0.0))
-        if each.rule.lobe == "exact" or not (total != 0.0).any():
+        parts, total = _add_passes([read(one) for one in each.light], factor, known)
+        if each.rule.lobe == "exact" or not total.any():
             continue
         names = [name_pass(one.source.path) for one in each.light]
         named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
@@ -77,6 +74,26 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
 def name_pass(path: str) -> str:
     """Return the last word of a pass's path."""
     return path.rpartition(".")[2]
+
+
+def _add_passes(
+    passes: Sequence[FloatArray], factor: FloatArray | None, known: FloatArray
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return passes times their factor, and their sum; what of it is finite is added to ``known``."""
+    parts = list(passes) if factor is None else [np.empty_like(known) for _ in passes]
+    total = parts[0] if len(parts) == 1 else np.empty_like(known)
+
+    def add(chunk: Chunk) -> None:
+        if factor is not None:
+            for part, one in zip(parts, passes, strict=True):
+                np.multiply(one[chunk], factor[chunk], out=part[chunk])
+        if len(parts) > 1:
+            total[chunk] = sum(part[chunk] for part in parts)
+        known[chunk] += np.where(np.isfinite(total[chunk]), total[chunk], np.float32(0.0))
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        run_chunks(add, *known.shape[:2])
+    return parts, total
 
 
 def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, known: FloatArray) -> Light:
@@ -162,4 +179,10 @@ def take_albedos(
 def _clip(albedo: FloatArray | None) -> FloatArray | None:
     if albedo is None:
         return None
-    return np.clip(np.nan_to_num(albedo, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0).astype(np.float32)
+    clipped = np.empty(albedo.shape, np.float32)
+
+    def clip(chunk: Chunk) -> None:
+        clipped[chunk] = np.clip(np.nan_to_num(albedo[chunk], nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+
+    run_chunks(clip, *albedo.shape[:2])
+    return clipped

@@ -273,9 +273,9 @@ def _take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) ->
         if kinds != {"float"}:
             notes.append(f"{passes[0].label} has ids of 16 bits, which are none, so it is not used.")
             continue
-        ranks = np.concatenate([read(one) for one in passes], axis=-1)
-        ids, shares = np.ascontiguousarray(ranks[..., 0::2]).view(np.uint32), ranks[..., 1::2]
-        if shares.any():
+        planes = [plane for one in passes for plane in read.read_planes(one)]
+        ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
+        if any(plane.any() for plane in shares):
             notes.append(f"Silhouettes are resolved by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
             return find_coverage(ids, shares)
     return None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
+from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr.container import Container, Part, show_name
@@ -171,6 +172,10 @@ def convert_plane(plane: NDArray[Any], dtype: np.dtype[Any]) -> Pixels:
 def join_planes(planes: Sequence[Pixels]) -> FloatArray:
     """Return the image of these channels, each converted where it is put: a fifth of the time of two steps."""
     image = np.empty((*planes[0].shape, len(planes)), dtype=np.float32)
-    for index, plane in enumerate(planes):
-        image[..., index] = plane
+
+    def join(chunk: Chunk) -> None:
+        for index, plane in enumerate(planes):
+            image[(*chunk, index)] = plane[chunk]
+
+    run_chunks(join, *planes[0].shape)
     return image
