@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from lobewise.backend.buffers import Image, device_scope, download
+from lobewise.chunks import Chunk, run_chunks
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.denoising.guided import NoisyLayer, finish_layer, make_noisy_layers, make_pass_guide, run_pass
 from lobewise.denoising.layers import Layer, make_layers
@@ -21,7 +22,7 @@ from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.guides.halves import mark_bad, split_checkerboard
+from lobewise.guides.halves import mark_bad
 from lobewise.settings import ResolvedSettings
 
 
@@ -45,38 +46,41 @@ def filter_also(
         The filtered total.
     """
     found: dict[str, FloatArray] = {}
-    wanted = {layer.name: dict(layer.parts) for layer in frame.layers if layer.parts}
-    for name, parts in wanted.items():
-        filtered = _filter_parts(frame, settings, features, name, parts, clean[name])
-        found |= {f"{name}/{part}": each for part, each in filtered.items()}
+    wanted = {layer.name: layer.parts for layer in frame.layers if layer.parts}
+    if wanted:
+        filters = make_filters(frame, settings, features)
+        for name, parts in wanted.items():
+            filtered = _filter_parts(*filters[name], parts, clean[name])
+            found |= {f"{name}/{part}": each for part, each in filtered.items()}
     if frame.also:
         whole = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color))
-        found |= _filter_parts(whole, settings, features, "color", frame.also, image)
+        found |= _filter_parts(*make_filters(whole, settings, features)["color"], frame.also, image)
     return found
 
 
-def _filter_parts(
-    frame: Frame,
-    settings: ResolvedSettings,
-    features: Sequence[Feature],
-    name: str,
-    parts: Mapping[str, FloatArray],
-    clean: FloatArray,
-) -> dict[str, FloatArray]:
-    """Return images that belong to a layer of a frame, filtered by its weights and brought to its result."""
-    run: Callable[[FloatArray], FloatArray]
+Filter = Callable[[Sequence[FloatArray]], list[FloatArray]]
+"""Runs some images through the weights of a layer."""
+
+
+def make_filters(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]
+) -> dict[str, tuple[FloatArray, Filter]]:
+    """Return for every layer of a frame its radiance and what filters images by its weights."""
     if settings.quality == "fast":
-        layer = next(each for each in make_layers(frame, settings, features, finest=True) if each.name == name)
-        run = partial(_run_plain, layer, settings)
-    else:
-        noisy = next(each for each in make_noisy_layers(frame, settings, features) if each.name == name)
-        layer = noisy.layer
-        run = partial(
-            _run_guided, frame, noisy, settings, _find_guides(frame, noisy, settings), _find_bounded_share(noisy)
-        )
-    filtered = [blacken_bad(run(image)) for image in parts.values()]
-    whole = _is_sum(layer.radiance, list(parts.values()))
-    base = np.asarray(np.sum(filtered, axis=0, dtype=np.float32)) if whole else run(layer.radiance)
+        plain = make_layers(frame, settings, features, finest=True)
+        return {each.name: (each.radiance, partial(_run_plain, each, settings)) for each in plain}
+    noisy = make_noisy_layers(frame, settings, features)
+    return {each.name: (each.layer.radiance, partial(_run_guided, frame, each, settings)) for each in noisy}
+
+
+def _filter_parts(
+    radiance: FloatArray, run: Filter, parts: Mapping[str, FloatArray], clean: FloatArray
+) -> dict[str, FloatArray]:
+    """Return images that belong to a layer, filtered by its weights and brought to its result."""
+    images = list(parts.values())
+    whole = _is_sum(radiance, images)
+    filtered = [blacken_bad(each) for each in run(images if whole else [*images, radiance])]
+    base = np.asarray(np.sum(filtered, axis=0, dtype=np.float32)) if whole else filtered.pop()
     ratio = np.divide(clean, base, out=np.ones_like(base), where=base > 0.0)
     return {part: np.asarray(each * ratio) for part, each in zip(parts, filtered, strict=True)}
 
@@ -88,18 +92,44 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
         return not bool((apart > np.float32(2e-3) * np.abs(image)).any())
 
 
-def _run_plain(layer: Layer, settings: ResolvedSettings, image: FloatArray) -> FloatArray:
-    output = run_filter(
-        image,
-        layer.mask,
-        layer.features,
-        form=settings.form,
-        radius=settings.radius,
-        albedo=layer.albedo,
-        device=settings.device,
-    )
-    lost = (output.weight_sum <= 0.0)[..., None]
-    return np.where(lost, blacken_bad(image), output.image)
+def _run_plain(layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]) -> list[FloatArray]:
+    found = []
+    for image in images:
+        output = run_filter(
+            image,
+            layer.mask,
+            layer.features,
+            form=settings.form,
+            radius=settings.radius,
+            albedo=layer.albedo,
+            device=settings.device,
+        )
+        lost = (output.weight_sum <= 0.0)[..., None]
+        found.append(np.where(lost, blacken_bad(image), output.image))
+    return found
+
+
+def _run_guided(
+    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, images: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Return images after the passes of a layer with its guides; two at a time take the places of its halves."""
+    guides = _find_guides(frame, noisy, settings)
+    bounded = _find_bounded_share(noisy)
+    # A dense pass averages samples: of what stands before the last of them only the guides count.
+    first = max(number for number, each in enumerate(noisy.plan.passes) if each.step == 1 or number == 0)
+    found: list[FloatArray] = []
+    for start in range(0, len(images), 2):
+        pair = [np.asarray(image * bounded) for image in images[start : start + 2]]
+        halves = [mark_bad(image) for image in pair]
+        own = replace(noisy, bounded=noisy.bounded._replace(a=halves[0], b=halves[-1]))
+        output: DualBufferOutput | None = None
+        for number in range(first, len(guides)):
+            output = run_pass(frame, own, number, output, settings, guides[number], joined=False)
+        assert output is not None, "a plan has passes"
+        for image, light in zip(pair, (output.a, output.b), strict=False):
+            mine = replace(own, layer=replace(noisy.layer, radiance=image))
+            found.append(finish_layer(frame, mine, (light,), output).image)
+    return found
 
 
 def _find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image | None]:
@@ -114,33 +144,18 @@ def _find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) ->
 
 def _find_bounded_share(noisy: NoisyLayer) -> FloatArray:
     """Return what the bounding of fireflies left of every pixel, (height, width, 3), in [0, 1]."""
-    halves = np.stack([download(half) for half in noisy.halves])
-    there = np.isfinite(halves)
-    bounded = np.sum(halves, axis=0, where=there) / np.maximum(there.sum(axis=0), 1)
-    radiance = noisy.layer.radiance
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        share = np.where(radiance > 0.0, bounded / radiance, np.float32(1.0))
-    return np.asarray(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0), dtype=np.float32)
+    a, b = map(download, noisy.halves)
+    radiance, share = noisy.layer.radiance, np.empty_like(noisy.layer.radiance)
 
+    def find(chunk: Chunk) -> None:
+        halves = a[chunk], b[chunk]
+        there = [np.isfinite(half) for half in halves]
+        total = sum(np.where(known, half, np.float32(0.0)) for known, half in zip(there, halves, strict=True))
+        mean = total / np.maximum(there[0].astype(np.float32) + there[1], np.float32(1.0))
+        # Settings of NumPy are a thread's own.
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            left = np.where(radiance[chunk] > 0.0, mean / radiance[chunk], np.float32(1.0))
+        share[chunk] = np.clip(np.nan_to_num(left, nan=0.0), 0.0, 1.0)
 
-def _run_guided(
-    frame: Frame,
-    noisy: NoisyLayer,
-    settings: ResolvedSettings,
-    guides: Sequence[Image | None],
-    bounded: FloatArray,
-    image: FloatArray,
-) -> FloatArray:
-    """Return an image, of which fireflies' bounds leave a share, after the passes of a layer with its guides."""
-    image = image * bounded
-    halves = (mark_bad(image),) * 2 if noisy.is_whole else split_checkerboard(image)
-    own = replace(
-        noisy,
-        layer=replace(noisy.layer, radiance=image),
-        bounded=noisy.bounded._replace(a=halves[0], b=halves[1]),
-    )
-    found: DualBufferOutput | None = None
-    for number, guide in enumerate(guides):
-        found = run_pass(frame, own, number, found, settings, guide)
-    assert found is not None, "a plan has passes"
-    return finish_layer(frame, own, (found.a,), found).image
+    run_chunks(find, *noisy.layer.mask.shape)
+    return share

@@ -261,17 +261,24 @@ def run_pass(
     before: DualBufferOutput | None,
     settings: ResolvedSettings,
     guide: Image | None = None,
+    *,
+    joined: bool = True,
 ) -> DualBufferOutput:
-    """Run one pass of a layer's plan, ``before`` being what the one before it gave; ``guide`` by default made of it."""
+    """Run one pass of a layer's plan.
+
+    ``before`` is what the one before it gave, which a sparse pass averages; ``guide`` is by default made of it. Unless
+    ``joined``, the last pass gives both halves as well: all others do.
+    """
     layer, chosen = noisy.layer, noisy.plan.passes[number]
-    radius, step = chosen.get_kernel(settings.radius, follows=before is not None)
-    seen = noisy.seen if before is not None else ()
+    follows = number > 0
+    radius, step = chosen.get_kernel(settings.radius, follows=follows)
+    seen = noisy.seen if follows else ()
     sparse = before is not None and chosen.step > 1
     (found,) = filter_dual_buffer(
         (before.a, before.b) if before is not None and sparse else noisy.halves,
         layer.mask,
         make_pass_features(frame, settings, chosen.sigma),
-        noisy.pilot_features if before is None else layer.features,
+        layer.features if follows else noisy.pilot_features,
         [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
         radius=radius,
         seen=seen,
@@ -280,7 +287,7 @@ def run_pass(
         guide=make_pass_guide(noisy, before, settings.device) if guide is None else guide,
         noise=chosen.noise,
         # Nothing follows that asks for the noise that is left.
-        joined=number == len(noisy.plan.passes) - 1,
+        joined=joined and number == len(noisy.plan.passes) - 1,
         device=settings.device,
     )
     return found

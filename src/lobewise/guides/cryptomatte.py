@@ -47,7 +47,7 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
         If the arrays do not have that shape.
     """
     planes = [*ids, *shares]
-    if not planes or len(ids) != len(shares) or {each.shape for each in planes} != {planes[0].shape[:2]}:
+    if not planes or len(ids) != len(shares) or any(each.shape != planes[0].shape[:2] for each in planes):
         raise InputError(
             "Cryptomatte",
             expected="ids and shares in planes of one shape (height, width), as many of each",
@@ -87,7 +87,8 @@ def _find_owners(
     ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
 ) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
     """Return the object with the largest share of every pixel, the background among them, and where it shows others."""
-    owner, edges = np.empty(ids[0].shape, np.uint32), np.empty(ids[0].shape, np.bool_)
+    height, width = ids[0].shape
+    owner, edges = np.empty((height, width), np.uint32), np.empty((height, width), np.bool_)
 
     def find(chunk: Chunk) -> None:
         largest = total = np.zeros(owner[chunk].shape, np.float32)
@@ -99,7 +100,7 @@ def _find_owners(
         owner[chunk] = np.where(1.0 - total > largest, np.uint32(0), own)
         edges[chunk] = largest < WHOLE
 
-    run_chunks(find, *owner.shape[:2])
+    run_chunks(find, height, width)
     return owner, edges
 
 

@@ -84,15 +84,16 @@ def _add_passes(
     total = parts[0] if len(parts) == 1 else np.empty_like(known)
 
     def add(chunk: Chunk) -> None:
-        if factor is not None:
-            for part, one in zip(parts, passes, strict=True):
-                np.multiply(one[chunk], factor[chunk], out=part[chunk])
-        if len(parts) > 1:
-            total[chunk] = sum(part[chunk] for part in parts)
+        # Settings of NumPy are a thread's own.
+        with np.errstate(invalid="ignore", over="ignore"):
+            if factor is not None:
+                for part, one in zip(parts, passes, strict=True):
+                    np.multiply(one[chunk], factor[chunk], out=part[chunk])
+            if len(parts) > 1:
+                total[chunk] = sum(part[chunk] for part in parts)
         known[chunk] += np.where(np.isfinite(total[chunk]), total[chunk], np.float32(0.0))
 
-    with np.errstate(invalid="ignore", over="ignore"):
-        run_chunks(add, *known.shape[:2])
+    run_chunks(add, known.shape[0], known.shape[1])
     return parts, total
 
 
