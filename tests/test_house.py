@@ -37,6 +37,7 @@ ROOMS = [
     "temporal",
     "streaming",
     "sequence",
+    "mitsuba",
     "interactive",
     "reporting",
     "exporting",

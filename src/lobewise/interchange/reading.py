@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,11 +16,11 @@ from lobewise.interchange.cameras import read_camera_attributes, read_sample_cou
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers
-from lobewise.interchange.mapping import ChannelMap, map_channels
+from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
 from lobewise.interchange.siblings import FIRST_INDEX, find_family
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
-from lobewise.io.exr.container import Container
+from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.frames import read_whole
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
@@ -28,6 +29,9 @@ from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import RadianceLayer, sum_layers
+
+Read = Callable[[Found], FloatArray]
+"""Gives the pixels of an image."""
 
 
 def is_own(container: Container) -> bool:
@@ -161,6 +165,40 @@ def import_file(
         return join_halves(found, other)
 
 
+def import_planes(
+    planes: Mapping[str, FloatArray],
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    camera: Camera | None = None,
+) -> Imported:
+    """Return the frame of channels in memory and what was made of them, as `import_file` does of a file's.
+
+    Parameters
+    ----------
+    planes : mapping of str to array, shape (height, width)
+        The channels by the names that a file would have for them.
+    preset, mapping, camera
+        As in `read_frame`.
+
+    Raises
+    ------
+    MissingChannelError, InputError
+        As `read_frame`.
+    """
+    height, width = next(iter(planes.values())).shape
+    channels = tuple(Channel(name, "float", linear=False, x_sampling=1, y_sampling=1) for name in planes)
+    window = Window(0, 0, width - 1, height - 1)
+    part = Part(0, (), False, False, channels, "none", window, window, 1, ())
+    container = Container(Path("memory"), 2, (part,))
+
+    def read(found: Found) -> FloatArray:
+        image = np.stack([planes[name] for name in found.channels], axis=-1)
+        return image[..., 0] if image.shape[2] == 1 else image
+
+    return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
+
+
 def _leave_passes(found: Imported) -> Imported:
     """Return a frame whose layers have no parts but those that were asked for."""
     rules = found.map.layers if found.map else ()
@@ -174,7 +212,7 @@ def _leave_passes(found: Imported) -> Imported:
     return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
 
 
-def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+def _import_foreign(container: Container, read: Read, channels: ChannelMap, camera: Camera | None) -> Imported:
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -223,7 +261,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     return Imported(frame, container, channels, tuple(notes), outputs)
 
 
-def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: ImageReader) -> Light:
+def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:
     """Return the layers, unless diffuse and specular light are passes themselves."""
     if "diffuse" in images and "specular" in images:
         return Light()
@@ -264,7 +302,7 @@ def _take_alpha(
     return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
 
 
-def _take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> FloatArray | None:
+def _take_coverage(channels: ChannelMap, read: Read, notes: list[str]) -> FloatArray | None:
     """Return what Cryptomatte tells of silhouettes, (height, width, 9); of several the first, which is the finest."""
     for passes in channels.cryptomatte:
         kinds = {

@@ -1,0 +1,271 @@
+"""`Denoiser`: the call of Mitsuba's `OptixDenoiser`, the filters of lobewise, any variant and any processor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lobewise.denoising import denoise
+from lobewise.denoising.automatic import ask
+from lobewise.errors import InputError, require_choice, require_integer
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.mitsuba.frames import Given, list_channels, make_frame, to_camera_space
+from lobewise.mitsuba.history import History
+from lobewise.mitsuba.tensors import (
+    ROOT,
+    carries_gradients,
+    give_back,
+    is_bitmap,
+    make_bitmap,
+    split_bitmap,
+    take_image,
+    take_matrix,
+)
+from lobewise.settings import DenoiseSettings
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from lobewise.settings import DenoiseChanges
+
+LARGEST_SIZE = 1 << 16
+COLORS = {1: 1, 2: 1, 3: 3, 4: 3}
+"""How many channels of an image are colour, by how many it has; one more is alpha."""
+
+
+class Denoiser:
+    """Denoises what Mitsuba renders; called like ``mitsuba.OptixDenoiser``, on any variant and without its hardware.
+
+    Guides that are handed over are used, whether they were announced or not; announced ones must come. Of a bitmap
+    further layers that Mitsuba's integrator ``aov`` writes (``position``, ``depth``, ``sh_normal`` ...) are found by
+    their names.
+
+    Parameters
+    ----------
+    input_size : (int, int)
+        Width and height of the images.
+    albedo, normals : bool
+        Whether albedo and normals will be given.
+    temporal : bool
+        Whether every call is the next frame of a sequence; then ``flow`` and ``previous_denoised`` must be given.
+    denoise_alpha : bool
+        Whether the alpha channel is denoised too, instead of copied.
+    settings : DenoiseSettings, optional
+        As for `lobewise.denoise`.
+    **changes
+        Single settings, by name, such as ``quality="high"``.
+
+    Raises
+    ------
+    InputError
+        If the size is none, or a setting is unknown or out of range.
+
+    Examples
+    --------
+    >>> import mitsuba as mi  # doctest: +SKIP
+    >>> noisy = mi.render(scene, spp=16)  # doctest: +SKIP
+    >>> denoiser = lobewise.mitsuba.Denoiser(input_size=(noisy.shape[1], noisy.shape[0]))  # doctest: +SKIP
+    >>> clean = denoiser(noisy)  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        input_size: Sequence[int],
+        albedo: bool = False,
+        normals: bool = False,
+        temporal: bool = False,
+        denoise_alpha: bool = False,
+        *,
+        settings: DenoiseSettings | None = None,
+        **changes: Unpack[DenoiseChanges],
+    ) -> None:
+        sides = [int(side) for side in np.array(input_size).ravel()]
+        if len(sides) != 2:
+            raise InputError("input_size", expected="width and height", got=repr(input_size), action="pass (512, 512)")
+        self._size = (
+            require_integer("input_size, width", sides[0], 1, LARGEST_SIZE),
+            require_integer("input_size, height", sides[1], 1, LARGEST_SIZE),
+        )
+        self._announced = {"albedo": bool(albedo), "normals": bool(normals)}
+        self._denoise_alpha = bool(denoise_alpha)
+        self._settings = ask(settings, changes)
+        self._history = History(settings, changes) if temporal else None
+        self._notes: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was found, converted, missing or not used in the last call, a sentence each."""
+        return self._notes
+
+    def __repr__(self) -> str:
+        told = [name for name, there in self._announced.items() if there]
+        told += ["temporal"] if self._history else []
+        told += ["denoise_alpha"] if self._denoise_alpha else []
+        return f"Denoiser({', '.join([f'input_size={self._size}', *told])})"
+
+    def __call__(
+        self,
+        noisy: Any,
+        albedo: Any = None,
+        normals: Any = None,
+        to_sensor: Any = None,
+        flow: Any = None,
+        previous_denoised: Any = None,
+        noisy_ch: str = ROOT,
+        *,
+        albedo_ch: str = "",
+        normals_ch: str = "",
+        flow_ch: str = "",
+        previous_denoised_ch: str = "",
+        position: Any = None,
+        depth: Any = None,
+    ) -> Any:
+        """Return the denoised image, as what ``noisy`` is: a tensor, a bitmap, a NumPy array.
+
+        Parameters
+        ----------
+        noisy : TensorXf, Bitmap or array
+            Linear radiance, (height, width, 3), or with alpha 4; of monochrome variants 1 or 2. Best rendered with a
+            box filter. A bitmap may hold the guides as further layers.
+        albedo : TensorXf, optional
+            (height, width, 3).
+        normals : TensorXf, optional
+            Shading normals, (height, width, 3), in the coordinate frame of the sensor (x left, y up, z forward).
+        to_sensor : Transform4f, optional
+            Takes the normals there, where they are in another one: ``sensor.world_transform().inverse()`` for those of
+            the integrator ``aov``, which are the world's.
+        flow : TensorXf, optional
+            Motion of each pixel, (height, width, 2), pixels to the right and down: from where its surface was in the
+            frame before to where it is.
+        previous_denoised : TensorXf, optional
+            What this denoiser returned for the frame before; in the first call, or to begin anew, ``noisy``.
+        noisy_ch, albedo_ch, normals_ch, flow_ch, previous_denoised_ch : str
+            Of a bitmap the names of those layers, in place of the images.
+        position, depth : TensorXf, optional
+            World positions, (height, width, 3), and distances from the camera, (height, width, 1), of surfaces.
+
+        Raises
+        ------
+        InputError
+            If an image is missing, has another size or number of channels, or carries gradients.
+        """
+        images = {"albedo": albedo, "normals": normals, "flow": flow, "previous_denoised": previous_denoised}
+        names = {"albedo": albedo_ch, "normals": normals_ch, "flow": flow_ch, "previous_denoised": previous_denoised_ch}
+        more = {"position": position, "depth": depth}
+        for name, image in {"noisy": noisy, **images, **more}.items():
+            _refuse_gradients(name, image)
+        others: dict[str, FloatArray] = {}
+        if is_bitmap(noisy):
+            color, images, others = _take_layers(noisy, noisy_ch, images, names)
+        else:
+            color = noisy
+            if any(names.values()) or noisy_ch != ROOT:
+                action = "pass tensors as albedo, normals, flow and previous_denoised"
+                raise InputError("noisy", expected="a bitmap for names of its layers", got="a tensor", action=action)
+        clean = self._filter(color, {**images, **more}, others, to_sensor)
+        return make_bitmap(noisy, noisy_ch, clean) if is_bitmap(noisy) else give_back(noisy, clean)
+
+    def _filter(self, noisy: Any, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any) -> FloatArray:
+        """Return the denoised image, with as many channels as the noisy one."""
+        image = take_image("noisy", noisy, self._size, tuple(COLORS))
+        count = COLORS[image.shape[2]]
+        color = image[..., :3] if count == 3 else np.repeat(image[..., :1], 3, axis=-1)
+        given = self._take_guides(color, images, others, to_sensor)
+        frame, notes = make_frame(given)
+        self._require_announced(frame, given)
+        if self._history is not None:
+            previous = take_image("previous_denoised", images["previous_denoised"], self._size, image.shape[2:])
+            clean = self._history.add(frame, previous[..., :count], image[..., :count])
+        else:
+            result = denoise(frame, self._settings)
+            clean = result.image
+            if result.bad_pixel_count:
+                notes.append(f"{result.bad_pixel_count} pixels were NaN, infinite or negative, and were refilled.")
+        self._notes = tuple(notes)
+        parts = [clean[..., :count]]
+        if image.shape[2] > count:
+            alpha = image[..., count:]
+            parts.append(self._clean_alpha(frame, alpha) if self._denoise_alpha else alpha)
+        clean = np.concatenate(parts, axis=-1)
+        if self._history is not None:
+            self._history.remember(clean[..., :count])
+        return clean
+
+    def _take_guides(
+        self, color: FloatArray, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any
+    ) -> Given:
+        given = Given(np.ascontiguousarray(color), others=others)
+        channels = {"albedo": 3, "normals": 3, "flow": 2, "position": 3, "depth": 1}
+        found = {
+            name: take_image(name, images[name], self._size, (count,))
+            for name, count in channels.items()
+            if images[name] is not None
+        }
+        if "normals" in found:
+            matrix = None if to_sensor is None else take_matrix("to_sensor", to_sensor)
+            given.roles["normal"] = to_camera_space(found["normals"], matrix)
+        for name in ("albedo", "position", "depth"):
+            if name in found:
+                given.roles[name] = found[name]
+        for name in ("flow", "previous_denoised"):
+            if self._history is None and images[name] is not None:
+                got = f"{name} without it"
+                raise InputError("temporal", expected="True", got=got, action="make the denoiser with temporal=True")
+            if self._history is not None and images[name] is None:
+                action = "pass flow and previous_denoised, in the first call zeros and the noisy image"
+                raise InputError(name, expected="an image, as temporal is True", got="none", action=action)
+        if "flow" in found:
+            given.roles["motion"] = found["flow"]
+        return given
+
+    def _require_announced(self, frame: Frame, given: Given) -> None:
+        there = {"albedo": frame.gbuffer.diffuse_albedo is not None, "normals": "normal" in given.roles}
+        for name, announced in self._announced.items():
+            if announced and not there[name]:
+                action = f"pass {name}, of a bitmap {name}_ch"
+                raise InputError(name, expected=f"an image, as {name} is True", got="none", action=action)
+
+    def _clean_alpha(self, frame: Frame, alpha: FloatArray) -> FloatArray:
+        """Return alpha, (height, width, 1), filtered as light that falls on white."""
+        bare = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)
+        clean = denoise(Frame(Radiance(np.repeat(alpha, 3, axis=-1)), bare, frame.camera), self._settings)
+        return np.clip(clean.image[..., :1], 0.0, 1.0)
+
+
+def _take_layers(
+    bitmap: Any, noisy_ch: str, images: dict[str, Any], names: dict[str, str]
+) -> tuple[FloatArray, dict[str, Any], dict[str, FloatArray]]:
+    """Return of a bitmap the noisy image, the named layers in place of images, and the channels of all others."""
+    layers = split_bitmap(bitmap)
+    named = {"noisy": noisy_ch}
+    for name, image in images.items():
+        # By their places in the call the names stand where tensors do.
+        text = names[name] or (image if isinstance(image, str) else "")
+        if image is not None and not isinstance(image, str):
+            got = f"a {type(image).__name__}"
+            raise InputError(name, expected=f"the name of a layer, as {name}_ch", got=got, action="pass tensors alone")
+        if text:
+            named[name] = text
+    for name, layer in named.items():
+        require_choice(f"{name}_ch", layer, layers)
+    rest = {name: layer for name, layer in layers.items() if name not in {*named.values(), ROOT}}
+    found: dict[str, Any] = {name: layers[named[name]].image if name in named else None for name in images}
+    return (
+        layers[noisy_ch].image,
+        found,
+        list_channels({name: (layer.image, layer.components) for name, layer in rest.items()}),
+    )
+
+
+def _refuse_gradients(name: str, image: Any) -> None:
+    """Raise InputError if a tensor carries gradients."""
+    if carries_gradients(image):
+        raise InputError(
+            name,
+            expected="a tensor without gradients, which a denoiser does not pass",
+            got="one that carries them",
+            action=f"pass dr.detach({name})",
+        )

@@ -1,0 +1,102 @@
+"""What Mitsuba's users hand to a denoiser becomes a frame: their channels, by the preset of Mitsuba's own files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.layers import find_whole_albedo
+from lobewise.frame import FloatArray, Frame
+from lobewise.guides.lamps import find_lamps
+from lobewise.interchange.mapping import ORDERS
+from lobewise.interchange.reading import import_planes
+
+PRESET = "mitsuba"
+COMPONENTS = {"depth": "T", "motion": "XY"}
+"""Components of the roles that are neither colors nor vectors."""
+
+
+@dataclass
+class Given:
+    """What a denoiser is called with.
+
+    Parameters
+    ----------
+    color : array, shape (height, width, 3)
+        The noisy image.
+    roles : dict of str to array, shape (height, width, channels)
+        Guides by their role, in the conventions of lobewise's presets.
+    others : dict of str to array, shape (height, width)
+        Further channels of a bitmap, by their name.
+    """
+
+    color: FloatArray
+    roles: dict[str, FloatArray] = field(default_factory=dict)
+    others: dict[str, FloatArray] = field(default_factory=dict)
+
+
+def to_camera_space(normal: FloatArray, to_sensor: NDArray[np.float64] | None) -> FloatArray:
+    """Return normals with x to the right, y upwards and z away from the camera, (height, width, 3).
+
+    Without ``to_sensor`` they are in the space of Mitsuba's sensor, x to the left, y upwards, z away; with it they are
+    taken there, as normals are: by the transposed inverse. Source: `mitsuba.OptixDenoiser`, whose own turn, x and z
+    negated, gives x to the right and z towards the camera.
+    """
+    matrix = np.diag([-1.0, 1.0, 1.0])
+    if to_sensor is not None:
+        matrix = matrix @ np.linalg.inv(to_sensor[:3, :3]).T
+    return np.asarray(normal @ matrix.T, dtype=np.float32)
+
+
+def make_frame(given: Given) -> tuple[Frame, list[str]]:
+    """Return the frame of what a denoiser is called with, and what was found, converted or is missing, in sentences.
+
+    Raises
+    ------
+    InputError
+        If the channels make no frame.
+    """
+    planes: dict[str, FloatArray] = {}
+    mapping = {}
+    for role, image in {"color": given.color, **given.roles}.items():
+        letters = COMPONENTS.get(role) or ORDERS.get(role, ("RGB",))[0].upper()
+        names = [f"given.{role}.{letter}" for letter in letters]
+        planes |= {name: np.ascontiguousarray(image[..., k]) for k, name in enumerate(names)}
+        convert = {"normal": ":camera_space", "motion": ":negate"}.get(role, "")
+        mapping[role] = ",".join(names) + convert
+    planes |= given.others
+    found = import_planes(planes, preset=PRESET, mapping=mapping)
+    assert found.map is not None
+    used = {name for image in found.map.roles.values() for name in image.channels}
+    idle = list(dict.fromkeys(name.rpartition(".")[0] or name for name in given.others if name not in used))
+    notes = [note.replace("given.", "") for note in found.notes if "There are images of the same kind" not in note]
+    if idle:
+        notes.append(f"Not used: {', '.join(idle)}.")
+    frame, count = keep_lamps(found.frame)
+    if count:
+        notes.append(f"{count} pixels show lamps, or something as bright and without noise, and pass as they are.")
+    return frame, notes
+
+
+def keep_lamps(frame: Frame) -> tuple[Frame, int]:
+    """Return a frame whose lamps are no surfaces, so that a filter leaves them as they are, and how many pixels."""
+    guides = frame.gbuffer
+    albedo = find_whole_albedo(guides)
+    light = frame.radiance.color if albedo is None else frame.radiance.color / albedo
+    lamps = find_lamps(light)
+    if guides.normal is None or not lamps.any():
+        return frame, 0
+    normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
+    return frame.with_changes(gbuffer=replace(guides, normal=normal)), int(lamps.sum())
+
+
+def list_channels(layers: Mapping[str, tuple[FloatArray, tuple[str, ...]]]) -> dict[str, FloatArray]:
+    """Return the channels of layers, (height, width) each, by the names that a file has for them."""
+    return {
+        f"{name}.{component}": np.ascontiguousarray(image[..., k])
+        for name, (image, components) in layers.items()
+        for k, component in enumerate(components)
+    }
