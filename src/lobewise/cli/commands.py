@@ -97,7 +97,7 @@ def inspect(
 
     from lobewise.cli.output import print_description, to_json
     from lobewise.interchange import describe_file
-    from lobewise.interchange.camera_files import read_camera_file
+    from lobewise.interchange.cameras.files import read_camera_file
 
     found = describe_file(
         source,

@@ -43,7 +43,7 @@ CameraFile = Annotated[
     typer.Option(
         "--camera",
         metavar="FILE",
-        help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), or glTF (.gltf, .glb).",
+        help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
         show_default="what the file tells",
     ),
 ]
@@ -116,7 +116,7 @@ class Reading:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
         from lobewise.cli.output import print_note
         from lobewise.interchange import import_file
-        from lobewise.interchange.camera_files import read_camera_file
+        from lobewise.interchange.cameras.files import read_camera_file
 
         found = import_file(
             path,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.interchange.cameras import WORST_FIT, Located, fit_camera, measure_fit, mirror
+from lobewise.interchange.cameras.fitting import WORST_FIT, CameraFit, find_camera, measure_fit, mirror
+from lobewise.interchange.cameras.header import Located
 from lobewise.interchange.values import FARTHEST, convert_depth, convert_plain, convert_space
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Places:
         As in `lobewise.GBuffer`.
     notes : list of str
         What was converted, found or dropped, a sentence each.
+    orthographic : bool
+        Whether the camera is a far pinhole that stands for an orthographic one.
     """
 
     camera: Camera | None = None
@@ -39,6 +42,7 @@ class Places:
     position: FloatArray | None = None
     normal: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
+    orthographic: bool = False
 
 
 def place_surfaces(
@@ -63,8 +67,9 @@ def place_surfaces(
         position = convert_plain(position, found["position"].convert)
         surface = _find_surface(position, depth)
         places.position = np.where(surface[..., None], position, np.float32(0.0))
-    mirrored = _choose_camera(places, given, attributes)
-    if depth is not None:
+    mirrored = _choose_camera(places, given, attributes, depth)
+    # Of an orthographic camera, depths are measured from a plane.
+    if depth is not None and not places.orthographic:
         places.depth = convert_depth(
             convert_plain(depth, found["depth"].convert), found["depth"].convert, places.camera
         )
@@ -87,7 +92,7 @@ def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
     return np.asarray(there & (position != 0.0).any(axis=-1))
 
 
-def _choose_camera(places: Places, given: Camera | None, attributes: Located | None) -> bool:
+def _choose_camera(places: Places, given: Camera | None, attributes: Located | None, depth: FloatArray | None) -> bool:
     """Put the camera into ``places``, say where it comes from, and return whether the world was mirrored for it."""
     if given is not None:
         places.camera = given
@@ -108,19 +113,9 @@ def _choose_camera(places: Places, given: Camera | None, attributes: Located | N
             places.notes.append(f"The camera is that of the header ({attributes.told}); positions agree with it.")
             return attributes.mirrored
         places.position = position
-    fit = fit_camera(position, mask)
+    fit = find_camera(position, mask, depth)
     if fit is not None:
-        places.camera = fit.camera
-        places.position = _mirror(position) if fit.mirrored else position
-        contradicted = (
-            f" The header's ({attributes.told}) is another: positions are in a space of their own."
-            if attributes
-            else ""
-        )
-        places.notes.append(
-            f"The camera was found from the positions, which it shows where they are seen to {fit.error:.2f} pixels."
-            + contradicted
-        )
+        _take_fit(places, fit, attributes)
         return fit.mirrored
     if attributes is not None:
         places.camera, places.position = attributes.camera, None
@@ -130,9 +125,24 @@ def _choose_camera(places: Places, given: Camera | None, attributes: Located | N
         )
         return attributes.mirrored
     places.notes.append(
-        "No camera shows the positions where they are seen (it may be orthographic or bent); give --camera."
+        "No camera shows the positions where they are seen (it may be bent, as for panoramas); give --camera."
     )
     return False
+
+
+def _take_fit(places: Places, fit: CameraFit, attributes: Located | None) -> None:
+    assert places.position is not None, "it was found from them"
+    places.camera, places.orthographic = fit.camera, fit.orthographic
+    places.position = _mirror(places.position) if fit.mirrored else places.position
+    told = (
+        f"The camera is orthographic, by the positions, which a pinhole far away shows where they are seen to "
+        f"{fit.error:.2f} pixels."
+        if fit.orthographic
+        else f"The camera was found from the positions, which it shows where they are seen to {fit.error:.2f} pixels."
+    )
+    if attributes is not None:
+        told += f" The header's ({attributes.told}) is another: positions are in a space of their own."
+    places.notes.append(told)
 
 
 def _check_fit(places: Places, camera: Camera, whose: str) -> None:

@@ -12,7 +12,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.cryptomatte import find_coverage
-from lobewise.interchange.cameras import read_camera_attributes, read_sample_count
+from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers

@@ -1,4 +1,4 @@
-"""Cameras from files of their own: JSON, Mitsuba scenes, glTF."""
+"""Cameras from files of their own: JSON, Mitsuba scenes, glTF, USD."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
+from lobewise.interchange.cameras.usd import read_usd_camera
 from lobewise.io.files import PathLike, read_bytes
 
 LARGEST_FILE = 256 << 20
+USD = (".usd", ".usda", ".usdc", ".usdz")
 GLB_MAGIC, GLB_JSON = 0x46546C67, 0x4E4F534A
 Matrix = NDArray[np.float64]
 
@@ -27,7 +29,8 @@ def read_camera_file(path: PathLike) -> Camera:
 
     By the end of its name: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and one of
     ``fov_y``, ``fov_x`` or both, in degrees, perhaps ``shift``; of a Mitsuba scene (``.xml``) the first sensor is
-    taken, of glTF (``.gltf``, ``.glb``) the first node with a camera.
+    taken, of glTF (``.gltf``, ``.glb``) the first node with a camera, of USD (``.usd``, ``.usda``, ``.usdc``,
+    ``.usdz``; with ``usd-core``) the first camera, at the first of its times.
 
     Raises
     ------
@@ -35,13 +38,17 @@ def read_camera_file(path: PathLike) -> Camera:
         If the file cannot be read, or is none of those.
     InputError
         If there is no camera in it, or one that is no pinhole.
+    MissingDependencyError
+        If it is a USD file and ``usd-core`` is not installed.
     """
     file = Path(path)
+    if file.suffix.lower() in USD:
+        return read_usd_camera(file)
     readers = {".json": _read_json, ".xml": _read_mitsuba, ".gltf": _read_gltf, ".glb": _read_gltf}
     if file.suffix.lower() not in readers:
         raise FileError(
             f"camera {str(path)!r}",
-            expected=f"a name that ends in {', '.join(readers)}",
+            expected=f"a name that ends in {', '.join((*readers, *USD))}",
             got=repr(file.suffix),
             action="write position, forward, up and fov_y into a .json",
         )
@@ -102,7 +109,20 @@ def _read_mitsuba(data: bytes, what: str) -> Camera:
     else:
         axis = values.get("fov_axis", "x")
     half_width = _find_half_width(math.tan(math.radians(angle) / 2.0), axis, width / height)
-    return Camera(matrix[:3, 3], matrix[:3, 2], matrix[:3, 1], 2.0 * math.atan(half_width * height / width))
+    half_height = half_width * height / width
+    part = [float(sizes.get(f"crop_{name}", whole)) for name, whole in (("width", width), ("height", height))]
+    start = [float(sizes.get(f"crop_offset_{axis}", 0.0)) for axis in "xy"]
+    moved = [float(values.get(f"principal_point_offset_{axis}", 0.0)) for axis in "xy"]
+    # The centre of the image, from that of the film in units of its half extent: columns to the right, rows downwards.
+    across = (2.0 * start[0] + part[0]) / width - 1.0 + 2.0 * moved[0]
+    down = (2.0 * start[1] + part[1]) / height - 1.0 + 2.0 * moved[1]
+    return Camera(
+        matrix[:3, 3],
+        matrix[:3, 2],
+        matrix[:3, 1],
+        2.0 * math.atan(half_height * part[1] / height),
+        shift=(half_width * across, -half_height * down),
+    )
 
 
 def _find_half_width(half: float, axis: str, aspect: float) -> float:

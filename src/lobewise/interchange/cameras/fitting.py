@@ -1,0 +1,252 @@
+"""Cameras that are found from the positions which pixels show: pinholes, and orthographic ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
+from lobewise.motion import project_points
+
+Matrix = NDArray[np.float64]
+
+MOST_SAMPLES = 20000
+"""Pixels by which a camera is found."""
+WORST_FIT = 1.5
+"""Pixels between where a point is seen and where a camera shows it, in the median, from which the camera is not it.
+Positions of one sample lie anywhere within the pixel filter."""
+ROUNDS = 12
+FAR = 3000.0
+"""How many times the size of what it sees a pinhole stands away that stands for an orthographic camera: its rays are
+parallel to 1/3000, and what it shows is half a pixel off at most where the scene is as deep as the image is high."""
+SQUARE = 0.02
+"""By how much the axes of an orthographic image may differ in length, or from a right angle."""
+
+
+def mirror(camera: Camera) -> Camera:
+    """Return the camera in the mirror image of its world, x turned: there it sees what it saw, left and right kept."""
+    turn = np.array([-1.0, 1.0, 1.0])
+    return replace(camera, position=turn * camera.position, forward=turn * camera.forward, up=turn * camera.up)
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """A camera that was found, how far points are from where it shows them (the median, in pixels), and what it is.
+
+    In a ``mirrored`` world, which is left-handed, it stands in the mirror image, x turned; one that is ``orthographic``
+    stands very far away.
+    """
+
+    camera: Camera
+    error: float
+    mirrored: bool = False
+    orthographic: bool = False
+
+
+def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -> float:
+    """Return the median distance, pixels, of where a camera shows the points of some pixels to where they are seen."""
+    height, width = mask.shape
+    rows, columns = _choose_pixels(mask)
+    seen = project_points(camera, position[rows, columns].astype(np.float64), width, height)
+    apart = np.hypot(seen[:, 0] - columns - 0.5, seen[:, 1] - rows - 0.5)
+    return float(np.median(np.where(np.isfinite(apart), apart, np.inf)))
+
+
+def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | None:
+    """Return the pinhole camera that sees given points at given pixels; None where none does.
+
+    The camera is first solved for as a projective one, from equations that are linear in its matrix (the direct linear
+    transform, Hartley and Zisserman 2003, section 7.1), then as one with square pixels by Gauss-Newton steps, points
+    that are further off than most counting less (Huber's weights): a position of one sample is not that of the pixel's
+    centre, and at silhouettes it may be that of another surface.
+
+    Parameters
+    ----------
+    position : array, shape (height, width, 3)
+        World positions.
+    mask : array, shape (height, width)
+        Where there are any.
+    """
+    points = _gather(position, mask)
+    if points is None:
+        return None
+    world, x, y = points
+    center, spread = world.mean(axis=0), world.std()
+    for mirrored in (False, True):
+        turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
+        scaled = turn * (world - center) / spread
+        start = _solve_projective(scaled, x, y)
+        if start is None:
+            return None
+        # Right, up and forward of a camera in a right-handed world are a left-handed triple.
+        if np.linalg.det(start[0]) > 0.0:
+            continue
+        state = _refine(scaled, x, y, *start)
+        if state is None:
+            return None
+        rotation, eye, focal = state
+        camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
+        error = measure_fit(camera, (turn * position).astype(np.float32), mask)
+        return CameraFit(camera, error, mirrored) if error < WORST_FIT else None
+    return None
+
+
+def fit_orthographic(
+    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None = None
+) -> CameraFit | None:
+    """Return a far pinhole camera that sees what an orthographic one sees; None where no such camera does.
+
+    Image coordinates are then linear in the world's (an affine camera, Hartley and Zisserman 2003, section 6.3). They
+    tell along which line the camera looks, not which way: that is the depth's to say, and without it the world is
+    taken for a right-handed one.
+
+    Parameters
+    ----------
+    position, mask
+        As in `fit_camera`.
+    depth : array, shape (height, width), optional
+        Distances along the camera's axis, growing away from it.
+    """
+    points = _gather(position, mask)
+    if points is None:
+        return None
+    world, x, y = points
+    center = world.mean(axis=0)
+    kept = np.ones(len(world), np.bool_)
+    whole = np.hstack([world - center, np.ones((len(world), 1))])
+    for _ in range(2):
+        lines, _, rank, _ = np.linalg.lstsq(whole[kept], np.stack([x, y], axis=1)[kept], rcond=1e-6)
+        if rank < 4:
+            return None  # all points on one plane: it can be seen so from many sides
+        error = np.hypot(*(np.stack([x, y], axis=1) - whole @ lines).T)
+        kept = error <= 3.0 * np.median(error) + 1e-12
+    across, upwards = lines[:3].T
+    lengths = np.linalg.norm(across), np.linalg.norm(upwards)
+    right, up = across / lengths[0], upwards / lengths[1]
+    if abs(lengths[0] / lengths[1] - 1.0) > SQUARE or abs(right @ up) > SQUARE:
+        return None
+    half_height = float(2.0 / (lengths[0] + lengths[1]))
+    forward = np.cross(up, right)
+    mirrored = False
+    if depth is not None:
+        rows, columns = _choose_pixels(mask)
+        away = depth[rows, columns].astype(np.float64)
+        along = (world - center) @ forward
+        mirrored = bool(np.sum((away - away.mean()) * along) < 0.0)
+    turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
+    forward = -forward if mirrored else forward
+    size = float(np.maximum(half_height, np.ptp((world - center) @ forward)))
+    # The centre of the image, as deep in the scene as its mean.
+    middle = center - lines[3, 0] * half_height * right - lines[3, 1] * half_height * up
+    eye = middle - FAR * size * forward
+    camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / (FAR * size))))
+    shown = measure_fit(camera, (turn * position).astype(np.float32), mask)
+    return CameraFit(camera, shown, mirrored, orthographic=True) if shown < WORST_FIT else None
+
+
+def find_camera(position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None) -> CameraFit | None:
+    """Return the camera that sees given points at given pixels, a pinhole where that explains them as well.
+
+    Parameters are those of `fit_orthographic`.
+    """
+    pinhole, parallel = fit_camera(position, mask), fit_orthographic(position, mask, depth)
+    if pinhole is None or parallel is None:
+        return pinhole or parallel
+    # Far enough away, either can imitate the other.
+    return parallel if parallel.error < 0.5 * pinhole.error else pinhole
+
+
+def _gather(position: FloatArray, mask: NDArray[np.bool_]) -> tuple[Matrix, Matrix, Matrix] | None:
+    """Return points and where they are seen, columns to the right and rows upwards in units of half the height."""
+    rows, columns = _choose_pixels(mask)
+    points = position[rows, columns].astype(np.float64)
+    if len(rows) < 100 or not np.isfinite(points).all() or not points.std() > 0.0:
+        return None
+    height, width = mask.shape
+    return points, (columns + 0.5 - 0.5 * width) / (0.5 * height), (0.5 * height - rows - 0.5) / (0.5 * height)
+
+
+def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    rows, columns = np.nonzero(mask)
+    step = max(1, len(rows) // MOST_SAMPLES)
+    return rows[::step], columns[::step]
+
+
+def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix, float] | None:
+    """Return rotation (rows right, up, forward), eye and focal length of the projective camera that fits best."""
+    one = np.ones((len(points), 1))
+    whole = np.hstack([points, one])
+    zero = np.zeros_like(whole)
+    for _ in range(2):
+        across, upwards = np.hstack([whole, zero, -x[:, None] * whole]), np.hstack([zero, whole, -y[:, None] * whole])
+        system = np.vstack([across, upwards])
+        _, values, axes = np.linalg.svd(system.T @ system)
+        if values[-2] < 1e-9 * values[0]:
+            return None  # all points on one plane or line: many cameras see them so
+        matrix = axes[-1].reshape(3, 4)
+        depth = whole @ matrix[2]
+        matrix = matrix if np.median(depth) > 0.0 else -matrix
+        depth = whole @ matrix[2]
+        error = np.hypot(x - whole @ matrix[0] / depth, y - whole @ matrix[1] / depth)
+        kept = error <= 3.0 * np.median(error) + 1e-12
+        whole, zero, x, y = whole[kept], zero[kept], x[kept], y[kept]
+    scale = np.linalg.norm(matrix[2, :3])
+    forward = matrix[2, :3] / scale
+    right = matrix[0, :3] / scale
+    right = right - (right @ forward) * forward
+    up = matrix[1, :3] / scale
+    up = up - (up @ forward) * forward
+    focal = math.sqrt(max(float(np.linalg.norm(right)) * float(np.linalg.norm(up)), 1e-12))
+    right = right / np.linalg.norm(right)
+    up = up - (up @ right) * right
+    up = up / np.linalg.norm(up)
+    eye = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+    return np.stack([right, up, forward]), eye, focal
+
+
+def _refine(
+    points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float
+) -> tuple[Matrix, Matrix, float] | None:
+    """Return the camera with square pixels and a centred image that fits best, found from a near one."""
+    for _ in range(ROUNDS):
+        local = (points - eye) @ rotation.T
+        ahead = local[:, 2] > 1e-6
+        if ahead.mean() < 0.9:
+            return None
+        a, b, depth = local[ahead].T
+        u, v = a / depth, b / depth
+        left = np.concatenate([x[ahead] - focal * u, y[ahead] - focal * v])
+        far = np.abs(left)
+        scale = 1.5 * np.median(far) + 1e-12
+        weight = np.sqrt(np.minimum(1.0, scale / np.maximum(far, 1e-300)))
+        zero, inverse = np.zeros_like(u), focal / depth
+        # Turning by (p, q, r) about right, up and forward, then moving along them, then the focal length.
+        across = np.stack([-focal * u * v, focal * (1 + u * u), -focal * v, -inverse, zero, inverse * u, u], axis=1)
+        upwards = np.stack([-focal * (1 + v * v), focal * u * v, focal * u, zero, -inverse, inverse * v, v], axis=1)
+        slopes = np.concatenate([across, upwards]) * weight[:, None]
+        step, *_ = np.linalg.lstsq(slopes, left * weight, rcond=None)
+        if not np.isfinite(step).all():
+            return None
+        rotation = _turn(step[:3]) @ rotation
+        eye = eye + rotation.T @ step[3:6]
+        focal = float(focal + step[6])
+        if focal <= 0.0:
+            return None
+        if np.abs(step).max() < 1e-9:
+            break
+    return rotation, eye, focal
+
+
+def _turn(angles: Matrix) -> Matrix:
+    """Return the rotation by the length of a vector about it (Rodrigues)."""
+    angle = float(np.linalg.norm(angles))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = angles / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Matrix = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return turned

@@ -1,0 +1,153 @@
+"""Cameras and sample counts that the headers of other renderers' files tell.
+
+Matrices in OpenEXR headers multiply row vectors: a point is ``[x y z 1] M``. Which way a renderer's camera looks along
+its third axis, and what its screen spans, is told by its own matrices, not assumed.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.interchange.cameras.fitting import mirror
+from lobewise.interchange.preset import Preset
+from lobewise.io.exr.container import Attribute, Part, Window
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Located:
+    """A camera, what told it, and whether its world is left-handed: then it stands in the mirror image, x turned."""
+
+    camera: Camera
+    told: str
+    mirrored: bool = False
+
+
+def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
+    """Return the camera that a file's header tells, for the data window of ``part``; else None."""
+    found = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
+    size = part.display_window
+    aspect = _read(part.get("pixelAspectRatio"), "f", (1.0,))[0]
+    located = None
+    if "worldToCamera" in found:
+        located = _read_matrices(found, size, aspect)
+    elif "cameraTransform" in found and "cameraFov" in found:
+        located = _read_vray(found, size, aspect)
+    return None if located is None else replace(located, camera=_crop(located.camera, size, part.data_window))
+
+
+def _read(item: Attribute | None, kinds: str, default: tuple[float, ...] = ()) -> tuple[float, ...]:
+    """Return the numbers of an attribute of floats or doubles; ``default`` where it is none of so many."""
+    if item is not None and len(item.value) in {struct.calcsize(f"<{kinds}")}:
+        return struct.unpack(f"<{kinds}", item.value)
+    return default
+
+
+def _read_matrix(item: Attribute | None) -> Matrix | None:
+    numbers = _read(item, "16f") or _read(item, "16d")
+    matrix = np.array(numbers, dtype=np.float64).reshape(-1, 4)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+        return None
+    return matrix
+
+
+def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
+    """Return the camera of ``worldToCamera``, and of ``worldToNDC`` or an angle beside it."""
+    to_camera, to_screen = _read_matrix(found.get("worldToCamera")), _read_matrix(found.get("worldToNDC"))
+    if to_camera is None:
+        return None
+    to_world: Matrix = np.asarray(np.linalg.inv(to_camera), dtype=np.float64)
+    rows: Matrix = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=1, keepdims=True)
+    right, up, axis = rows
+    eye: Matrix = to_world[3, :3]
+    if to_screen is not None:
+        deep = np.append(axis, 0.0) @ to_screen
+        if deep[3] < 0.0:
+            axis, deep = -axis, -deep
+        if deep[3] > 1e-9:
+            mirrored = bool(np.cross(axis, up) @ right < 0.0)
+            camera = _span(eye, axis, right, up, to_screen, deep, size, aspect)
+            return Located(mirror(camera) if mirrored else camera, "worldToCamera and worldToNDC", mirrored)
+    angle = _read(found.get("CameraFov"), "f") or _read(found.get("cameraFov"), "f")
+    if not angle:
+        return None
+    # Without a screen nothing tells a left-handed world: in a right-handed one cameras look along -z.
+    return Located(
+        _aim(eye, -axis, up, float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect),
+        "worldToCamera and the angle of view",
+    )
+
+
+def _span(
+    eye: Matrix, axis: Matrix, right: Matrix, up: Matrix, to_screen: Matrix, deep: Matrix, size: Window, aspect: float
+) -> Camera:
+    """Return a camera whose screen is that of a matrix: from -1 to 1 or from 0 to 1, along both axes or the shorter."""
+    across, upwards = (np.append(side, 0.0) @ to_screen / deep[3] for side in (right, up))
+    middle = deep[:2] / deep[3]
+    unit = 1.0 if np.abs(middle).max() < 0.25 else 0.5
+    half_width, half_height = unit / abs(across[0]), unit / abs(upwards[1])
+    shape = size.width * aspect / size.height
+    if abs(half_width / half_height / shape - 1.0) > 0.02 and abs(half_width / half_height - 1.0) < 0.02:
+        half_width, half_height = half_width * max(shape, 1.0), half_height * max(1.0 / shape, 1.0)
+    return Camera(eye, axis, up, float(2.0 * np.arctan(half_height)), float(2.0 * np.arctan(half_width)))
+
+
+def _aim(eye: Matrix, axis: Matrix, up: Matrix, half_width: float, size: Window, aspect: float) -> Camera:
+    half_height = half_width * size.height / (size.width * aspect)
+    return Camera(eye, axis, up, float(2.0 * np.arctan(half_height)), float(2.0 * np.arctan(half_width)))
+
+
+def _read_vray(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
+    """Return the camera of V-Ray's attributes: rows right, up, back and position; the horizontal angle in degrees."""
+    matrix = _read_matrix(found["cameraTransform"])
+    angle = _read(found["cameraFov"], "f")
+    if matrix is None or not angle or not 0.0 < angle[0] < 180.0:
+        return None
+    rows = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)
+    camera = _aim(matrix[3, :3], -rows[2], rows[1], float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect)
+    return Located(camera, "cameraTransform and cameraFov")
+
+
+def _crop(camera: Camera, whole: Window, part: Window) -> Camera:
+    """Return the camera of a part of the image that a camera has."""
+    if whole == part:
+        return camera
+    half_width, half_height = camera.get_half_extent(whole.width, whole.height)
+    across, down = half_width / whole.width, half_height / whole.height
+    x = (part.x_min + part.x_max - whole.x_min - whole.x_max) * across
+    y = -(part.y_min + part.y_max - whole.y_min - whole.y_max) * down
+    return replace(
+        camera,
+        fov_y=float(2.0 * np.arctan(part.height * down)),
+        fov_x=float(2.0 * np.arctan(part.width * across)),
+        shift=(camera.shift[0] + x, camera.shift[1] + y),
+    )
+
+
+def read_sample_count(parts: Iterable[Part], preset: Preset) -> int | None:
+    """Return the samples per pixel that the header tells in the way of a preset, or None."""
+    for part in parts:
+        for item in part.attributes:
+            squared = any(fnmatchcase(item.name, name) for name in preset.samples_squared)
+            if squared or any(fnmatchcase(item.name, name) for name in preset.samples):
+                count = _read_count(item)
+                if count is not None:
+                    return count * count if squared else count
+    return None
+
+
+def _read_count(item: Attribute) -> int | None:
+    if item.type == "string":
+        text = item.value.decode("ascii", "replace").strip()
+        return int(text) if text.isdecimal() and int(text) > 0 else None
+    numbers: Any = _read(item, {"int": "i", "float": "f", "double": "d"}.get(item.type, "i"))
+    return int(numbers[0]) if numbers and numbers[0] >= 1 else None

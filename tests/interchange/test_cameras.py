@@ -1,0 +1,268 @@
+"""Cameras of other renderers' frames: off the centre, orthographic, from headers and from files of their own."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, to_camera, write
+
+from lobewise.camera import Camera
+from lobewise.errors import FileError, InputError
+from lobewise.interchange.cameras.files import read_camera_file
+from lobewise.interchange.cameras.fitting import find_camera, fit_orthographic
+from lobewise.interchange.reading import import_file
+from lobewise.io.exr.frames import write_frame
+from lobewise.motion import project_points
+
+SHIFTED = Camera(CAMERA.position, CAMERA.forward, CAMERA.up, CAMERA.fov_y, shift=(0.1, -0.05))
+
+
+def show(camera: Camera, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """Return points 3 to 5 away along the rays of a camera."""
+    distance = 4.0 + np.sin(np.arange(height * width)).reshape(height, width)
+    return camera.position + distance[..., None] * camera.make_ray_directions(width, height)
+
+
+def require_same_view(found: Camera, expected: Camera, size: tuple[int, int] = (WIDTH, HEIGHT)) -> None:
+    """Compare cameras by where they show points, to a thousandth of a pixel."""
+    seen = project_points(found, show(expected, *size), *size)
+    columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    np.testing.assert_allclose(seen, np.stack([columns, rows], axis=-1), atol=1e-3)
+
+
+def test_a_shifted_camera_shows_points_where_its_rays_go() -> None:
+    require_same_view(SHIFTED, SHIFTED)
+    middle = SHIFTED.make_ray_directions(3, 3)[1, 1]
+    np.testing.assert_allclose(middle, SHIFTED.middle / np.linalg.norm(SHIFTED.middle), atol=1e-6)
+
+
+def test_a_shifted_camera_is_that_of_a_part_of_a_larger_image() -> None:
+    whole = CAMERA.make_ray_directions(40, 30)
+    half_width, half_height = CAMERA.get_half_extent(40, 30)
+    part = Camera(
+        CAMERA.position,
+        CAMERA.forward,
+        CAMERA.up,
+        2.0 * math.atan(half_height * 10 / 30),
+        shift=(half_width * (2 * 18 / 40 - 1), -half_height * (2 * 7 / 30 - 1)),
+    )
+    np.testing.assert_allclose(part.make_ray_directions(20, 10), whole[2:12, 8:28], atol=1e-6)
+
+
+def test_a_shifted_camera_survives_its_file(make_frame: Any, tmp_path: Path) -> None:
+    frame = make_frame(height=6, width=8).with_changes(camera=SHIFTED)
+    write_frame(tmp_path / "frame.exr", frame)
+    camera = import_file(tmp_path / "frame.exr").frame.camera
+    assert camera is not None
+    np.testing.assert_allclose(camera.shift, SHIFTED.shift, atol=1e-6)
+
+
+def test_a_data_window_off_the_display_window(tmp_path: Path) -> None:
+    """The camera of the header is that of the whole image; pixels are those of a part of it."""
+    written = WRITERS["arnold"](make_scene())
+    rows, columns = slice(4, 30), slice(10, 41)
+    channels = {name: np.ascontiguousarray(plane[rows, columns]) for name, plane in written.channels.items()}
+    channels = {name: plane for name, plane in channels.items() if not name.startswith("P.")}
+    window = {
+        "dataWindow": (np.array([10, 4], np.int32), np.array([40, 29], np.int32)),
+        "displayWindow": (np.array([0, 0], np.int32), np.array([WIDTH - 1, HEIGHT - 1], np.int32)),
+    }
+    header = {**written.attributes, **window, "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "part.exr"))
+    camera = import_file(tmp_path / "part.exr").frame.camera
+    assert camera is not None
+    expected = CAMERA.make_ray_directions(WIDTH, HEIGHT)[rows, columns]
+    np.testing.assert_allclose(camera.make_ray_directions(31, 26), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("left_handed", [False, True])
+def test_an_orthographic_camera_is_found_from_the_positions(left_handed: bool) -> None:
+    rng = np.random.default_rng(3)
+    depth = rng.uniform(2.0, 4.0, (HEIGHT, WIDTH)).astype(np.float32)
+    columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    half_height = 1.3
+    unit = 2.0 * half_height / HEIGHT
+    aside, above = (columns - WIDTH / 2) * unit, (HEIGHT / 2 - rows) * unit
+    position = CAMERA.position + aside[..., None] * CAMERA.right + above[..., None] * CAMERA.up
+    position = position + depth[..., None] * CAMERA.forward
+    turn = np.array([-1.0, 1.0, 1.0]) if left_handed else np.ones(3)
+    world, mask = (turn * position).astype(np.float32), np.ones(depth.shape, np.bool_)
+    found = find_camera(world, mask, depth)
+    assert found is not None
+    assert found.orthographic
+    assert found.mirrored is left_handed
+    assert found.error < 0.1
+    np.testing.assert_allclose(found.camera.forward, CAMERA.forward, atol=1e-4)
+    np.testing.assert_allclose(found.camera.up, CAMERA.up, atol=1e-4)
+    seen = project_points(found.camera, position, WIDTH, HEIGHT)
+    np.testing.assert_allclose(seen, np.stack([columns, rows], axis=-1), atol=0.1)
+
+
+def test_an_orthographic_frame_is_told_and_its_planar_depth_not_used(tmp_path: Path) -> None:
+    written = WRITERS["mitsuba"](make_scene())
+    columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    aside, above = (columns - WIDTH / 2) * 0.05, (HEIGHT / 2 - rows) * 0.05
+    position = aside[..., None] * CAMERA.right + above[..., None] * CAMERA.up
+    position = position + (2.0 + 0.2 * np.sin(aside * 3) * above)[..., None] * CAMERA.forward
+    for name in written.channels:
+        head, _, letter = name.rpartition(".")
+        if "position" in head.lower() or head in ("P", "pp"):
+            written.channels[name] = position[..., "XYZ".index(letter.upper())].astype(np.float32)
+    write(tmp_path / "a.exr", written)
+    found = import_file(tmp_path / "a.exr")
+    assert any("orthographic" in note for note in found.notes), found.notes
+    camera, depth = found.frame.camera, found.frame.gbuffer.depth
+    assert camera is not None
+    assert depth is not None
+    lit = depth > 0
+    placed = camera.position + depth[..., None].astype(np.float64) * camera.make_ray_directions(WIDTH, HEIGHT)
+    assert lit.any()
+    assert np.abs(placed - position)[lit].max() < 0.05
+
+
+def test_points_of_one_plane_tell_no_camera() -> None:
+    flat = show(CAMERA).astype(np.float32)
+    flat[..., 2] = 0.0
+    assert fit_orthographic(flat, np.ones(flat.shape[:2], np.bool_)) is None
+
+
+def write_json(folder: Path) -> Path:
+    path = folder / "camera.json"
+    told = {
+        "position": CAMERA.position.tolist(),
+        "target": (CAMERA.position + 3.0 * CAMERA.forward).tolist(),
+        "up": CAMERA.up.tolist(),
+        "fov_y": math.degrees(CAMERA.fov_y),
+        "shift": [0.1, -0.05],
+    }
+    path.write_text(json.dumps(told))
+    return path
+
+
+def write_gltf(folder: Path, *, binary: bool) -> Path:
+    """Write a camera that is the child of a node that moves it."""
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([CAMERA.right, CAMERA.up, -CAMERA.forward, CAMERA.position - [1.0, 2.0, 3.0]], axis=1)
+    scene = {
+        "nodes": [{"translation": [1, 2, 3], "children": [1]}, {"camera": 0, "matrix": matrix.T.ravel().tolist()}],
+        "cameras": [{"type": "perspective", "perspective": {"yfov": CAMERA.fov_y, "aspectRatio": WIDTH / HEIGHT}}],
+    }
+    text = json.dumps(scene).encode()
+    path = folder / ("camera.glb" if binary else "camera.gltf")
+    head = struct.pack("<IIIII", 0x46546C67, 2, 20 + len(text), len(text), 0x4E4F534A)
+    path.write_bytes(head + text if binary else text)
+    return path
+
+
+def write_usd(folder: Path) -> Path:
+    """Write a stage whose camera's aperture is that of the image, moved aside."""
+    focal, high = 50.0, 2.0 * 50.0 * math.tan(0.5 * CAMERA.fov_y)
+    rows = np.eye(4)
+    rows[:3, :3] = np.stack([CAMERA.right, CAMERA.up, -CAMERA.forward])
+    rows[3, :3] = CAMERA.position
+    matrix = ", ".join("(" + ", ".join(f"{value:.12g}" for value in row) + ")" for row in rows)
+    path = folder / "camera.usda"
+    path.write_text(
+        f"""#usda 1.0
+def Xform "set" {{
+    def Camera "main" {{
+        float focalLength = {focal}
+        float horizontalAperture = {high * WIDTH / HEIGHT:.9g}
+        float verticalAperture = {high:.9g}
+        float horizontalApertureOffset = {0.1 * focal}
+        float verticalApertureOffset = {-0.05 * focal}
+        matrix4d xformOp:transform = ({matrix})
+        uniform token[] xformOpOrder = ["xformOp:transform"]
+    }}
+}}
+"""
+    )
+    return path
+
+
+def test_camera_of_json(tmp_path: Path) -> None:
+    require_same_view(read_camera_file(write_json(tmp_path)), SHIFTED)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_camera_of_gltf(binary: bool, tmp_path: Path) -> None:
+    require_same_view(read_camera_file(write_gltf(tmp_path, binary=binary)), CAMERA)
+
+
+def test_camera_of_usd(tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    require_same_view(read_camera_file(write_usd(tmp_path)), SHIFTED)
+    (tmp_path / "empty.usda").write_text("#usda 1.0\n")
+    with pytest.raises(InputError, match="expected a camera"):
+        read_camera_file(tmp_path / "empty.usda")
+    (tmp_path / "broken.usda").write_text("#usda 1.0\ndef {")
+    with pytest.raises(FileError, match="USD stage"):
+        read_camera_file(tmp_path / "broken.usda")
+
+
+MITSUBA = """<scene version="3.0.0"><default name="w" value="48"/><sensor type="perspective">
+<float name="fov" value="50"/><string name="fov_axis" value="{axis}"/>{more}
+<transform name="to_world"><lookat origin="0.3, -5, 1.6" target="0.2, -1, 0.8" up="0, 0, 1"/></transform>
+<film type="hdrfilm"><integer name="width" value="$w"/><integer name="height" value="36"/>{film}</film>
+</sensor></scene>"""
+MOVED = '<float name="principal_point_offset_x" value="0.1"/><float name="principal_point_offset_y" value="-0.2"/>'
+CROP = "".join(
+    f'<integer name="crop_{name}" value="{value}"/>'
+    for name, value in {"offset_x": 5, "offset_y": 8, "width": 30, "height": 20}.items()
+)
+
+
+@pytest.mark.mitsuba
+@pytest.mark.parametrize(
+    ("axis", "more", "film"),
+    [("x", "", ""), ("y", "", ""), ("smaller", "", ""), ("diagonal", "", ""), ("x", MOVED, ""), ("y", "", CROP)],
+    ids=["x", "y", "smaller", "diagonal", "principal point", "crop"],
+)
+def test_camera_of_a_mitsuba_scene_is_that_of_mitsuba(axis: str, more: str, film: str, mi: Any, tmp_path: Path) -> None:
+    from lobewise.render.camera import get_camera, get_image_size
+
+    path = tmp_path / "scene.xml"
+    path.write_text(MITSUBA.format(axis=axis, more=more, film=film))
+    scene = mi.load_file(str(path))
+    require_same_view(read_camera_file(path), get_camera(scene), get_image_size(scene))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("camera.txt", "", "a name that ends in .json"),
+        ("camera.json", "{", "expected a camera"),
+        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1]}', "fov_y or fov_x"),
+        ("camera.json", '{"position": [0, 0, 0], "look": [0, 0, 1]}', "'look'"),
+        ("camera.gltf", '{"nodes": []}', "a node with a camera"),
+        ("camera.xml", "<scene/>", "a sensor"),
+        ("camera.xml", '<scene><sensor type="orthographic"/></scene>', "orthographic"),
+    ],
+)
+def test_what_is_no_camera_is_refused_in_a_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises((FileError, InputError), match=words):
+        read_camera_file(tmp_path / name)
+
+
+def test_a_given_camera_turns_normals_of_camera_space(tmp_path: Path) -> None:
+    """V-Ray's normals are in camera space; without positions or a header, the camera has to be given."""
+    scene, written = make_scene(), WRITERS["vray"](make_scene())
+    kept = {name: plane for name, plane in written.channels.items() if not name.lower().startswith(("worldpos", "p."))}
+    written.channels.clear()
+    written.channels.update(kept)
+    written.attributes.clear()
+    write(tmp_path / "a.exr", written)
+    found = import_file(tmp_path / "a.exr", preset="vray", camera=CAMERA)
+    normal = found.frame.gbuffer.normal
+    np.testing.assert_allclose(normal[scene.surface], scene.normal[scene.surface], atol=2e-3)
+    without = import_file(tmp_path / "a.exr", preset="vray").frame.gbuffer.normal
+    axes = to_camera(scene.normal, back=True)
+    np.testing.assert_allclose(without[scene.surface], axes[scene.surface], atol=2e-3)
