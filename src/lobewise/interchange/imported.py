@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lobewise.frame import FloatArray, Frame
+from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.siblings import Family
@@ -35,6 +36,8 @@ class Imported:
         What was found, converted, dropped or is missing, one sentence each.
     outputs : mapping of str to PartOutput
         Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
+    findings : tuple of Finding
+        What was measured to be another convention than the file was taken for; the notes have their sentences.
     """
 
     frame: Frame
@@ -42,6 +45,7 @@ class Imported:
     map: ChannelMap | None = None
     notes: tuple[str, ...] = ()
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     @property
     def preset(self) -> str:

@@ -13,6 +13,7 @@ from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.cryptomatte import find_coverage
 from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
+from lobewise.interchange.checks import check_guides, check_places
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers
@@ -219,11 +220,14 @@ def _import_foreign(container: Container, read: Read, channels: ChannelMap, came
     notes = [*channels.preset.notes]
     if channels.others:
         notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
-    light = _take_light(images, channels, read)
+    guides = check_guides(images, channels, read)
+    light = _take_light(guides.images, channels, guides.lend(read, images))
+    images = guides.images
     if "albedo" in images:
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
-    places = place_surfaces(images, channels.roles, camera, located)
+    places = place_surfaces(images, guides.roles, camera, located)
+    findings = [*guides.findings, *check_places(places, guides.roles, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -252,13 +256,13 @@ def _import_foreign(container: Container, read: Read, channels: ChannelMap, came
         spp=spp,
         layers=light.layers,
     )
-    notes += [*places.notes, *light.notes, *_note_what_lacks(channels, frame)]
+    notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
     outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
     if any(one.found.source.part.index >= FIRST_INDEX for one in outputs.values()):
         notes.append("Passes in files of their own stay as they are there: only the image is written.")
         outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
-    return Imported(frame, container, channels, tuple(notes), outputs)
+    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings))
 
 
 def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:

@@ -1,0 +1,6 @@
+"""Conventions of foreign frames are checked: what guides are is measured, mended where it is sure, else told."""
+
+from lobewise.interchange.checks.checking import Guides, check_guides, check_places
+from lobewise.interchange.checks.finding import Finding
+
+__all__ = ["Finding", "Guides", "check_guides", "check_places"]

@@ -1,0 +1,226 @@
+"""What a depth measures: along the ray or the camera's axis, stretched, inverted; by positions, else by normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
+from lobewise.interchange.checks.finding import Finding
+from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
+
+TOLERATED, DIFFERENT = 0.005, 0.02
+"""Median shares of the distance by which depth may differ from the positions, and from which on it surely does: near
+planes are left out by some, and the place of a camera that was found is not known exactly."""
+BETTER = 0.25
+"""How much smaller the error of another meaning must be."""
+TOLERATED_SLOPE = 0.02
+"""Median sine of the angle between normals and surfaces, up to which depth is what it was taken for."""
+WORST_SLOPE = 0.05
+"""That up to which another meaning is."""
+SAME_SURFACE = 0.999
+"""Cosine between the normals of neighbours on one flat surface."""
+ROUNDS = 4
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a depth ``d`` may be: ``a + b d`` or ``1 / (a + b d)``, along the ray or the camera's axis.
+
+    Parameters
+    ----------
+    planar : bool
+        Whether along the axis.
+    inverted : bool
+        Whether of its reciprocal.
+    offset, scale : float
+        a and b.
+    """
+
+    planar: bool
+    inverted: bool = False
+    offset: float = 0.0
+    scale: float = 1.0
+
+    def apply(self, depth: FloatArray, cosine: FloatArray) -> FloatArray:
+        """Return distances along the rays; ``cosine`` is that of the angle between ray and axis."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = self.offset + self.scale * depth
+            found = 1.0 / found if self.inverted else found
+        found = np.where(np.isfinite(found) & (found > 0.0), found, 0.0)
+        return np.asarray(found / cosine if self.planar else found, dtype=np.float32)
+
+    def tell(self) -> str:
+        """Return it in words."""
+        along = "distance along the camera's axis" if self.planar else "distance along the ray"
+        if self.inverted:
+            return f"stretched reciprocal of the {along}"
+        if self.offset != 0.0:
+            return f"{along}, stretched and shifted"
+        return along if self.scale == 1.0 else f"{along} in another unit (times {self.scale:.4g})"
+
+
+def list_meanings(assumed: bool) -> list[tuple[bool, bool, bool, bool]]:
+    """Return planar, inverted, whether scaled and whether shifted of every meaning, the simplest first."""
+    kinds = ((False, False, False), (False, True, False), (False, True, True), (True, True, True))
+    return [(planar, *kind) for kind in kinds for planar in (assumed, not assumed)]
+
+
+def check_depth_by_position(
+    depth: FloatArray, position: FloatArray, camera: Camera, label: str, *, planar: bool
+) -> tuple[FloatArray, list[Finding]]:
+    """Return distances along the rays, 0 where there is no surface, and what was found.
+
+    Parameters
+    ----------
+    depth : (height, width)
+        The same if the file is what it was taken for.
+    position : (height, width, 3)
+        World positions, 0 where there is no surface.
+    camera : Camera
+        It sees them where they are.
+    label : str
+        The depth's channel.
+    planar : bool
+        Whether it was taken for a distance along the camera's axis.
+    """
+    rows, columns = choose_centers((depth.shape[0], depth.shape[1]), 0)
+    points = position[rows, columns].astype(np.float64)
+    taken = depth[rows, columns].astype(np.float64)
+    there = (points != 0.0).any(axis=-1) & np.isfinite(points).all(axis=-1) & (taken > 0.0)
+    if there.sum() < FEWEST_SAMPLES:
+        return depth, []
+    steps = points[there] - camera.position
+    away = np.linalg.norm(steps, axis=-1)
+    cosine = steps @ camera.forward / away
+    raw = taken[there] * (cosine if planar else 1.0)
+    kinds = list_meanings(planar)
+    first = _fit_by_position(raw, away, cosine, kinds[0])[1]
+    if first < TOLERATED:
+        return depth, []
+    fits = [_fit_by_position(raw, away, cosine, kind) for kind in kinds[1:]]
+    good = [meaning for meaning, error in fits if error < max(TOLERATED, BETTER * min(first, DIFFERENT))]
+    if first < DIFFERENT and not (good and good[0].scale == 1.0):
+        return depth, []
+    surface = (position != 0.0).any(axis=-1)
+    if not good:
+        told = (
+            f"{label} is no distance to the surfaces that the positions show, so theirs from the camera stand for it."
+        )
+        distance = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
+        return np.where(surface, distance, np.float32(0.0)), [Finding("depth of something else", told, mended=True)]
+    height, width = depth.shape
+    ray_cosine = camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)
+    found = good[0].apply(depth * ray_cosine if planar else depth, ray_cosine)
+    told = f"{label} is the {good[0].tell()}, as the positions show; it was converted."
+    return np.where(surface, found, np.float32(0.0)), [Finding("depth of another meaning", told, mended=True)]
+
+
+def _fit_by_position(
+    raw: Numbers, away: Numbers, cosine: Numbers, kind: tuple[bool, bool, bool, bool]
+) -> tuple[Meaning, float]:
+    """Return a meaning of given kind that fits best, and its median relative error."""
+    planar, inverted, scaled, shifted = kind
+    wanted = away * cosine if planar else away
+    target = 1.0 / wanted if inverted else wanted
+    offset, scale = 0.0, 1.0
+    kept = np.ones(len(raw), dtype=bool)
+    for _ in range(ROUNDS if scaled else 0):
+        if shifted:
+            columns = np.stack([np.ones(kept.sum()), raw[kept]], axis=1)
+            offset, scale = np.linalg.lstsq(columns / target[kept, None], np.ones(kept.sum()), rcond=None)[0]
+        else:
+            scale = float(np.median(target[kept] / raw[kept]))
+        error = np.abs(offset + scale * raw - target) / target
+        kept = error <= 3.0 * np.median(error) + 1e-12
+    meaning = Meaning(planar, inverted, float(offset), float(scale))
+    found = meaning.apply(raw.astype(np.float32), cosine.astype(np.float32))
+    return meaning, float(np.median(np.abs(found / away - 1.0)))
+
+
+def check_depth_by_normal(
+    depth: FloatArray, normal: FloatArray, camera: Camera, label: str, *, planar: bool
+) -> tuple[FloatArray, list[Finding]]:
+    """Return distances along the rays, and what was found; parameters as in `check_depth_by_position`.
+
+    Between neighbours on one surface the step is across its normal: with depths ``d`` and ``e`` and rays ``r`` and
+    ``s``, ``n . (t(e) s - t(d) r) = 0``, which is linear in what stretches and shifts a depth (and its reciprocal). The
+    unit of length is not told by that, and does not matter.
+    """
+    height, width = depth.shape
+    rays = camera.make_ray_directions(width, height)
+    cosine = rays @ camera.forward.astype(np.float32)
+    reach = 1 if height * width < 250_000 else 2
+    rows, columns = choose_centers((height, width), reach)
+    pairs = [_take_pairs(depth, normal, rays, (rows, columns), step) for step in ((0, reach), (reach, 0))]
+    n, r, s, d, e = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    if len(n) < FEWEST_SAMPLES:
+        return depth, []
+    axis = camera.forward
+    if planar:
+        d, e = d * (r @ axis), e * (s @ axis)
+    fits = [
+        _fit_by_normal(n, r, s, d, e, axis, kind) for kind in list_meanings(planar) if not (kind[2] and not kind[3])
+    ]
+    first = fits[0][1]
+    least = min(error for _, error in fits)
+    if first < TOLERATED_SLOPE or least > min(WORST_SLOPE, BETTER * first):
+        return depth, []
+    meaning = next(meaning for meaning, error in fits if error < max(2.0 * least, TOLERATED_SLOPE))
+    found = meaning.apply(depth * cosine if planar else depth, cosine)
+    unit = ", whose unit nothing tells" if meaning.offset != 0.0 else ""
+    told = f"{label} is the {meaning.tell()}, as the normals show{unit}; it was converted."
+    return np.where(depth > 0.0, found, np.float32(0.0)), [Finding("depth of another meaning", told, mended=True)]
+
+
+def _take_pairs(
+    depth: FloatArray,
+    normal: FloatArray,
+    rays: FloatArray,
+    centers: tuple[NDArray[np.intp], NDArray[np.intp]],
+    step: tuple[int, int],
+) -> Sequence[Numbers]:
+    """Return normals, rays of both and depths of both, for pixels and neighbours on one flat surface."""
+    rows, columns = centers
+    other = rows + step[0], columns + step[1]
+    n, m = normal[rows, columns].astype(np.float64), normal[other].astype(np.float64)
+    d, e = depth[rows, columns].astype(np.float64), depth[other].astype(np.float64)
+    flat = ((n * m).sum(axis=-1) > SAME_SURFACE) & (d > 0.0) & (e > 0.0)
+    r, s = rays[rows, columns].astype(np.float64), rays[other].astype(np.float64)
+    return tuple(values[flat] for values in (n, r, s, d, e))
+
+
+def _fit_by_normal(
+    n: Numbers, r: Numbers, s: Numbers, d: Numbers, e: Numbers, axis: Numbers, kind: tuple[bool, bool, bool, bool]
+) -> tuple[Meaning, float]:
+    """Return a meaning of given kind that fits best, and the median sine between surface and normal."""
+    planar, inverted, scaled, _ = kind
+    if planar:
+        r, s = r / (r @ axis)[:, None], s / (s @ axis)[:, None]
+    first, second = (d, e) if inverted else (e, d)
+    steps = s - r, first[:, None] * s - second[:, None] * r
+    shifts, stretches = ((n * step).sum(axis=-1) for step in steps)
+    offset, scale = 0.0, 1.0
+    weight = 1.0 / (np.linalg.norm(steps[1], axis=-1) + 1e-12)
+    kept = np.ones(len(n), dtype=bool)
+    size = float(np.median(d))
+    for _ in range(ROUNDS if scaled else 0):
+        system = np.stack([size * shifts, stretches], axis=1)[kept] * weight[kept, None]
+        offset, scale = np.linalg.svd(system, full_matrices=False)[2][-1]
+        sign = 1.0 if np.median(offset * size + scale * d) > 0.0 else -1.0
+        offset, scale = sign * offset * size, sign * scale
+        whole = np.linalg.norm(offset * steps[0] + scale * steps[1], axis=-1)
+        error = np.abs(offset * shifts + scale * stretches) / (whole + 1e-30)
+        weight = 1.0 / (whole + 1e-12 * size)
+        kept = error <= 3.0 * np.median(error) + 1e-12
+    whole = np.linalg.norm(offset * steps[0] + scale * steps[1], axis=-1)
+    error = np.abs(offset * shifts + scale * stretches) / (whole + 1e-30)
+    if scaled and not inverted and scale > 0.0:
+        offset, scale = offset / scale, 1.0
+    return Meaning(planar, inverted, float(offset), float(scale)), float(np.median(error))

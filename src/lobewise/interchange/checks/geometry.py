@@ -1,0 +1,96 @@
+"""The surfaces that positions show, measured at some pixels: what other guides are held against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
+
+MOST_SAMPLES = 12000
+"""Pixels that are looked at."""
+FEWEST_SAMPLES = 60
+"""Pixels below which nothing is told."""
+BENT = 0.1
+"""Distance from the plane through its neighbours, over that between them, from which on a surface counts as bent."""
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Pixels around which the surface is flat.
+
+    Parameters
+    ----------
+    rows, columns : (n,)
+        Where they are.
+    normal : (n, 3)
+        Unit normal of the plane through the points of the neighbours, on the camera's side.
+    view : (n, 3)
+        Unit direction to the camera.
+    """
+
+    rows: Indices
+    columns: Indices
+    normal: FloatArray
+    view: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def take(self, image: FloatArray) -> FloatArray:
+        """Return an image's values at the pixels."""
+        return np.asarray(image[self.rows, self.columns])
+
+    def thin_out(self, most: int) -> Patches:
+        """Return at most so many of the pixels, evenly spread."""
+        step = slice(None, None, -(-len(self) // most) or 1)
+        return Patches(self.rows[step], self.columns[step], self.normal[step], self.view[step])
+
+
+def choose_centers(shape: tuple[int, int], reach: int, most: int = MOST_SAMPLES) -> tuple[Indices, Indices]:
+    """Return rows and columns of a regular grid over an image, ``reach`` pixels from its edges."""
+    height, width = shape
+    step = max(1, int(np.ceil(np.sqrt(height * width / most))))
+    rows, columns = np.arange(reach, height - reach, step), np.arange(reach, width - reach, step)
+    # Every second row starts half a step later, so that nothing that repeats with the columns is missed.
+    grid_rows, grid_columns = np.meshgrid(rows, columns, indexing="ij")
+    grid_columns = grid_columns + (np.arange(len(rows)) % 2)[:, None] * (step // 2)
+    inside = grid_columns < width - reach
+    return grid_rows[inside], grid_columns[inside]
+
+
+def find_patches(position: FloatArray, camera: Camera) -> Patches:
+    """Return where the positions of a frame show flat surfaces, and which way those face.
+
+    Parameters
+    ----------
+    position : (height, width, 3)
+        World positions; 0 or not finite where there is no surface.
+    camera : Camera
+        It tells the side.
+    """
+    height, width = position.shape[:2]
+    reach = 1 if height * width < 250_000 else 2
+    rows, columns = choose_centers((height, width), reach)
+    steps = ((0, 0), (0, reach), (0, -reach), (reach, 0), (-reach, 0))
+    points = np.stack([position[rows + down, columns + right] for down, right in steps]).astype(np.float64)
+    there = (np.isfinite(points).all(axis=-1) & (points != 0.0).any(axis=-1)).all(axis=0)
+    rows, columns, points = rows[there], columns[there], points[:, there]
+    center, right, left, down, up = points
+    across, along = right - left, down - up
+    normal = np.cross(across, along)
+    view = camera.position - center
+    scale = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(along, axis=-1))
+    length = np.linalg.norm(normal, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal = normal / length[:, None]
+        view = view / np.linalg.norm(view, axis=-1, keepdims=True)
+        apart = np.abs(((points[1:] - center) * normal).sum(axis=-1)).max(axis=0)
+        normal = np.where((normal * view).sum(axis=-1, keepdims=True) < 0.0, -normal, normal)
+        flat = (length > 1e-3 * scale * scale) & (apart < BENT * scale) & np.isfinite(view).all(axis=-1)
+    return Patches(rows[flat], columns[flat], normal[flat].astype(np.float32), view[flat].astype(np.float32))

@@ -1,0 +1,292 @@
+"""Each wrong convention, made on purpose, is found and mended; right files raise nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from renderers import WRITERS, Written, make_scene, name, write
+
+import lobewise
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray, Frame
+from lobewise.interchange import describe_file, import_file
+from lobewise.interchange.imported import Imported
+from lobewise.interchange.reading import read_image
+from lobewise.metrics import rel_mse
+
+FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
+DATA = Path(lobewise.__file__).parent / "data"
+Channels = dict[str, np.ndarray]
+
+
+@cache
+def read_showroom() -> tuple[Frame, FloatArray]:
+    """Return the bundled frame and its reference."""
+    return lobewise.read_frame(DATA / "showroom-4spp.exr"), read_image(DATA / "showroom-reference.exr")
+
+
+def get_camera() -> Camera:
+    camera = read_showroom()[0].camera
+    assert camera is not None
+    return camera
+
+
+def write_showroom(*leave: str) -> Channels:
+    """Return the bundled frame as Arnold's channels, without some of its passes."""
+    frame = read_showroom()[0]
+    guides = frame.gbuffer
+    position = get_camera().make_positions(guides.depth)
+    channels = name("", frame.radiance.color) | {"Z": guides.depth}
+    passes = {
+        "N": guides.normal, "P": position, "diffuse_albedo": guides.diffuse_albedo,
+        "specular_albedo": guides.specular_albedo, "diffuse": frame.radiance.diffuse,
+        "specular": frame.radiance.specular,
+    }  # fmt: skip
+    for head, image in passes.items():
+        channels |= name(head, image, "XYZ" if head in "NP" else "RGB")
+    channels |= name("specular_roughness", np.sqrt(guides.alpha_u), "R")
+    return {key: plane for key, plane in channels.items() if key.partition(".")[0] not in leave}
+
+
+def get(channels: Channels, head: str) -> np.ndarray:
+    """Return a pass (height, width, 3)."""
+    return np.stack([channels[f"{head}.{letter}"] for letter in ("XYZ" if head in "NP" else "RGB")], axis=-1)
+
+
+def put(channels: Channels, head: str, image: np.ndarray) -> Channels:
+    """Return channels with a pass replaced."""
+    return channels | name(head, image, "XYZ" if head in "NP" else "RGB")
+
+
+def change(head: str, function: Callable[[np.ndarray], np.ndarray]) -> Callable[[Channels], Channels]:
+    return lambda channels: put(channels, head, function(get(channels, head)))
+
+
+def change_depth(function: Callable[[np.ndarray], np.ndarray]) -> Callable[[Channels], Channels]:
+    return lambda channels: channels | {"Z": function(channels["Z"])}
+
+
+def to_axes(*rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what turns vectors into components along some axes."""
+    return lambda image: image @ np.stack(rows).T
+
+
+def to_camera(sign: float) -> Callable[[np.ndarray], np.ndarray]:
+    camera = get_camera()
+    return to_axes(camera.right, camera.up, sign * camera.forward)
+
+
+def to_rays(normal: np.ndarray) -> np.ndarray:
+    """Return normals as V-Ray has them: x right and y up, both across the ray, z against it."""
+    camera = get_camera()
+    rays = camera.make_ray_directions(normal.shape[1], normal.shape[0])
+    right, up = np.cross(rays, camera.up), np.cross(camera.right, rays)
+    sides = [side / np.linalg.norm(side, axis=-1, keepdims=True) for side in (right, up)]
+    found = np.stack([(normal * side).sum(axis=-1) for side in (*sides, -rays)], axis=-1)
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
+
+
+def turn_some(normal: np.ndarray) -> np.ndarray:
+    """Return normals of which those of some surfaces look away: of all that face up."""
+    return np.where(normal[..., 2:] > 0.7, -normal, normal)
+
+
+def get_cosine(depth: np.ndarray) -> np.ndarray:
+    camera = get_camera()
+    return camera.make_ray_directions(depth.shape[1], depth.shape[0]) @ camera.forward
+
+
+def stretch(depth: np.ndarray) -> np.ndarray:
+    return (depth - depth.min()) / (depth.max() - depth.min()) + 1e-3
+
+
+def sprinkle(image: np.ndarray, value: float) -> np.ndarray:
+    """Return an image that is no number at some pixels far from each other."""
+    spoiled = image.copy()
+    spoiled.reshape(-1, *image.shape[2:])[100::991] = value
+    return spoiled
+
+
+def spoil_albedo(albedo: np.ndarray) -> np.ndarray:
+    """Return an albedo that is beyond its range where it is at one end of it."""
+    spoiled = albedo.copy()
+    white, black = np.nonzero(albedo.min(axis=-1) > 0.85), np.nonzero(albedo.max(axis=-1) == 0.0)
+    spoiled[white[0][:37], white[1][:37]] = 1.4
+    spoiled[black[0][:20], black[1][:20]] = -0.25
+    return spoiled
+
+
+def turn_guides(channels: Channels) -> Channels:
+    return {key: plane[::-1] if key.partition(".")[0] in GUIDES else plane for key, plane in channels.items()}
+
+
+GUIDES = ("N", "P", "Z", "diffuse_albedo", "specular_albedo", "specular_roughness")
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A convention that is not the one which the file is taken for."""
+
+    make: Callable[[Channels], Channels]
+    finding: str
+    leave: tuple[str, ...] = ()
+    told: tuple[str, ...] = field(default=())
+    """What its sentence must name."""
+
+
+MISTAKES = {
+    "normals in camera space, z away": Mistake(
+        change("N", lambda n: to_camera(1.0)(n)), "normals in another space", told=("z is away from the camera",)
+    ),
+    "normals in camera space, z back": Mistake(
+        change("N", lambda n: to_camera(-1.0)(n)), "normals in another space", told=("z is towards the camera",)
+    ),
+    "normals in camera space, by depth": Mistake(
+        change("N", lambda n: to_camera(-1.0)(n)), "normals in another space", leave=("P",)
+    ),
+    "normals in a space of each ray": Mistake(change("N", to_rays), "normals in another space", told=("its ray",)),
+    "normals encoded": Mistake(change("N", lambda n: 0.5 + 0.5 * n), "normals encoded"),
+    "normals negated": Mistake(change("N", np.negative), "normals flipped"),
+    "some normals negated": Mistake(change("N", turn_some), "normals that look away"),
+    "normals with y turned": Mistake(
+        change("N", lambda n: n * np.float32([1, -1, 1])), "normals with turned axes", told=("y is -y",)
+    ),
+    "normals with z turned": Mistake(
+        change("N", lambda n: n * np.float32([1, 1, -1])), "normals with turned axes", told=("z is -z",)
+    ),
+    "normals with y up": Mistake(
+        change("N", lambda n: n[..., [0, 2, 1]] * np.float32([1, 1, -1])), "normals with turned axes"
+    ),
+    "normals not of unit length": Mistake(change("N", lambda n: 3.0 * n), "normals not of unit length"),
+    "depth along the axis": Mistake(
+        change_depth(lambda z: z * get_cosine(z)), "depth of another meaning", told=("along the camera's axis",)
+    ),
+    "depth along the axis, by normals": Mistake(
+        change_depth(lambda z: z * get_cosine(z)), "depth of another meaning", leave=("P",)
+    ),
+    "depth in another unit": Mistake(change_depth(lambda z: 0.01 * z), "depth of another meaning", told=("times 100",)),
+    "depth from 0 to 1": Mistake(change_depth(stretch), "depth of another meaning"),
+    "depth from 0 to 1, by normals": Mistake(change_depth(stretch), "depth of another meaning", leave=("P",)),
+    "depth inverted": Mistake(change_depth(lambda z: 1.0 - 0.9 * stretch(z)), "depth of another meaning", leave=("P",)),
+    "reciprocal of depth": Mistake(change_depth(lambda z: 0.1 / z), "depth of another meaning"),
+    "reciprocal of depth, by normals": Mistake(change_depth(lambda z: 0.1 / z), "depth of another meaning", ("P",)),
+    "depth of something else": Mistake(
+        change_depth(lambda z: 3.0 + np.cos(np.arange(z.size, dtype=np.float32)).reshape(z.shape)),
+        "depth of something else",
+    ),
+    "all guides upside down": Mistake(
+        turn_guides,
+        "guides flipped", told=("N.X/Y/Z", "P.X/Y/Z", "diffuse_albedo.R/G/B", "upside down"),
+    ),
+    "albedo upside down": Mistake(
+        change("diffuse_albedo", lambda a: a[::-1]), "guides flipped", told=("diffuse_albedo.R/G/B lies upside down",)
+    ),
+    "normals mirrored left to right": Mistake(
+        change("N", lambda n: n[:, ::-1]), "guides flipped", told=("N.X/Y/Z lies mirrored",)
+    ),
+    "albedo above 1 and below 0": Mistake(
+        change("diffuse_albedo", spoil_albedo), "albedo out of range", told=("above 1 at 37 pix", "below 0 at 20 pix")
+    ),
+    "no numbers among normals": Mistake(
+        change("N", lambda n: sprinkle(n, np.nan)), "guides without numbers", told=("at 265 pixels: 265 were filled",)
+    ),
+    "no numbers among albedos": Mistake(
+        change("diffuse_albedo", lambda a: sprinkle(a, np.inf)), "guides without numbers"
+    ),
+    "no numbers among positions": Mistake(change("P", lambda p: sprinkle(p, np.nan)), "guides without numbers"),
+    "no numbers among depths": Mistake(change_depth(lambda z: sprinkle(z, np.nan)), "guides without numbers"),
+}  # fmt: skip
+
+
+def import_channels(channels: Channels, folder: Path, *, camera: Camera | None = None) -> Imported:
+    path = folder / "frame.exr"
+    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}))
+    return import_file(path, camera=camera)
+
+
+def find_error(found: Imported) -> float:
+    """Return the error of the frame, filtered by its guides alone, of which nothing else then covers a mistake."""
+    result = lobewise.denoise(found.frame, quality="fast")
+    return rel_mse(result.image, read_showroom()[1])
+
+
+def choose_camera(leave: tuple[str, ...]) -> Camera | None:
+    """Return the camera that is given where no positions tell it."""
+    return get_camera() if "P" in leave else None
+
+
+@pytest.fixture(scope="module")
+def right_errors(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], float]:
+    """Return what tells the error of the right frame that lacks some passes."""
+
+    @cache
+    def find(leave: tuple[str, ...]) -> float:
+        found = import_channels(write_showroom(*leave), tmp_path_factory.mktemp("right"), camera=choose_camera(leave))
+        assert found.findings == ()
+        return find_error(found)
+
+    return find
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_found_and_mended(
+    mistake: str, right_errors: Callable[[tuple[str, ...]], float], tmp_path: Path
+) -> None:
+    made = MISTAKES[mistake]
+    channels = made.make(write_showroom(*made.leave))
+    found = import_channels(channels, tmp_path, camera=choose_camera(made.leave))
+    assert [one.what for one in found.findings] == [made.finding], found.notes
+    (finding,) = found.findings
+    assert finding.mended
+    assert finding.told in found.notes
+    for words in made.told:
+        assert words in finding.told
+    assert find_error(found) <= 1.05 * right_errors(made.leave)
+
+
+RIGHT = ("blender_4.5_seed1.exr", "blender_4.5_seed2.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
+REAL = (
+    "arnold_multichannel.exr",
+    "beachball_multipart.0001.exr",
+    "beachball_singlepart.0001.exr",
+    "bright_rings_nan_inf.exr",
+    "display_window_t03.exr",
+    "mitsuba_multi_channels.exr",
+    "special_chars.exr",
+    "vray_cornellBox_CryptoWildcard.0001.exr",
+)
+
+
+@pytest.mark.parametrize("file", RIGHT)
+def test_rendered_files_raise_nothing(file: str) -> None:
+    assert import_file(FOREIGN / file).findings == ()
+
+
+@pytest.mark.real_exr
+@pytest.mark.parametrize("file", REAL)
+def test_real_files_raise_nothing(file: str, exr_folder: Path) -> None:
+    assert import_file(exr_folder / file).findings == ()
+
+
+@pytest.mark.parametrize("layout", ["float", "half"])
+@pytest.mark.parametrize("renderer", WRITERS)
+def test_right_files_of_every_renderer_raise_nothing(renderer: str, layout: str, tmp_path: Path) -> None:
+    path = tmp_path / "frame.exr"
+    written = WRITERS[renderer](make_scene())
+    if layout == "half":
+        written.channels = {key: np.minimum(plane, 65504.0) for key, plane in written.channels.items()}
+    write(path, written, half=layout == "half")
+    assert import_file(path).findings == ()
+
+
+def test_what_was_found_is_told_by_inspect(tmp_path: Path) -> None:
+    path = tmp_path / "frame.exr"
+    channels = change("N", np.negative)(write_showroom())
+    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}))
+    told = describe_file(path)
+    assert any("look away from the camera" in note for note in told.notes)
