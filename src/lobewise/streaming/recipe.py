@@ -28,7 +28,9 @@ from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
+from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
+from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
@@ -113,7 +115,7 @@ def denoise_file(
     Raises
     ------
     InputError, MissingChannelError, DeviceError
-        As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range.
+        As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range, or the file is another renderer's.
     FileError
         As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
     """
@@ -121,6 +123,13 @@ def denoise_file(
     asked = ask(settings, changes)
     _check(asked, rows, memory)
     require_writable(output)
+    if not is_own(read_container(source)):
+        raise InputError(
+            f"input {str(source)!r}",
+            expected="a file in lobewise's own channel names, which can be read in bands",
+            got="one of another renderer",
+            action="use read_frame, denoise and write_result",
+        )
     tell = progress or (lambda what, done, total: None)
     reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
     apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
