@@ -168,3 +168,26 @@ def test_a_damaged_file_beside_it_is_not_its_pass(tmp_path: Path) -> None:
     other.write_bytes(other.read_bytes()[:50])
     frame = import_file(folder / "RGB.exr").frame
     assert frame.radiance.color.shape == import_file(FOREIGN / "luxcore" / "RGB.exr").frame.radiance.color.shape
+
+
+def test_alpha_tells_silhouettes_against_the_background(tmp_path: Path) -> None:
+    scene, written = make_scene(), WRITERS["arnold"](make_scene())
+    for key in [key for key in written.channels if "crypto" in key]:
+        del written.channels[key]
+    alpha = scene.surface.astype(np.float32)
+    inside = np.argwhere(scene.surface & ~np.roll(scene.surface, 1, axis=0))
+    row, column = next((row, column) for row, column in inside if row > 0)
+    alpha[row - 1, column] = 0.25
+    written.channels["A"] = alpha
+    write(tmp_path / "a.exr", written)
+    found = import_file(tmp_path / "a.exr")
+    coverage = found.frame.gbuffer.coverage
+    assert any("Silhouettes against the background" in note for note in found.notes), found.notes
+    assert coverage is not None
+    # Three quarters are the background that it stands for itself; the rest is what lies below, and perhaps beside, it.
+    np.testing.assert_allclose(coverage[row - 1, column, 4], 0.75, atol=1e-5)
+    np.testing.assert_allclose(coverage[row - 1, column].sum(), 1.0, atol=1e-5)
+    assert coverage[row - 1, column, 7] > 0.0
+    written.channels["A"] = np.ones_like(alpha)
+    write(tmp_path / "b.exr", written)
+    assert import_file(tmp_path / "b.exr").frame.gbuffer.coverage is None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,10 +11,9 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.interchange.siblings import Family
-from lobewise.io.exr.container import Container
+from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.layout import join_planes
-from lobewise.io.exr.pixels import Pixels, decode_part
+from lobewise.io.exr.pixels import Pixels
 
 OWN = "lobewise"
 """What is told as the preset of a file in lobewise's own channel names."""
@@ -56,9 +55,9 @@ class Imported:
 class ImageReader:
     """Images of a file, each part decoded once."""
 
-    def __init__(self, family: Family) -> None:
-        self._family = family
-        self._pixels: dict[int, dict[str, Pixels]] = {}
+    def __init__(self, decode: Callable[[Part], Mapping[str, Pixels]]) -> None:
+        self._decode = decode
+        self._pixels: dict[int, Mapping[str, Pixels]] = {}
         self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
 
     def __call__(self, found: Found) -> FloatArray:
@@ -73,6 +72,5 @@ class ImageReader:
         """Return the channels of an image one by one, (height, width) each, in their types."""
         part = found.source.part
         if part.index not in self._pixels:
-            home = self._family.homes.get(part.index, (self._family.container, part))
-            self._pixels[part.index] = decode_part(*home)
+            self._pixels[part.index] = self._decode(part)
         return [self._pixels[part.index][name] for name in found.channels]

@@ -11,7 +11,6 @@ import numpy as np
 from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.guides.cryptomatte import find_coverage
 from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
 from lobewise.interchange.checks import check_guides, check_places
 from lobewise.interchange.imported import ImageReader, Imported
@@ -20,6 +19,7 @@ from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_p
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
 from lobewise.interchange.siblings import FIRST_INDEX, find_family
+from lobewise.interchange.silhouettes import take_coverage
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_image as read_own_image
@@ -103,7 +103,7 @@ def read_image(path: PathLike) -> FloatArray:
     if is_own(container):
         return read_own_image(path)
     family = find_family(container)
-    return ImageReader(family)(map_channels(family.container).roles["color"])
+    return ImageReader(family.decode)(map_channels(family.container).roles["color"])
 
 
 def import_file(
@@ -136,7 +136,7 @@ def import_file(
     """
     container = read_container(path)
     family = find_family(container)
-    read = ImageReader(family)
+    read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
@@ -193,10 +193,7 @@ def import_planes(
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
 
-    def read(found: Found) -> FloatArray:
-        image = np.stack([planes[name] for name in found.channels], axis=-1)
-        return image[..., 0] if image.shape[2] == 1 else image
-
+    read = ImageReader(lambda part: planes)
     return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
 
 
@@ -213,7 +210,7 @@ def _leave_passes(found: Imported) -> Imported:
     return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
 
 
-def _import_foreign(container: Container, read: Read, channels: ChannelMap, camera: Camera | None) -> Imported:
+def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -234,7 +231,7 @@ def _import_foreign(container: Container, read: Read, channels: ChannelMap, came
     diffuse_albedo, specular_albedo = take_albedos(images, light.layers)
     alpha = _take_alpha(images, channels, (diffuse_albedo, specular_albedo), notes)
     motion = images.get("motion")
-    coverage = _take_coverage(channels, read, notes) if light.layers or diffuse_albedo is not None else None
+    coverage = take_coverage(channels, read, notes) if light.layers or diffuse_albedo is not None else None
     gbuffer = GBuffer(
         depth=places.depth,
         position=places.position if places.camera is not None else None,
@@ -304,23 +301,6 @@ def _take_alpha(
             f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of pixels."
         )
     return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
-
-
-def _take_coverage(channels: ChannelMap, read: Read, notes: list[str]) -> FloatArray | None:
-    """Return what Cryptomatte tells of silhouettes, (height, width, 9); of several the first, which is the finest."""
-    for passes in channels.cryptomatte:
-        kinds = {
-            channel.pixel_type for one in passes for channel in one.source.part.channels if channel.name in one.channels
-        }
-        if kinds != {"float"}:
-            notes.append(f"{passes[0].label} has ids of 16 bits, which are none, so it is not used.")
-            continue
-        planes = [plane for one in passes for plane in read.read_planes(one)]
-        ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
-        if any(plane.any() for plane in shares):
-            notes.append(f"Silhouettes are resolved by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return find_coverage(ids, shares)
-    return None
 
 
 def _take_variance(images: Mapping[str, FloatArray], channels: ChannelMap, spp: int | None) -> Radiance | None:

@@ -10,6 +10,7 @@ from lobewise.errors import LobewiseError
 from lobewise.interchange.preset import Preset, load_presets
 from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part
 from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import Pixels, decode_part
 
 FIRST_INDEX = 1 << 16
 """Index of the first part that lies in another file."""
@@ -29,6 +30,10 @@ class Family:
 
     container: Container
     homes: Mapping[int, tuple[Container, Part]] = field(default_factory=dict)
+
+    def decode(self, part: Part) -> dict[str, Pixels]:
+        """Return every channel of a part, wherever it lies; see `lobewise.io.exr.pixels.decode_part`."""
+        return decode_part(*self.homes.get(part.index, (self.container, part)))
 
 
 def find_family(container: Container) -> Family:
