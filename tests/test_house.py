@@ -59,6 +59,7 @@ INNER_ROOMS = {
         "voxels",
         "virtual_lights",
         "images",
+        "integrators",
         "renderer",
         "sequence",
         "stages",

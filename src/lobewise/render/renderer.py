@@ -17,10 +17,10 @@ from lobewise.render.camera import get_camera, get_image_size
 from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, move_back, trace_guides
 from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
+from lobewise.render.integrators import Light, plan_light, render_own, require_paths
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
-from lobewise.render.variant import VARIANTS
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
 
 Progress = Callable[[int, int], None]
@@ -31,16 +31,11 @@ TILE_PIXELS = 1 << 20
 CHUNK_SAMPLES = 1 << 22
 """Samples per launch: some seconds, so that progress is seen and an interrupt is heard."""
 
+GUIDE_SAMPLES = 32
+"""Samples, at most, of guides that are averages beside light of a scene's own integrator."""
+
 LIGHTS = {"all": 0, "indirect": 2}
 """What light can be asked for: how often it was scattered at least."""
-
-
-def _check_scene(scene: Any) -> None:
-    variant = mi.variant()
-    if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
-        expected = "a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values())
-        got = f"a {type(scene).__name__} under the variant {variant}"
-        raise InputError("scene", expected=expected, got=got, action="call load_mitsuba() first, then load the scene")
 
 
 def _cut(length: int, step: int) -> Iterator[tuple[int, int]]:
@@ -67,15 +62,18 @@ class _Pass:
     """One pass over the samples of a scene, tile by tile; see `render_frame`, and `PathSettings` for the settings."""
 
     def __init__(self, scene: Any, *, spp: int, seed: int, max_depth: int, light: str, **settings: Any) -> None:
-        self._spp = require_integer("spp", spp, 1, 1 << 24)
+        self.spp = require_integer("spp", spp, 1, 1 << 24)
         self._seed = require_integer("seed", seed, 0, (1 << 32) - 1)
-        depth = require_integer("max_depth", max_depth, 1, 1 << 16)
         fewest = LIGHTS[require_choice("light", light, LIGHTS)]
-        _check_scene(scene)
-        self._scene = scene
-        self._settings = PathSettings(max_depth=depth, fewest_bounces=fewest, **settings)
+        self.scene = scene
+        self._settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest, **settings)
         self.size = get_image_size(scene)
         self.materials = read_scene_materials(scene) if self._settings.guides else {}
+
+    @property
+    def has_light(self) -> bool:
+        """Whether there is radiance, and not only guides."""
+        return self._settings.radiance
 
     def run(
         self,
@@ -89,7 +87,7 @@ class _Pass:
 
         ``where`` tells which pixels of the image are meant, as `add_samples` takes it.
         """
-        advance = _make_advance(progress, columns * rows * self._spp)
+        advance = _make_advance(progress, columns * rows * self.spp)
         tiles = []
         with dr.suspend_grad():
             for start, end in _cut(columns * rows, TILE_PIXELS):
@@ -99,16 +97,16 @@ class _Pass:
 
     def _sum_tile(self, pixels: tuple[int, int], advance: Callable[[int], None], where: dict[str, Any]) -> Sums:
         sums = make_sums(pixels[1], self._settings.guides)
-        for samples in _cut(self._spp, max(1, CHUNK_SAMPLES // pixels[1])):
+        for samples in _cut(self.spp, max(1, CHUNK_SAMPLES // pixels[1])):
             part = {"pixels": pixels, "size": self.size, "samples": samples, "seed": self._seed, **where}
-            sums = add_samples(self._scene, self.materials, sums, settings=self._settings, **part)
+            sums = add_samples(self.scene, self.materials, sums, settings=self._settings, **part)
             dr.sync_thread()
             advance(pixels[1] * (samples[1] - samples[0]))
         return sums
 
     def finish_radiance(self, _: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
         """Return the radiance of a run of pixels."""
-        return finish_radiance(sums, self._spp, self._settings.fewest_bounces < 2)
+        return finish_radiance(sums, self.spp, self._settings.fewest_bounces < 2)
 
 
 def render_frame(
@@ -116,8 +114,9 @@ def render_frame(
     *,
     spp: int,
     seed: int = 0,
-    max_depth: int = 8,
+    max_depth: int | None = None,
     light: str = "all",
+    integrator: str = "auto",
     aov_only: bool = False,
     coverage: bool = True,
     previous_camera: Camera | None = None,
@@ -140,12 +139,17 @@ def render_frame(
         Samples per pixel. With one sample there are no halves and no variance.
     seed : int
         The same seed gives the same bits, whatever the number of threads.
-    max_depth : int
-        Longest path, in vertices after the camera: 1 is light sources, 2 direct light, and so on.
+    max_depth : int, optional
+        Longest path, in vertices after the camera: 1 is light sources, 2 direct light, and so on; by default that of
+        the scene's integrator, or 8 without one.
     light : {"all", "indirect"}
         With "indirect" the radiance holds only what was scattered more than once: no emission that the camera sees,
         no direct light, so that color is diffuse + specular, and ``direct`` is left out. The random numbers are those
         of "all".
+    integrator : {"auto", "paths", "scene"}
+        Whose light: "paths" are those told above, "scene" is the scene's own integrator, and "auto" takes paths where
+        they estimate the same light. That of an own integrator (participating media, light traced from the lamps ...)
+        is one image, with halves but without parts and variance.
     aov_only : bool
         Leave the radiance out (it is all zero) and compute the guides alone.
     coverage : bool
@@ -162,13 +166,28 @@ def render_frame(
     Raises
     ------
     InputError
-        If a number is out of range, the light or a moved shape unknown, or the sensor no plain perspective camera.
+        If a number is out of range, the light or a moved shape unknown, the sensor no plain perspective camera, or the
+        scene's integrator makes no image of light.
     UnsupportedBsdfError
         If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light, radiance=not aov_only)
+    plan = plan_light(scene, "paths" if aov_only else integrator, max_depth)
+    guided: dict[str, Any] = {"coverage": coverage, "previous_camera": previous_camera, "moves": moves}
+    if plan.own is not None:
+        _require_all_light(light, plan)
+        guides = render_frame(scene, spp=min(spp, GUIDE_SAMPLES), seed=seed, aov_only=True, **guided)
+        return guides.with_changes(spp=spp, **_render_own(scene, plan, spp, seed, progress))
+    settings: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": plan.max_depth, "light": light}
+    return _render_by_paths(_Pass(scene, radiance=not aov_only, **settings), progress, **guided)
+
+
+def _render_by_paths(
+    run: _Pass, progress: Progress | None, *, coverage: bool, previous_camera: Camera | None, moves: Moves | None
+) -> Frame:
+    """Return the frame of one pass over the samples."""
+    scene, spp = run.scene, run.spp
     camera = get_camera(scene)
 
     def finish(pixels: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
@@ -185,7 +204,7 @@ def render_frame(
     tables = list_lobe_tables(run.materials)
     if not tables:
         del images["gbuffer.material"]
-    parts = ("half_a", "half_b", "variance") if spp > 1 and not aov_only else ()
+    parts = ("half_a", "half_b", "variance") if spp > 1 and run.has_light else ()
     frame = Frame(
         radiance=Radiance(**select(images, "radiance")),
         gbuffer=GBuffer(**select(images, "gbuffer"), **motion),
@@ -196,6 +215,26 @@ def render_frame(
     return frame.with_changes(**{name: Radiance(**select(images, name)) for name in parts}) if parts else frame
 
 
+def _require_all_light(light: str, plan: Light) -> None:
+    if require_choice("light", light, LIGHTS) != "all":
+        action = "leave it out, or ask for integrator 'paths'"
+        raise InputError("light", expected="'all' beside a scene's own integrator", got=repr(light), action=action)
+
+
+def _render_own(scene: Any, plan: Light, spp: int, seed: int, progress: Progress | None) -> dict[str, Radiance]:
+    """Return the images of a scene's own integrator by their names in `Frame`."""
+    require_integer("spp", spp, 1, 1 << 24)
+    require_integer("seed", seed, 0, (1 << 32) - 1)
+    width, height = get_image_size(scene)
+    advance = _make_advance(progress, width * height * spp)
+    first, second = render_own(scene, plan.own, spp=spp, seed=seed, advance=advance)
+    if second is None:
+        return {"radiance": Radiance(first)}
+    share = np.float32(((spp + 1) // 2) / spp)
+    color = share * first + (np.float32(1.0) - share) * second
+    return {"radiance": Radiance(color), "half_a": Radiance(first), "half_b": Radiance(second)}
+
+
 def render_sparse_frame(
     scene: Any,
     *,
@@ -204,8 +243,9 @@ def render_sparse_frame(
     place: tuple[int, int] = (0, 0),
     guide_spp: int = 4,
     seed: int = 0,
-    max_depth: int = 8,
+    max_depth: int | None = None,
     light: str = "all",
+    integrator: str = "auto",
     guide_seed: int | None = None,
     previous_camera: Camera | None = None,
     moves: Moves | None = None,
@@ -219,6 +259,8 @@ def render_sparse_frame(
     ----------
     scene, seed, max_depth, light, previous_camera, moves
         See `render_frame`.
+    integrator : {"auto", "paths"}
+        With "auto" the light must be that of the scene's integrator.
     spp : int
         Samples of a shaded pixel.
     scale : int
@@ -241,7 +283,8 @@ def render_sparse_frame(
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light)
+    depth = require_paths(scene, "sparse frames", integrator, max_depth).max_depth
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
     scale = require_integer("scale", scale, 1, MOST_SCALE)
     width, height = run.size
     row, column = (
@@ -268,14 +311,22 @@ def render_sparse_frame(
 
 
 def render_pixels(
-    scene: Any, rows: ArrayLike, columns: ArrayLike, *, spp: int, seed: int = 0, max_depth: int = 8, light: str = "all"
+    scene: Any,
+    rows: ArrayLike,
+    columns: ArrayLike,
+    *,
+    spp: int,
+    seed: int = 0,
+    max_depth: int | None = None,
+    light: str = "all",
+    integrator: str = "auto",
 ) -> Radiance:
     """Render the radiance of single pixels, for `lobewise.recompute`.
 
     Parameters
     ----------
-    scene, seed, max_depth, light
-        See `render_frame`; the same seed gives the same bits as there.
+    scene, seed, max_depth, light, integrator
+        See `render_sparse_frame`; the same seed gives the same bits as there.
     rows, columns : array_like of int, shape (count,)
         The pixels, at least one.
     spp : int
@@ -291,7 +342,8 @@ def render_pixels(
     InputError
         If a number is out of range, the light unknown, or a pixel lies outside the image.
     """
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light)
+    depth = require_paths(scene, "single pixels", integrator, max_depth).max_depth
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
     listed = _number_pixels(np.asarray(rows), np.asarray(columns), run.size)
     images = run.run(1, len(listed), run.finish_radiance, listed=mi.UInt32(listed))
     return Radiance(**select(images, "radiance"))
@@ -316,15 +368,21 @@ def render_reference(
     *,
     spp: int,
     seed: int = 1000,
-    max_depth: int = 8,
+    max_depth: int | None = None,
     light: str = "all",
+    integrator: str = "auto",
     progress: Progress | None = None,
 ) -> Frame:
     """Render the radiance alone: faster than `render_frame`, with a tenth of the memory, for many samples.
 
     Parameters and errors are those of `render_frame`; any BSDF of Mitsuba will do.
     """
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=max_depth, light=light, guides=False)
+    plan = plan_light(scene, integrator, max_depth)
+    if plan.own is not None:
+        _require_all_light(light, plan)
+        images = _render_own(scene, plan, spp, seed, progress)
+        return Frame(radiance=images["radiance"], camera=get_camera(scene), spp=spp)
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=plan.max_depth, light=light, guides=False)
 
     def finish(_: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
         return {"color": to_image(sums.even.emitted) / np.float32(spp)}

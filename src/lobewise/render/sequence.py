@@ -23,8 +23,9 @@ def render_sequence(
     first: int = 0,
     seed: int = 0,
     guide_spp: int = 4,
-    max_depth: int = 8,
+    max_depth: int | None = None,
     light: str = "all",
+    integrator: str = "auto",
     reference: bool = False,
 ) -> Iterator[AnyFrame]:
     """Render a frame from each camera of a path, one at a time as they are asked for.
@@ -52,7 +53,7 @@ def render_sequence(
         That of the guides; frame ``index`` has the radiance of ``seed + index``.
     guide_spp : int
         Samples of every pixel for the guides that are averages.
-    max_depth, light
+    max_depth, light, integrator
         See `render_frame`.
     reference : bool
         Render the radiance alone, of whole frames, as `render_reference` does.
@@ -73,7 +74,7 @@ def render_sequence(
         raise InputError("first", expected=known, got=repr(first), action="pass a longer path")
     if reference and scale != 1:
         raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
-    light_settings = {"spp": spp, "max_depth": max_depth, "light": light}
+    light_settings = {"spp": spp, "max_depth": max_depth, "light": light, "integrator": integrator}
     moving = scene if isinstance(scene, MovingScene) else None
     path = _Path(
         None if moving else scene,

@@ -1,0 +1,209 @@
+"""Whose light a frame holds: what the scene's integrator says, by paths of this package or by itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.render.integrators import DEEPEST, DEPTH, make_box_sensor, plan_light
+from tests.render.tolerances import Z_MEAN
+
+pytestmark = pytest.mark.mitsuba
+
+HEIGHT, WIDTH = 24, 32
+FOG = {"type": "homogeneous", "sigma_t": 3.0, "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]}}
+
+
+def make_scene(mi: Any, integrator: dict[str, Any] | None, *, fog: bool = False, **sensor: Any) -> Any:
+    """Return a ball on a floor under a lamp and a dim sky."""
+    transform = mi.ScalarTransform4f
+    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT}
+    items: dict[str, Any] = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": transform().look_at([0, -4, 1], [0, 0, 0.5], [0, 0, 1]),
+            "film": film,
+            **sensor,
+        },
+        "floor": {"type": "rectangle", "to_world": transform().scale(4)},
+        "ball": {"type": "sphere", "center": [0, 0, 0.7], "radius": 0.6},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": transform().translate([0, 0, 4]).rotate([1, 0, 0], 180),
+            "emitter": {"type": "area", "radiance": 5.0},
+        },
+        "sky": {"type": "constant", "radiance": 0.1},
+    }
+    if integrator is not None:
+        items["integrator"] = integrator
+    if fog:
+        items["ball"] |= {"bsdf": {"type": "null"}, "interior": FOG}
+    return mi.load_dict(items)
+
+
+def check_light(mi: Any, scene: Any, frame: Any, spp: int = 256) -> None:
+    """Test the mean of every quarter of an image against the scene's own render, in standard errors."""
+    sensor = make_box_sensor(scene)
+    theirs = np.stack(
+        [np.array(scene.integrator().render(scene, sensor, seed=50 + k, spp=spp // 8))[..., :3] for k in range(8)]
+    ).astype(np.float64)
+    for rows in (np.s_[: HEIGHT // 2], np.s_[HEIGHT // 2 :]):
+        for columns in (np.s_[: WIDTH // 2], np.s_[WIDTH // 2 :]):
+            means = theirs[:, rows, columns].mean(axis=(1, 2))
+            ours = frame.radiance.color[rows, columns].mean(axis=(0, 1), dtype=np.float64)
+            error = means.std(axis=0, ddof=1) / np.sqrt(8.0) * np.sqrt(1.0 + spp / frame.spp) + 1e-5
+            assert (np.abs(ours - means.mean(axis=0)) < Z_MEAN * 1.5 * error).all()
+
+
+def test_a_ball_of_fog_is_as_bright_as_mitsuba_renders_it(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    scene = make_scene(mi, {"type": "volpath", "max_depth": 32}, fog=True)
+    frame = render_frame(scene, spp=256)
+    check_light(mi, scene, frame)
+    # Which it is not by paths, that see no fog at all.
+    without = render_frame(scene, spp=16, integrator="paths").radiance.color
+    ball = np.s_[8:14, 13:19]
+    assert abs(without[ball].mean() / frame.radiance.color[ball].mean() - 1.0) > 0.3
+    assert frame.radiance.parts is None
+    assert frame.half_a is not None
+    assert frame.half_b is not None
+    mean = 0.5 * (frame.half_a.color + frame.half_b.color)
+    np.testing.assert_allclose(mean, frame.radiance.color, rtol=1e-5, atol=1e-6)
+    assert not np.array_equal(frame.half_a.color, frame.half_b.color)
+    assert frame.gbuffer.normal is not None
+    assert frame.camera is not None
+
+
+@pytest.mark.parametrize(
+    ("integrator", "fog"),
+    [
+        ({"type": "volpathmis"}, True),
+        ({"type": "prbvolpath", "max_depth": 16}, True),
+        ({"type": "ptracer", "max_depth": 6}, False),
+        ({"type": "path", "max_depth": 8, "hide_emitters": True}, False),
+        ({"type": "direct", "bsdf_samples": 0}, False),
+        ({"type": "moment", "inner": {"type": "path", "max_depth": 3}}, False),
+        ({"type": "aov", "aovs": "dd:depth", "inner": {"type": "direct", "hide_emitters": True}}, False),
+    ],
+)
+def test_the_scenes_own_integrator_renders_what_paths_do_not(mi: Any, integrator: dict[str, Any], fog: bool) -> None:
+    from lobewise.render import render_frame, render_reference
+
+    scene = make_scene(mi, integrator, fog=fog)
+    plan = plan_light(scene)
+    assert plan.own is not None
+    assert f"{integrator['type']!r}" in plan.told
+    check_light(mi, scene, render_frame(scene, spp=65))
+    check_light(mi, scene, render_reference(scene, spp=64))
+
+
+@pytest.mark.parametrize(
+    ("integrator", "depth"),
+    [
+        (None, DEPTH),
+        ({"type": "path"}, DEEPEST),
+        ({"type": "path", "max_depth": 3}, 3),
+        ({"type": "prb", "max_depth": 4}, 4),
+        ({"type": "direct"}, 2),
+        ({"type": "volpath", "max_depth": 5}, 5),
+        ({"type": "volpathmis", "max_depth": 3}, 3),
+        ({"type": "aov", "aovs": "dd:depth", "inner": {"type": "path", "max_depth": 2}}, 2),
+    ],
+)
+def test_paths_render_what_they_estimate_too(mi: Any, integrator: dict[str, Any] | None, depth: int) -> None:
+    from lobewise.render import render_frame
+
+    scene = make_scene(mi, integrator)
+    plan = plan_light(scene)
+    assert (plan.own, plan.max_depth, plan.told) == (None, depth, "")
+    frame = render_frame(scene, spp=64)
+    assert frame.radiance.parts is not None
+    if integrator is not None:
+        check_light(mi, scene, frame)
+
+
+def test_what_asked_for_goes_first(mi: Any) -> None:
+    scene = make_scene(mi, {"type": "path", "max_depth": 5})
+    assert plan_light(scene, "paths", 3).max_depth == 3
+    assert plan_light(scene, "scene").own is not None
+    hidden = make_scene(mi, {"type": "path", "max_depth": 5, "hide_emitters": True})
+    plan = plan_light(hidden, "paths")
+    assert plan.own is None
+    assert "not that of the scene's own 'path'" in plan.told
+
+
+def test_the_same_seed_gives_the_same_light_and_another_other(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    scene = make_scene(mi, {"type": "volpath"}, fog=True)
+    first, again, other = (render_frame(scene, spp=2, seed=seed).radiance.color for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert render_frame(scene, spp=1).half_a is None
+
+
+def test_progress_counts_the_samples_of_an_own_integrator(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    told: list[tuple[int, int]] = []
+    render_frame(
+        make_scene(mi, {"type": "volpath"}, fog=True), spp=5, progress=lambda done, total: told.append((done, total))
+    )
+    assert told[0] == (0, 5 * HEIGHT * WIDTH)
+    assert told[-1] == (5 * HEIGHT * WIDTH, 5 * HEIGHT * WIDTH)
+    assert told == sorted(told)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {},
+        {"principal_point_offset_x": 0.2, "principal_point_offset_y": -0.1},
+        {"fov_axis": "y"},
+        {
+            "film": {
+                "type": "hdrfilm",
+                "width": 64,
+                "height": 48,
+                "crop_width": 20,
+                "crop_height": 12,
+                "crop_offset_x": 5,
+            }
+        },
+    ],
+)
+def test_the_copy_of_a_sensor_has_its_rays(mi: Any, sensor: dict[str, Any]) -> None:
+    scene = make_scene(mi, None, **sensor)
+    original, copy = scene.sensors()[0], make_box_sensor(scene)
+    place = mi.Point2f([0.1, 0.5, 0.9], [0.3, 0.5, 0.8])
+    rays = [each.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0] for each in (original, copy)]
+    for name in ("o", "d"):
+        first, second = (np.array(getattr(ray, name)) for ray in rays)
+        np.testing.assert_allclose(first, second, atol=1e-5)
+
+
+def test_mistakes_are_told(mi: Any) -> None:
+    from lobewise.render import render_frame, render_pixels, render_sparse_frame
+
+    fog = make_scene(mi, {"type": "volpath"}, fog=True)
+    depth = make_scene(mi, {"type": "depth"})
+    bare = make_scene(mi, {"type": "aov", "aovs": "dd:depth"})
+    cases: list[tuple[str, Any]] = [
+        (r"integrator: expected one of auto, paths, scene", lambda: render_frame(fog, spp=1, integrator="scen")),
+        (r"max_depth: .*'volpath', renders the light, got 4", lambda: render_frame(fog, spp=1, max_depth=4)),
+        (r"light: expected 'all' beside a scene's own", lambda: render_frame(fog, spp=1, light="indirect")),
+        (r"integrator: .*for sparse frames, got 'volpath'", lambda: render_sparse_frame(fog, spp=1, scale=2)),
+        (r"integrator: .*for single pixels, got 'volpath'", lambda: render_pixels(fog, [0], [0], spp=1)),
+        (r"integrator: expected one that makes an image of light, got 'depth'", lambda: render_frame(depth, spp=1)),
+        (r"integrator: .*got 'aov' without one inside", lambda: render_frame(bare, spp=1)),
+        (r"integrator: expected one in the scene", lambda: plan_light(make_scene(mi, None), "scene")),
+    ]
+    for pattern, call in cases:
+        with pytest.raises(InputError, match=pattern):
+            call()
