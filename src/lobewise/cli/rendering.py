@@ -45,6 +45,22 @@ MovingObjects = Annotated[
     bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
 ]
 Light = Annotated[str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")]
+Integrator = Annotated[
+    str,
+    typer.Option(
+        metavar="auto|paths|scene", help="Whose light; auto: the scene's integrator, by paths where they equal it."
+    ),
+]
+MaxDepth = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="Longest path, in vertices after the camera.", show_default="the scene's, or 8 without any"
+    ),
+]
+Define = Annotated[
+    list[str] | None,
+    typer.Option("--define", "-D", metavar="NAME=VALUE", help="What stands for $NAME in a Mitsuba XML file."),
+]
 AovOnly = Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")]
 Reference = Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")]
 
@@ -56,8 +72,10 @@ def render(
     width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None,
     height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0,
-    max_depth: Annotated[int, typer.Option(metavar="N", help="Longest path, in vertices after the camera.")] = 8,
+    max_depth: MaxDepth = None,
     light: Light = "all",
+    integrator: Integrator = "auto",
+    define: Define = None,
     aov_only: AovOnly = False,
     reference: Reference = False,
     scale: Scale = 1,
@@ -86,8 +104,14 @@ def render(
         _refuse_beside("--aov-only", (("--reference", reference),))
     if speed is not None and camera_path not in (None, "orbit"):
         _refuse_beside(f"--camera-path {camera_path}", (("--speed", True),))
-    common: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": max_depth, "light": light}
-    size: dict[str, Any] = {"width": width, "height": height}
+    common: dict[str, Any] = {
+        "spp": spp,
+        "seed": seed,
+        "max_depth": max_depth,
+        "light": light,
+        "integrator": integrator,
+    }
+    size: dict[str, Any] = {"width": width, "height": height, "parameters": parse_definitions(define or [])}
     if frames is not None:
         path = {"camera_path": camera_path or "orbit", "speed": speed, "moving_objects": moving_objects}
         many: dict[str, Any] = {**common, **size, **path, "scale": scale, "reference": reference}
@@ -100,6 +124,30 @@ def render(
         _render_whole(scene, output, size, common, half=not exact, aov_only=aov_only, reference=reference)
 
 
+def parse_definitions(words: Iterable[str]) -> dict[str, str]:
+    """Return parameters of a scene by name, from ``NAME=VALUE`` each."""
+    found: dict[str, str] = {}
+    for word in words:
+        name, separator, value = word.partition("=")
+        if not separator or not name.isidentifier():
+            raise InputError("-D", expected="NAME=VALUE, such as spp=16", got=repr(word), action="write both")
+        if name in found:
+            raise InputError("-D", expected="every name once", got=f"{name} twice", action="leave one of them out")
+        found[name] = value
+    return found
+
+
+def _tell_light(scene: Any, settings: dict[str, Any], *, aov_only: bool = False) -> None:
+    """Say whose light is rendered, where there is a choice; refuse what cannot be."""
+    from lobewise.cli.output import print_note
+    from lobewise.render.integrators import plan_light
+
+    if not aov_only:
+        told = plan_light(scene, settings["integrator"], settings["max_depth"]).told
+        if told:
+            print_note(told)
+
+
 def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dict[str, Any], half: bool) -> None:
     """Render a frame at some of its pixels only."""
     from lobewise.cli.output import print_line
@@ -109,6 +157,8 @@ def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dic
 
     require_writable(output)
     loaded = load_scene(scene, **size)
+    if settings["integrator"] == "paths":
+        _tell_light(loaded, settings)
     with show_progress() as advance:
         settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
         frame = render_sparse_frame(loaded, **settings)
@@ -136,6 +186,7 @@ def _render_whole(
 
     require_writable(output)
     loaded = load_scene(scene, **size)
+    _tell_light(loaded, settings, aov_only=aov_only)
     with show_progress() as advance:
         settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
         frame = (
@@ -156,6 +207,7 @@ def _render_sequence(
     moving_objects: bool,
     width: int | None,
     height: int | None,
+    parameters: dict[str, str],
     half: bool,
     **settings: Any,
 ) -> None:
@@ -172,7 +224,8 @@ def _render_sequence(
     files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
     require_writable(files[start])
     moving = MovingScene(scene, width, height) if moving_objects else None
-    loaded = load_scene(scene, width=width, height=height)
+    loaded = load_scene(scene, width=width, height=height, parameters=parameters)
+    _tell_light(loaded, settings)
     cameras = _plan_cameras(loaded, camera_path, last, speed)
     wide = high = 0
     with show_progress() as advance:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +39,7 @@ def load_scene(
     width: int | None = None,
     height: int | None = None,
     time: float = 0.0,
+    parameters: Mapping[str, str] | None = None,
 ) -> Any:
     """Load a built-in scene by name, or a Mitsuba XML file by path.
 
@@ -49,6 +53,8 @@ def load_scene(
     time : float
         Where the objects of a scene of `lobewise.scenes.list_moving_scenes` are, in frames after the beginning; 0 is
         where they stand when nothing moves.
+    parameters : mapping of str to str, optional
+        What stands in an XML file for ``$name``, in place of what the file says itself.
 
     Returns
     -------
@@ -57,8 +63,8 @@ def load_scene(
     Raises
     ------
     InputError
-        If the name is not that of a scene, the size is not 1 to 32768, Mitsuba does not understand the file, or there
-        is a time and nothing moves.
+        If the name is not that of a scene, the size is not 1 to 32768, Mitsuba does not understand the file, there is a
+        time and nothing moves, or the scene has no such parameter.
     FileError
         If there is no such file, or it cannot be read.
     MissingDependencyError
@@ -76,12 +82,15 @@ def load_scene(
     if time != 0.0:
         _require_moving(text)
     if text in list_scenes():
+        for name in parameters or {}:
+            action = "leave it out: built-in scenes have none"
+            raise InputError(f"parameter {name!r}", expected="an XML file", got=f"the scene {text!r}", action=action)
         size = width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE
         return build_scene(describe_scene(text, *size, time))
     path = Path(text)
     if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
         require_choice("scene", text, list_scenes())
-    return _load_file(path, width, height)
+    return _load_file(path, width, height, parameters or {})
 
 
 @dataclass(frozen=True)
@@ -175,14 +184,15 @@ def _make_mesh(item: dict[str, Any]) -> Any:
     return mesh
 
 
-def _load_file(path: Path, width: int | None, height: int | None) -> Any:
+def _load_file(path: Path, width: int | None, height: int | None, parameters: Mapping[str, str]) -> Any:
     if not path.is_file():
         got = "a folder" if path.is_dir() else "nothing there"
         raise FileError(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
     mi = load_mitsuba()
     try:
-        scene = mi.load_file(str(path))
+        scene = mi.load_file(str(path), **parameters)
     except (RuntimeError, OSError) as error:
+        _refuse_unused(path, parameters, str(error))
         expected = "a scene that Mitsuba understands"
         action = "mend the file"
         raise InputError(str(path), expected=expected, got=" ".join(str(error).split()), action=action) from error
@@ -192,6 +202,23 @@ def _load_file(path: Path, width: int | None, height: int | None) -> Any:
     if (width or height) and scene.sensors():
         _resize(mi, scene, width, height)
     return scene
+
+
+def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> None:
+    """Raise InputError if a problem of Mitsuba's is that a file does not use a parameter."""
+    unused = [name for name in parameters if f"${name}={parameters[name]}" in problem]
+    if not unused or "unused" not in problem:
+        return
+    known = sorted(set(re.findall(r"\$\{?(\w+)", path.read_text("utf-8", "replace"))))
+    near = difflib.get_close_matches(unused[0], known, n=1, cutoff=0.0)
+    raise InputError(
+        f"parameter {unused[0]!r}",
+        expected=f"one of {', '.join(known)}, which {str(path)!r} uses"
+        if known
+        else f"none, as {str(path)!r} uses none",
+        got=f"{unused[0]}={parameters[unused[0]]}",
+        action=f"did you mean {near[0]!r}?" if near else "leave it out",
+    )
 
 
 def _resize(mi: Any, scene: Any, width: int | None, height: int | None) -> None:
