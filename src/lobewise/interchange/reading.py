@@ -12,7 +12,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
-from lobewise.interchange.checks import check_guides, check_places
+from lobewise.interchange.checks import check_guides, check_noise, check_places
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers
@@ -224,7 +224,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
     places = place_surfaces(images, guides.roles, camera, located)
-    findings = [*guides.findings, *check_places(places, guides.roles, located.camera if located else None)]
+    findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -253,6 +253,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         spp=spp,
         layers=light.layers,
     )
+    findings += check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
     outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}

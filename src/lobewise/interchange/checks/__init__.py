@@ -2,5 +2,6 @@
 
 from lobewise.interchange.checks.checking import Guides, check_guides, check_places
 from lobewise.interchange.checks.finding import Finding
+from lobewise.interchange.checks.noise import check_noise
 
-__all__ = ["Finding", "Guides", "check_guides", "check_places"]
+__all__ = ["Finding", "Guides", "check_guides", "check_noise", "check_places"]

@@ -13,6 +13,7 @@ from lobewise.interchange.checks.flips import check_flips
 from lobewise.interchange.checks.geometry import find_patches
 from lobewise.interchange.checks.guides import check_albedos, check_encoding, check_values
 from lobewise.interchange.checks.normals import check_normals, take_assumed
+from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.placing import Places, derive_normal
 
 if TYPE_CHECKING:
@@ -99,22 +100,23 @@ def check_guides(images: Mapping[str, FloatArray], channels: ChannelMap, read: R
     return checked
 
 
-def check_places(places: Places, roles: Mapping[str, Found], header: Camera | None) -> list[Finding]:
+def check_places(places: Places, guides: Guides, header: Camera | None) -> list[Finding]:
     """Mend what is known of where surfaces are, and return what was found.
 
     Parameters
     ----------
     places : Places
         The camera and surfaces, in one space if the file is what it was taken for.
-    roles : mapping of str to Found
-        What that was.
+    guides : Guides
+        The images that they were made of, and what those were taken for.
     header : Camera, optional
         That of the header.
     """
-    camera = places.camera
+    findings = _check_grain(places, guides)
+    camera, roles = places.camera, guides.roles
     if camera is None:
-        return []
-    findings = _check_depth(places, camera, roles)
+        return findings
+    findings += _check_depth(places, camera, roles)
     if places.normal is None or (places.position is None and places.depth is None):
         return findings
     position = places.position
@@ -138,6 +140,24 @@ def check_places(places: Places, roles: Mapping[str, Found], header: Camera | No
         # Depth is held against normals, which were not right yet.
         findings += _check_depth(places, camera, roles)
     return findings
+
+
+def _check_grain(places: Places, guides: Guides) -> list[Finding]:
+    """Leave positions to camera and depth where those are finer, else tell that they are coarse."""
+    if "position" not in guides.images or not (grain := measure_grain(guides.images["position"])).is_coarse:
+        return []
+    told = (
+        f"{guides.roles['position'].label} is stored in {grain.bits}-bit floats, whose steps here are "
+        f"{grain.coarseness:.1f} times as far apart as neighbouring pixels: "
+    )
+    depth = guides.images.get("depth")
+    fine = depth is not None and measure_grain(depth, grain.distance).coarseness < 0.5 * grain.coarseness
+    if fine and places.camera is not None and places.depth is not None and not places.orthographic:
+        places.position = None
+        told += f"depth ({guides.roles['depth'].label}) and camera stand for it."
+        return [Finding("positions coarse", told, mended=True)]
+    told += "store it in 32 bits, or nearer to the origin, or give a depth and a camera."
+    return [Finding("positions coarse", told, mended=False)]
 
 
 def _check_depth(places: Places, camera: Camera, roles: Mapping[str, Found]) -> list[Finding]:

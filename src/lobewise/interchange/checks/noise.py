@@ -1,0 +1,136 @@
+"""Whether an image's noise is that of samples: as strong as their number says, and every pixel's its own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import FloatArray, Frame
+from lobewise.interchange.checks.finding import Finding
+
+TILE = 32
+SMALL_TILE = 16
+"""Pixels along a side of the tiles that are looked at, and in small frames."""
+MOST_TILES, FEWEST_TILES = 64, 6
+FEWEST_PAIRS = 0.2
+"""Share of a tile's pixels that must lie inside a surface."""
+SAME = 0.03
+"""Difference between the guides of neighbours on one surface."""
+LIT = 0.02
+"""Brightness, over itself plus the image's median, below which a pixel tells nothing."""
+INDEPENDENT = -0.59
+"""Correlation between neighbouring second differences, of the lowest tenth of the tiles, up to which pixels are
+independent: for those it is -2/3; texture and shadows raise it in some tiles, a filter in all."""
+SMOOTH = -0.3
+"""That of the lowest quarter from which on no noise of samples is left."""
+LEAST_NOISE = 0.004
+"""Noise over brightness, times the root of the samples per pixel, below which samples cannot be the cause."""
+LITTLE_NOISE = 0.02
+"""The same where neighbours are not independent either."""
+
+MEDIAN_SIZE = 0.6745 * 6.0**0.5
+"""The median size of second differences of normally distributed noise, over its standard deviation."""
+
+Numbers = NDArray[np.float32]
+
+
+def check_noise(frame: Frame, *, shows_surfaces: bool) -> list[Finding]:
+    """Return what was found of a frame's noise: denoised already, or shared between pixels.
+
+    Looked at are pixels inside surfaces: where normals and albedos are those of their neighbours. There second
+    differences between neighbours are noise. Those of independent pixels have a correlation of -2/3 with the next
+    (of ``a - 2b + c`` and ``b - 2c + d`` with independent, equal variances: -4 to 6), whatever the noise looks like.
+
+    Parameters
+    ----------
+    frame : Frame
+        As it was read.
+    shows_surfaces : bool
+        Whether its guides are the file's: without any nothing is told.
+    """
+    if not shows_surfaces:
+        return []
+    tiles = _choose_tiles(frame.shape)
+    guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
+    known = [_cut(image, tiles) for image in guides if image is not None]
+    correlation, noise = _measure(_cut(frame.radiance.color, tiles), known)
+    if len(noise) < FEWEST_TILES:
+        return []
+    lowest, low = np.quantile(correlation, (0.1, 0.25))
+    typical = float(np.median(noise))
+    samples = float(np.sqrt(frame.spp)) if frame.spp else None
+    alike = lowest > INDEPENDENT
+    faint = samples is not None and typical * samples < (LITTLE_NOISE if alike else LEAST_NOISE)
+    if faint or (alike and low > SMOOTH):
+        count = f"{frame.spp} samples per pixel leave" if faint else "samples leave"
+        told = (
+            f"The image has noise of {100.0 * typical:.2g} % inside surfaces, less than {count}, or smoother: it seems "
+            "to be denoised already; give the noisy one (--map color=...)."
+        )
+        return [Finding("denoised already", told, mended=False)]
+    if alike:
+        told = (
+            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; some of "
+            "it is taken for light: filter with --radius 12, or render with a box filter."
+        )
+        return [Finding("noise shared by pixels", told, mended=False)]
+    return []
+
+
+def _choose_tiles(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
+    """Return tiles that are spread evenly over an image."""
+    side = TILE if min(shape) >= 4 * TILE else SMALL_TILE
+    down, across = (size // side for size in shape)
+    step = max(1, int(np.ceil(np.sqrt(down * across / MOST_TILES))))
+    return [
+        (slice(row * side, (row + 1) * side), slice(column * side, (column + 1) * side))
+        for row in range(0, down, step)
+        for column in range(row // step % 2 * (step // 2), across, step)
+    ]
+
+
+def _cut(image: FloatArray, tiles: list[tuple[slice, slice]]) -> Numbers:
+    """Return the tiles of an image, (tiles, rows, columns, components)."""
+    return np.stack([image[tile] for tile in tiles]) if tiles else np.zeros((0, 3, 3, 3), np.float32)
+
+
+def _measure(color: Numbers, guides: list[Numbers]) -> tuple[Numbers, Numbers]:
+    """Return for each tile that shows enough of surfaces the correlation of neighbouring second differences, and noise.
+
+    Noise is that over brightness; both are of brightness compressed to [0, 1), so that a few samples are not all of it.
+    """
+    gray = color[..., 0] + color[..., 1] + color[..., 2]
+    gray = np.where(np.isfinite(gray) & (gray > 0.0), gray, np.float32(0.0))
+    lit = gray[gray > 0.0]
+    if not lit.size:
+        return np.zeros(0, np.float32), np.zeros(0, np.float32)
+    light = gray / (gray + np.median(lit))
+    second, inside = _find_differences(light, guides)
+    turned = _find_differences(light.swapaxes(1, 2), [guide.swapaxes(1, 2) for guide in guides])
+    sums = _sum_products(second, inside) + _sum_products(*turned)
+    shows = (sums[2] > FEWEST_PAIRS * light[0].size) & (sums[1] > 0.0)
+    if not shows.any():
+        return np.zeros(0, np.float32), np.zeros(0, np.float32)
+    sizes = np.sort(np.where(inside, np.abs(second), np.inf)[shows].reshape(int(shows.sum()), -1), axis=1)
+    middle = inside[shows].sum(axis=(1, 2)) // 2
+    typical = np.take_along_axis(sizes, middle[:, None], axis=1)[:, 0]
+    noise = np.where(np.isfinite(typical), typical, 0.0) / MEDIAN_SIZE / light[shows].mean(axis=(1, 2))
+    return sums[0][shows] / sums[1][shows], noise.astype(np.float32)
+
+
+def _find_differences(light: Numbers, guides: list[Numbers]) -> tuple[Numbers, NDArray[np.bool_]]:
+    """Return second differences along rows, (tiles, rows, columns - 2), and where they are inside a surface."""
+    inside = light > LIT
+    joined = inside[..., 1:] & inside[..., :-1]
+    for guide in guides:
+        alike = np.abs(guide[:, :, 1:] - guide[:, :, :-1]) < SAME
+        joined &= alike[..., 0] & alike[..., 1] & alike[..., 2]
+    return light[..., 2:] - 2.0 * light[..., 1:-1] + light[..., :-2], joined[..., 1:] & joined[..., :-1]
+
+
+def _sum_products(second: Numbers, inside: NDArray[np.bool_]) -> Numbers:
+    """Return for each tile sums over neighbours along rows, (3, tiles): of products, of squares, and their number."""
+    both = inside[..., 1:] & inside[..., :-1]
+    first, last = second[..., 1:], second[..., :-1]
+    products = np.where(both, first * last, 0.0), np.where(both, 0.5 * (first * first + last * last), 0.0), both
+    return np.stack([product.sum(axis=(1, 2), dtype=np.float32) for product in products])
