@@ -294,22 +294,6 @@ def test_mistakes_with_bitmaps_are_told(mi: Any, multichannel: Any) -> None:
         denoiser(shown)
 
 
-@pytest.mark.mitsuba
-def test_gradients_are_refused_and_never_dropped(mi: Any) -> None:
-    import drjit as dr
-
-    noisy, _, normals = make_images()
-    tensor = mi.TensorXf(noisy)
-    dr.enable_grad(tensor)
-    with pytest.raises(InputError, match=r"noisy: .*pass dr.detach\(noisy\)"):
-        Denoiser((40, 32))(tensor)
-    guide = mi.TensorXf(normals)
-    dr.enable_grad(guide)
-    with pytest.raises(InputError, match=r"normals: .*pass dr.detach\(normals\)"):
-        Denoiser((40, 32))(dr.detach(tensor), normals=guide)
-    assert Denoiser((40, 32))(dr.detach(tensor)).shape == (32, 40, 3)
-
-
 VARIANTS = """
 import numpy as np, mitsuba as mi, lobewise.mitsuba
 from lobewise.render.variant import find_llvm

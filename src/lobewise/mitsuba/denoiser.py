@@ -10,9 +10,11 @@ import numpy as np
 
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.linear import LinearFilter
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.mitsuba.frames import Given, list_channels, make_frame, to_camera_space
+from lobewise.mitsuba.gradients import LinearImage, apply_differentiably
 from lobewise.mitsuba.history import History
 from lobewise.mitsuba.tensors import (
     ROOT,
@@ -150,12 +152,13 @@ class Denoiser:
         Raises
         ------
         InputError
-            If an image is missing, has another size or number of channels, or carries gradients.
+            If an image is missing or has another size or number of channels; if a guide carries gradients, or ``noisy``
+            does and the settings are not those of ``quality="fast"``, whose weights are fixed and pass them exactly.
         """
         images = {"albedo": albedo, "normals": normals, "flow": flow, "previous_denoised": previous_denoised}
         names = {"albedo": albedo_ch, "normals": normals_ch, "flow": flow_ch, "previous_denoised": previous_denoised_ch}
         more = {"position": position, "depth": depth}
-        for name, image in {"noisy": noisy, **images, **more}.items():
+        for name, image in {**images, **more}.items():
             _refuse_gradients(name, image)
         others: dict[str, FloatArray] = {}
         if is_bitmap(noisy):
@@ -165,26 +168,59 @@ class Denoiser:
             if any(names.values()) or noisy_ch != ROOT:
                 action = "pass tensors as albedo, normals, flow and previous_denoised"
                 raise InputError("noisy", expected="a bitmap for names of its layers", got="a tensor", action=action)
-        clean = self._filter(color, {**images, **more}, others, to_sensor)
+        image = take_image("noisy", color, self._size, tuple(COLORS))
+        frame, notes = self._make_frame(image, {**images, **more}, others, to_sensor)
+        if carries_gradients(noisy):
+            self._notes = tuple(notes)
+            return apply_differentiably(noisy, self._make_linear(image, frame))
+        clean = self._filter(image, frame, images["previous_denoised"], notes)
+        self._notes = tuple(notes)
         return make_bitmap(noisy, noisy_ch, clean) if is_bitmap(noisy) else give_back(noisy, clean)
 
-    def _filter(self, noisy: Any, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any) -> FloatArray:
-        """Return the denoised image, with as many channels as the noisy one."""
-        image = take_image("noisy", noisy, self._size, tuple(COLORS))
-        count = COLORS[image.shape[2]]
-        color = image[..., :3] if count == 3 else np.repeat(image[..., :1], 3, axis=-1)
+    def _make_frame(
+        self, image: FloatArray, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any
+    ) -> tuple[Frame, list[str]]:
+        """Return the frame of an image and its guides, and what is told of it."""
+        color = image[..., :3] if COLORS[image.shape[2]] == 3 else np.repeat(image[..., :1], 3, axis=-1)
         given = self._take_guides(color, images, others, to_sensor)
         frame, notes = make_frame(given)
         self._require_announced(frame, given)
+        return frame, notes
+
+    def _make_linear(self, image: FloatArray, frame: Frame) -> LinearImage:
+        """Return the denoiser as a linear map of images, for one with gradients.
+
+        Raises
+        ------
+        InputError
+            If it is none.
+        """
+        settings = self._settings
+        if self._history is not None or settings.quality != "fast" or settings.form != "full":
+            whose = "a history" if self._history is not None else f"quality {settings.quality!r}"
+            whose += f" and form {settings.form!r}" if settings.form != "full" else ""
+            raise InputError(
+                "noisy",
+                expected=f"a tensor without gradients, which are not passed exactly by {whose}",
+                got="one that carries them",
+                action="make the denoiser with quality='fast', which does, or pass dr.detach(noisy)",
+            )
+        count = COLORS[image.shape[2]]
+        filters_alpha = self._denoise_alpha and image.shape[2] > count
+        alpha = LinearFilter(_make_alpha_frame(frame, image[..., count:]), settings) if filters_alpha else None
+        return LinearImage(LinearFilter(frame, settings), alpha, count)
+
+    def _filter(self, image: FloatArray, frame: Frame, previous: Any, notes: list[str]) -> FloatArray:
+        """Return the denoised image, with as many channels as the noisy one."""
+        count = COLORS[image.shape[2]]
         if self._history is not None:
-            previous = take_image("previous_denoised", images["previous_denoised"], self._size, image.shape[2:])
-            clean = self._history.add(frame, previous[..., :count], image[..., :count])
+            before = take_image("previous_denoised", previous, self._size, image.shape[2:])
+            clean = self._history.add(frame, before[..., :count], image[..., :count])
         else:
             result = denoise(frame, self._settings)
             clean = result.image
             if result.bad_pixel_count:
                 notes.append(f"{result.bad_pixel_count} pixels were NaN, infinite or negative, and were refilled.")
-        self._notes = tuple(notes)
         parts = [clean[..., :count]]
         if image.shape[2] > count:
             alpha = image[..., count:]
@@ -230,9 +266,14 @@ class Denoiser:
 
     def _clean_alpha(self, frame: Frame, alpha: FloatArray) -> FloatArray:
         """Return alpha, (height, width, 1), filtered as light that falls on white."""
-        bare = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)
-        clean = denoise(Frame(Radiance(np.repeat(alpha, 3, axis=-1)), bare, frame.camera), self._settings)
+        clean = denoise(_make_alpha_frame(frame, alpha), self._settings)
         return np.clip(clean.image[..., :1], 0.0, 1.0)
+
+
+def _make_alpha_frame(frame: Frame, alpha: FloatArray) -> Frame:
+    """Return a frame with alpha, (height, width, 1), for light, on white surfaces."""
+    bare = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)
+    return Frame(Radiance(np.repeat(alpha, 3, axis=-1)), bare, frame.camera)
 
 
 def _take_layers(
@@ -265,7 +306,7 @@ def _refuse_gradients(name: str, image: Any) -> None:
     if carries_gradients(image):
         raise InputError(
             name,
-            expected="a tensor without gradients, which a denoiser does not pass",
+            expected="a tensor without gradients, which only noisy passes",
             got="one that carries them",
             action=f"pass dr.detach({name})",
         )

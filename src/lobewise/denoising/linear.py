@@ -1,0 +1,106 @@
+"""The filter of the quality "fast" as a linear map of the radiance, and its transpose.
+
+Its weights come from the guides alone, so ``out = W in``. With ``w(i,j) = w(j,i)`` the similarity of two pixels, ``s``
+the sums of a row and ``a`` the albedo, ``W(i,j) = a_i w(i,j) / (s_i a_j)``; its transpose is a filter with the same
+similarities, ``(W^T g)_j = (1 / a_j) sum_i w(i,j) a_i g_i / s_i``, which the same kernel computes: it gives sums over
+``w`` divided by ``s``, and ``s`` beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import device_scope
+from lobewise.denoising.automatic import resolve_settings
+from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.layers import make_layers
+from lobewise.errors import InputError
+from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.frame import FloatArray, Frame
+from lobewise.settings import DenoiseSettings
+
+
+class LinearFilter:
+    """What `lobewise.denoise` with the quality "fast" does to the radiance of one frame, for any other.
+
+    Parameters
+    ----------
+    frame : Frame
+        Of one layer. Pixels of its radiance that are NaN, infinite or negative have no weight; where every pixel near
+        by is such a one, nothing linear fills it.
+    settings : DenoiseSettings
+        Of the quality "fast" and the form "full".
+
+    Raises
+    ------
+    InputError
+        If the settings are others, or the frame has several layers, or a hole that no pixel near by fills.
+    """
+
+    def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
+        if settings.quality != "fast" or settings.form != "full":
+            got = f"quality {settings.quality!r} and form {settings.form!r}"
+            action = "the weights of others follow the radiance, or are chains of them"
+            expected = "quality 'fast' and form 'full', whose weights are fixed and symmetric"
+            raise InputError("settings", expected=expected, got=got, action=action)
+        self._settings = resolve_settings(frame, settings)
+        layers = make_layers(frame, self._settings)
+        if len(layers) != 1:
+            got = ", ".join(layer.name for layer in layers)
+            raise InputError("frame", expected="radiance in one layer", got=got, action="leave its parts out")
+        self._layer = layers[0]
+        self._good = find_good(frame.radiance.color)
+        self._sums = self._run(self._mark(np.zeros_like(frame.radiance.color)), self._layer.albedo).weight_sum
+        self._kept: NDArray[np.bool_] = self._sums <= 0.0
+        holes = int(np.count_nonzero(self._kept & ~self._good))
+        if holes:
+            raise InputError(
+                "radiance",
+                expected="usable light near every pixel",
+                got=f"{holes} pixels that are NaN, infinite or negative and have none",
+                action="render with more samples",
+            )
+
+    def apply(self, image: FloatArray) -> FloatArray:
+        """Return ``W`` times an image, (height, width, 3), of any sign."""
+        return self._split(self._apply, image)
+
+    def transpose(self, gradient: FloatArray) -> FloatArray:
+        """Return the transpose of ``W`` times an image, (height, width, 3), of any sign."""
+        return self._split(self._transpose, gradient)
+
+    @staticmethod
+    def _split(run: Callable[[FloatArray], FloatArray], image: FloatArray) -> FloatArray:
+        """Return a linear function of an image, of which the kernel takes only what is not negative."""
+        finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+        return run(np.maximum(finite, 0.0)) - run(np.maximum(-finite, 0.0)) if (finite < 0.0).any() else run(finite)
+
+    @device_scope()
+    def _run(self, image: FloatArray, albedo: FloatArray | None) -> FilterOutput:
+        layer, settings = self._layer, self._settings
+        options = {"form": settings.form, "radius": settings.radius, "device": settings.device}
+        return run_filter(image, layer.mask, layer.features, albedo=albedo, **options)  # type: ignore[arg-type]
+
+    def _mark(self, image: FloatArray) -> FloatArray:
+        """Return an image with NaN, which has no weight, where the frame's radiance has none."""
+        return np.where(self._good[..., None], image, np.float32(np.nan))
+
+    def _apply(self, image: FloatArray) -> FloatArray:
+        filtered = self._run(self._mark(image), self._layer.albedo).image
+        return np.where(self._kept[..., None], image, filtered)
+
+    def _transpose(self, gradient: FloatArray) -> FloatArray:
+        kept = self._kept[..., None]
+        albedo = self._layer.albedo
+        shares = np.where(kept, np.float32(0.0), gradient / np.where(kept, np.float32(1.0), self._sums[..., None]))
+        shares = shares if albedo is None else shares * albedo
+        # Here every pixel gives, as every pixel took before; those without light gave nothing.
+        filtered = self._run(np.asarray(shares, dtype=np.float32), None)
+        gathered = filtered.image * filtered.weight_sum[..., None]
+        if albedo is not None:
+            gathered = gathered / albedo
+        gathered = gathered + np.where(kept, gradient, np.float32(0.0))
+        return np.asarray(np.where(self._good[..., None], gathered, np.float32(0.0)), dtype=np.float32)
