@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +19,30 @@ RAY_TOLERANCE = 1e-4
 """Largest difference, per component of a unit direction, between the sensor's rays and the pinhole's."""
 
 
-def _get_sensor(scene: Any) -> Any:
+_chosen: ContextVar[Any] = ContextVar("sensor", default=None)
+
+
+@contextmanager
+def use_sensor(sensor: Any) -> Iterator[None]:
+    """Render with a sensor, inside a ``with`` block, in place of the scene's first."""
+    before = _chosen.set(sensor)
+    try:
+        yield
+    finally:
+        _chosen.reset(before)
+
+
+def get_sensor(scene: Any) -> Any:
+    """Return the sensor that a scene is rendered with: its first, or that of `use_sensor`.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    chosen = _chosen.get()
+    if chosen is not None:
+        return chosen
     if not scene.sensors():
         raise InputError(
             "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
@@ -32,12 +58,12 @@ def get_image_size(scene: Any) -> tuple[int, int]:
     InputError
         If the scene has no sensor.
     """
-    width, height = _get_sensor(scene).film().crop_size()
+    width, height = get_sensor(scene).film().crop_size()
     return int(width), int(height)
 
 
 def _get_perspective_sensor(scene: Any) -> Any:
-    sensor = _get_sensor(scene)
+    sensor = get_sensor(scene)
     if sensor.class_name() != "PerspectiveCamera":
         action = "reflection lobes need one viewpoint for all pixels; use a perspective sensor"
         raise InputError("sensor", expected="type 'perspective'", got=str(sensor.class_name()), action=action)

@@ -18,7 +18,7 @@ import numpy as np
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray
 from lobewise.render.bridge import dr, mi
-from lobewise.render.camera import get_camera, get_image_size
+from lobewise.render.camera import get_camera, get_image_size, get_sensor
 from lobewise.render.materials.bsdfs import list_nested
 from lobewise.render.variant import VARIANTS
 
@@ -206,7 +206,7 @@ def _shows_emitters(integrator: Any) -> bool:
 
 def _has_volumes(scene: Any) -> bool:
     """Return whether there are media, or surfaces that light passes without being scattered."""
-    if scene.sensors()[0].get_medium() is not None:
+    if get_sensor(scene).get_medium() is not None:
         return True
     for shape in scene.shapes():
         if shape.is_medium_transition():
@@ -234,7 +234,7 @@ def make_box_sensor(scene: Any) -> Any:
     """Return a sensor with the rays of a scene's first one, whose pixels have a box filter and linear RGB."""
     camera = get_camera(scene)
     width, height = get_image_size(scene)
-    original = scene.sensors()[0]
+    original = get_sensor(scene)
     half_width, half_height = camera.get_half_extent(width, height)
     matrix = np.eye(4)
     # Mitsuba's x points to the left of the image.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lobewise.render.bridge import dr, mi
+from lobewise.render.camera import get_sensor
 
 
 def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
@@ -12,7 +13,7 @@ def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
     width, height = size
     x = (mi.Float(pixel % width) + place.x) / mi.Float(width)
     y = (mi.Float(pixel // width) + place.y) / mi.Float(height)
-    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    ray, _ = get_sensor(scene).sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     return ray
 
 
