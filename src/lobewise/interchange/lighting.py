@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import FloatArray, RadianceLayer
+from lobewise.frame import FloatArray, Frame, RadianceLayer
+from lobewise.guides.lamps import find_lamps
 from lobewise.interchange.mapping import Found, FoundLayer
 
 DARKEST_ALBEDO = 0.01
@@ -155,6 +156,23 @@ def lend_albedo(light: Light, albedo: FloatArray) -> None:
         return
     lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
     light.layers = tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in light.layers)
+
+
+def keep_lamps(frame: Frame, notes: list[str]) -> Frame:
+    """Return a frame whose lamps are no surfaces, so that filters leave them as they are, where its light is whole."""
+    guides = frame.gbuffer
+    if frame.radiance.parts is not None or guides.normal is None:
+        return frame
+    known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
+    albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else np.float32(1.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        lamps = find_lamps(frame.radiance.color / albedo)
+    if not lamps.any():
+        return frame
+    count = int(np.count_nonzero(lamps))
+    notes.append(f"{count} pixels show lamps, or something as bright and without noise, and pass as they are.")
+    normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
+    return frame.with_changes(gbuffer=replace(guides, normal=normal))
 
 
 def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:

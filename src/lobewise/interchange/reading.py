@@ -15,7 +15,15 @@ from lobewise.interchange.cameras.header import read_camera_attributes, read_sam
 from lobewise.interchange.checks import check_guides, check_noise, check_places
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
-from lobewise.interchange.lighting import Light, PartOutput, lend_albedo, name_pass, take_albedos, take_layers
+from lobewise.interchange.lighting import (
+    Light,
+    PartOutput,
+    keep_lamps,
+    lend_albedo,
+    name_pass,
+    take_albedos,
+    take_layers,
+)
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
 from lobewise.interchange.siblings import FIRST_INDEX, find_family
@@ -255,6 +263,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     )
     findings += check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
+    frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
     if any(one.found.source.part.index >= FIRST_INDEX for one in outputs.values()):

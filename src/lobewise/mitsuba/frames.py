@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import find_whole_albedo
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.lamps import find_lamps
 from lobewise.interchange.mapping import ORDERS
 from lobewise.interchange.reading import import_planes
 
@@ -75,22 +73,7 @@ def make_frame(given: Given) -> tuple[Frame, list[str]]:
     notes = [note.replace("given.", "") for note in found.notes if "There are images of the same kind" not in note]
     if idle:
         notes.append(f"Not used: {', '.join(idle)}.")
-    frame, count = keep_lamps(found.frame)
-    if count:
-        notes.append(f"{count} pixels show lamps, or something as bright and without noise, and pass as they are.")
-    return frame, notes
-
-
-def keep_lamps(frame: Frame) -> tuple[Frame, int]:
-    """Return a frame whose lamps are no surfaces, so that a filter leaves them as they are, and how many pixels."""
-    guides = frame.gbuffer
-    albedo = find_whole_albedo(guides)
-    light = frame.radiance.color if albedo is None else frame.radiance.color / albedo
-    lamps = find_lamps(light)
-    if guides.normal is None or not lamps.any():
-        return frame, 0
-    normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
-    return frame.with_changes(gbuffer=replace(guides, normal=normal)), int(lamps.sum())
+    return found.frame, notes
 
 
 def list_channels(layers: Mapping[str, tuple[FloatArray, tuple[str, ...]]]) -> dict[str, FloatArray]:
