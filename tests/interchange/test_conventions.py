@@ -183,6 +183,12 @@ MISTAKES = {
         turn_guides,
         "guides flipped", told=("N.X/Y/Z", "P.X/Y/Z", "diffuse_albedo.R/G/B", "upside down"),
     ),
+    "positions upside down": Mistake(
+        change("P", lambda p: p[::-1]), "guides flipped", told=("P.X/Y/Z lies upside down",)
+    ),
+    "depth turned by half a turn": Mistake(
+        change_depth(lambda z: z[::-1, ::-1]), "guides flipped", told=("Z lies turned by half a turn",)
+    ),
     "albedo upside down": Mistake(
         change("diffuse_albedo", lambda a: a[::-1]), "guides flipped", told=("diffuse_albedo.R/G/B lies upside down",)
     ),
@@ -323,6 +329,15 @@ def test_a_long_render_is_not_taken_for_denoised(tmp_path: Path) -> None:
     path = tmp_path / "frame.exr"
     write(path, Written("arnold", channels, {"arnold/AA_samples": 64}))
     assert import_file(path).findings == ()
+
+
+def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> None:
+    channels = write_showroom("P", "Z")
+    for head in ("N", "diffuse_albedo", "specular_albedo"):
+        channels = change(head, lambda image: np.broadcast_to(np.float32([0.0, 0.0, 1.0]), image.shape))(channels)
+    assert import_channels(channels, tmp_path).findings == ()
+    black = {key: np.zeros_like(plane) for key, plane in channels.items()}
+    assert import_channels(black, tmp_path).findings == ()
 
 
 RIGHT = ("blender_4.5_seed1.exr", "blender_4.5_seed2.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")

@@ -130,10 +130,13 @@ class Reading:
         )
         if found.map is not None:
             title = f"Read as {found.map.preset.title}, because {found.map.reason}."
+            # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
+            known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
             for note in (title, *found.notes):
-                if note not in self._told:
+                key = known.get(note, note)
+                if key not in self._told:
                     print_note(note)
-                self._told.add(note)
+                self._told.add(key)
         return found
 
 

@@ -134,6 +134,7 @@ def check_places(places: Places, guides: Guides, header: Camera | None) -> list[
         camera,
         header,
         lambda: derive_normal(scratch, size),
+        sure="depth" in roles and not any(one.what == "depth of something else" for one in findings),
     )
     findings += turned
     if turned and places.position is None:

@@ -22,9 +22,13 @@ LEAST_RATIO = 1.25
 """Factor by which it must explain more."""
 LEAST_SCORE = 4.0
 """Standard errors, over the blocks, by which it must explain more."""
-STAYS = -2.0
-"""Standard errors by which a guide must explain less, not to be flipped where all guides together are."""
+LEAST_DOUBT = 1.0
+"""Those by which another way must explain more in which some of the guides lie, where they disagree."""
+SAME = 1e-4
+"""Standard deviation within blocks up to which a guide shows nothing."""
 RIDGE = 1e-3
+ANCHORS = ("normal", "position", "depth")
+"""Guides that the others are held against, the best first: they have no noise."""
 BACK = slice(None, None, -1)
 FLIPS = {
     "as it lies": (slice(None), slice(None)),
@@ -56,20 +60,24 @@ class Fit:
         """Return the share of the image's variance that the guide explains."""
         return float(self.fitted[flip].sum()) / self.whole
 
-    def get_score(self, flip: str) -> float:
-        """Return by how many standard errors the guide explains more if it is flipped.
+    def get_score(self, flip: str, base: str = LIES) -> float:
+        """Return by how many standard errors the guide explains more if it is flipped than if it lies as ``base``.
 
         Compared are standard deviations, of which a few strong edges are not all.
         """
-        gain = np.sqrt(self.fitted[flip]) - np.sqrt(self.fitted[LIES])
+        gain = np.sqrt(self.fitted[flip]) - np.sqrt(self.fitted[base])
         return float(gain.sum() / (np.sqrt(len(gain)) * gain.std() + 1e-30))
 
-    def find_flip(self) -> str:
-        """Return how the guide is surely flipped, else how it lies."""
+    def find_flip(self, base: str = LIES) -> str:
+        """Return how the guide is surely flipped, else ``base``."""
         best = max(FLIPS, key=self.get_explained)
-        better, worse = self.get_explained(best), self.get_explained(LIES)
-        sure = better > max(worse + LEAST_GAIN, LEAST_RATIO * worse) and self.get_score(best) > LEAST_SCORE
-        return best if sure else LIES
+        better, worse = self.get_explained(best), self.get_explained(base)
+        sure = better > max(worse + LEAST_GAIN, LEAST_RATIO * worse) and self.get_score(best, base) > LEAST_SCORE
+        return best if sure else base
+
+    def is_bound(self, flip: str) -> bool:
+        """Return whether the guide explains more if flipped so than in any other orientation."""
+        return all(self.get_score(flip, other) > LEAST_SCORE for other in FLIPS if other != flip)
 
 
 def check_flips(
@@ -77,8 +85,9 @@ def check_flips(
 ) -> tuple[dict[str, FloatArray], list[Finding]]:
     """Return the guides that lie otherwise than the image, turned over, and what was found.
 
-    In small blocks the image is fitted by each guide, linearly; a guide that lies right explains more of it than one
-    that is flipped, whatever the light is.
+    In small blocks an image is fitted by a guide, linearly; a guide that lies right explains more of it than one that
+    is flipped, whatever the light is. Guides, which have no noise, are first held against each other, then all against
+    the image.
 
     Parameters
     ----------
@@ -93,21 +102,13 @@ def check_flips(
     if min(height, width) < 3 * BLOCK or not images:
         return {}, []
     step = max(1, round(max(height, width) / SIZE))
-    brightness = _compress(color, step)
-    colors = {flip: _cut_blocks(brightness[slices]) for flip, slices in FLIPS.items()}
-    features = {role: _cut_blocks(_make_feature(role, _thin(image, step))) for role, image in images.items()}
-    features = {role: feature for role, feature in features.items() if feature.std() > 1e-6}
-    if not features or not colors[LIES].std() > 0.0:
+    whole = {role: _make_feature(role, _thin(image, step)) for role, image in images.items()}
+    whole = {role: feature for role, feature in whole.items() if _cut_blocks(feature).std() > SAME}
+    light = _cut_flipped(_compress(color, step))
+    if not whole or not light[LIES].std() > 0.0:
         return {}, []
-    together = _fit(np.concatenate(list(features.values()), axis=-1), colors).find_flip()
-    flipped: dict[str, str] = {}
-    for role, feature in features.items():
-        alone = _fit(feature, colors)
-        flip = alone.find_flip()
-        if flip == LIES and together != LIES and alone.get_score(together) > STAYS:
-            flip = together
-        if flip != LIES:
-            flipped[role] = flip
+    flips = _choose_flips(whole, light)
+    flipped = {role: flip for role, flip in flips.items() if flip != LIES}
     findings = []
     for flip in dict.fromkeys(flipped.values()):
         names = [labels[role] for role, found in flipped.items() if found == flip]
@@ -115,6 +116,43 @@ def check_flips(
         told = f"{list_names(names)} {verb} {flip} under the image, so {fate} turned over."
         findings.append(Finding("guides flipped", told, mended=True))
     return {role: np.ascontiguousarray(images[role][FLIPS[flip]]) for role, flip in flipped.items()}, findings
+
+
+def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) -> dict[str, str]:
+    """Return how each guide is flipped under the image, whose blocks ``light`` are in every orientation."""
+    blocks = {role: _cut_blocks(feature) for role, feature in whole.items()}
+    alone = {role: _fit(feature, light) for role, feature in blocks.items()}
+    anchor = next((role for role in ANCHORS if role in whole), None)
+    if anchor is None:
+        return {role: fit.find_flip() for role, fit in alone.items()}
+    # How each guide is flipped against the anchor, then how all that are bound to it are against the image.
+    target = _cut_flipped(whole[anchor])
+    fits = {role: _fit(blocks[role], target) for role in whole if role != anchor}
+    turns = {anchor: LIES} | {role: fit.find_flip() for role, fit in fits.items()}
+    bound = [anchor, *(role for role, fit in fits.items() if fit.is_bound(turns[role]))]
+    joined = np.concatenate([_cut_blocks(whole[role][FLIPS[turns[role]]]) for role in bound], axis=-1)
+    together = _fit(joined, light)
+    base = max(FLIPS, key=lambda flip: sum(combine(turns[role], flip) == LIES for role in bound))
+    for turn in dict.fromkeys(turns[role] for role in bound):
+        # Where guides disagree, one of the ways in which some of them lie is likely to be right.
+        if together.get_score(turn, base) > LEAST_DOUBT:
+            base = turn
+    votes = {together.find_flip(base): together.get_score(together.find_flip(base), base)}
+    for role in bound:
+        own = combine(turns[role], base)
+        found = alone[role].find_flip(own)
+        if found != own:
+            votes[combine(turns[role], found)] = alone[role].get_score(found, own)
+    flip = max(votes, key=lambda voted: votes[voted])
+    flips = {role: combine(turn, flip) for role, turn in turns.items()}
+    return flips | {role: fit.find_flip(flips[role]) for role, fit in alone.items() if role not in bound}
+
+
+def combine(first: str, second: str) -> str:
+    """Return the flip that two of them, one after the other, are."""
+    slices = [FLIPS[flip] for flip in (first, second)]
+    turned = tuple(BACK if a != b else slice(None) for a, b in zip(*slices, strict=True))
+    return next(name for name, flip in FLIPS.items() if flip == turned)
 
 
 def _thin(image: FloatArray, step: int, down: int = 0, right: int = 0) -> FloatArray:
@@ -147,8 +185,21 @@ def _make_feature(role: str, thin: FloatArray) -> Numbers:
         return np.where(there, np.log(np.where(there, values, np.float32(1.0))), np.float32(0.0))
     values = np.where(far, np.float32(0.0), values)
     if role == "position":
-        return np.asarray(values / (np.abs(values - values.mean(axis=(0, 1))).mean() + 1e-30))
+        return _find_facing(values)
     return np.asarray(values.clip(-1.0, 1.0))
+
+
+def _find_facing(position: Numbers) -> Numbers:
+    """Return which way the surface through positions faces, (height, width, 3): from place to place as normals do."""
+    across, down = (np.gradient(position, axis=axis) for axis in (1, 0))
+    facing = np.cross(across, down)
+    length = np.linalg.norm(facing, axis=-1, keepdims=True)
+    return np.asarray(facing / np.where(length > 0.0, length, np.float32(1.0)), dtype=np.float32)
+
+
+def _cut_flipped(image: Numbers) -> dict[str, Numbers]:
+    """Return the blocks of an image in every orientation."""
+    return {flip: _cut_blocks(image[slices]) for flip, slices in FLIPS.items()}
 
 
 def _cut_blocks(image: Numbers) -> Numbers:
@@ -161,13 +212,13 @@ def _cut_blocks(image: Numbers) -> Numbers:
     return np.asarray(parts - parts.mean(axis=1, keepdims=True))
 
 
-def _fit(feature: Numbers, colors: Mapping[str, Numbers]) -> Fit:
-    """Return how well the components of a guide, each by a factor for every block, make up the image."""
+def _fit(feature: Numbers, images: Mapping[str, Numbers]) -> Fit:
+    """Return how well the components of a guide, by factors for every block, make up an image in each orientation."""
     turned = feature.transpose(0, 2, 1)
-    products = turned @ feature + np.float32(RIDGE * feature.shape[1]) * np.eye(feature.shape[2], dtype=np.float32)
-    fitted = {}
-    for flip, color in colors.items():
-        shared = turned @ color
-        factors = np.linalg.solve(products, shared)
-        fitted[flip] = (shared * factors).sum(axis=(1, 2), dtype=np.float32).clip(0.0)
-    return Fit(fitted, float(np.square(colors[LIES]).sum()))
+    products = turned @ feature
+    products += np.float32(RIDGE * feature.shape[1]) * np.eye(feature.shape[2], dtype=np.float32)
+    every = np.concatenate([images[flip] for flip in FLIPS], axis=-1)
+    shared = turned @ every
+    fitted = (shared * np.linalg.solve(products, shared)).sum(axis=1).reshape(len(feature), len(FLIPS), -1)
+    sums = fitted.sum(axis=-1).clip(0.0)
+    return Fit(dict(zip(FLIPS, sums.T, strict=True)), float(np.square(images[LIES]).sum()))

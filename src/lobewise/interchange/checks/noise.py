@@ -18,16 +18,21 @@ SAME = 0.03
 """Difference between the guides of neighbours on one surface."""
 LIT = 0.02
 """Brightness, over itself plus the image's median, below which a pixel tells nothing."""
-INDEPENDENT = -0.59
+INDEPENDENT = -0.605
 """Correlation between neighbouring second differences, of the lowest tenth of the tiles, up to which pixels are
 independent: for those it is -2/3; texture and shadows raise it in some tiles, a filter in all."""
 SMOOTH = -0.3
 """That of the lowest quarter from which on no noise of samples is left."""
-LEAST_NOISE = 0.004
-"""Noise over brightness, times the root of the samples per pixel, below which samples cannot be the cause."""
-LITTLE_NOISE = 0.02
-"""The same where neighbours are not independent either."""
-
+STRONG, STRONG_ALONE = 0.034, 0.02
+"""Noise over brightness that samples leave: times the root of their number, and where that is not known."""
+WEAK = 0.03
+"""The first below which samples of which pixels share some cannot be the cause."""
+NONE = 0.004
+"""That below which those of independent pixels cannot."""
+FAINTEST = 0.002
+"""Noise over brightness below which shadows look like it."""
+MANY = 1024
+"""Samples per pixel from which on noise may be as little as after denoising."""
 MEDIAN_SIZE = 0.6745 * 6.0**0.5
 """The median size of second differences of normally distributed noise, over its standard deviation."""
 
@@ -58,22 +63,22 @@ def check_noise(frame: Frame, *, shows_surfaces: bool) -> list[Finding]:
         return []
     lowest, low = np.quantile(correlation, (0.1, 0.25))
     typical = float(np.median(noise))
-    samples = float(np.sqrt(frame.spp)) if frame.spp else None
+    count = frame.spp
     alike = lowest > INDEPENDENT
-    faint = samples is not None and typical * samples < (LITTLE_NOISE if alike else LEAST_NOISE)
-    if faint or (alike and low > SMOOTH):
-        count = f"{frame.spp} samples per pixel leave" if faint else "samples leave"
+    strength = typical * float(np.sqrt(count or 1))
+    if alike and typical > FAINTEST and strength > (STRONG if count else STRONG_ALONE):
         told = (
-            f"The image has noise of {100.0 * typical:.2g} % inside surfaces, less than {count}, or smoother: it seems "
+            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; some of "
+            "it is taken for light: filter with a radius of 12 (--radius 12), or render with a box filter."
+        )
+        return [Finding("noise shared by pixels", told, mended=False)]
+    if (count or 1) < MANY and ((alike and low > SMOOTH) or (count and strength < (WEAK if alike else NONE))):
+        left = f"{count} samples per pixel leave" if count else "samples leave"
+        told = (
+            f"The image has noise of {100.0 * typical:.2g} % inside surfaces, less than {left}, or smoother: it seems "
             "to be denoised already; give the noisy one (--map color=...)."
         )
         return [Finding("denoised already", told, mended=False)]
-    if alike:
-        told = (
-            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; some of "
-            "it is taken for light: filter with --radius 12, or render with a box filter."
-        )
-        return [Finding("noise shared by pixels", told, mended=False)]
     return []
 
 

@@ -29,7 +29,7 @@ LEAST_GAIN = 0.03
 """By how much its score must be higher than that of what the file was taken for."""
 FLIP_GAIN = 0.1
 """By how much the score of normals that are turned over must be higher."""
-MOST_JUDGED = 4000
+MOST_JUDGED = 2500
 """Pixels by which normals are judged."""
 DOUBTFUL = 0.4
 """Share of the pixels below which normals are said to fit nothing."""
@@ -227,6 +227,8 @@ def check_normals(
     camera: Camera,
     header: Camera | None,
     facing: Callable[[], FloatArray],
+    *,
+    sure: bool,
 ) -> tuple[FloatArray, list[Finding]]:
     """Return normals in the world on the camera's side, and what was found.
 
@@ -245,9 +247,11 @@ def check_normals(
     facing : callable
         Makes the normals of the surfaces on the camera's side, (height, width, 3), by which those that look away are
         turned.
+    sure : bool
+        Whether the surfaces are where they are shown: the depth, say, agrees with the positions.
     """
     patches = patches.thin_out(MOST_JUDGED)
-    normal, findings = _check_flip(normal, label, patches)
+    normal, findings = _check_flip(normal, label, patches, sure=sure)
     taken = patches.take(normal)
     there = np.linalg.norm(taken, axis=-1) > 0.5
     if there.sum() < FEWEST_SAMPLES:
@@ -267,7 +271,7 @@ def check_normals(
     return turned, [*findings, _tell(label, first, best)]
 
 
-def _check_flip(normal: FloatArray, label: str, patches: Patches) -> tuple[FloatArray, list[Finding]]:
+def _check_flip(normal: FloatArray, label: str, patches: Patches, *, sure: bool) -> tuple[FloatArray, list[Finding]]:
     """Return normals turned over where they then are those of the surfaces, and were not."""
     scores = {}
     for flip, slices in FLIPS.items():
@@ -278,7 +282,11 @@ def _check_flip(normal: FloatArray, label: str, patches: Patches) -> tuple[Float
     best = max(scores, key=lambda flip: scores[flip][0])
     if scores[best][1] < SURE or scores[best][0] < scores[LIES][0] + FLIP_GAIN:
         return normal, []
-    told = f"{label} lies {best} under the surfaces that the positions show, so it was turned over."
+    told = f"{label} lies {best} under the surfaces that the positions show"
+    if not sure:
+        told += ", and nothing tells which of them lies right."
+        return normal, [Finding("guides flipped", told, mended=False)]
+    told += ", so it was turned over."
     return np.ascontiguousarray(normal[FLIPS[best]]), [Finding("guides flipped", told, mended=True)]
 
 
