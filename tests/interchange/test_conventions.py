@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from renderers import WRITERS, Written, make_scene, name, write
 
@@ -15,6 +16,7 @@ import lobewise
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
+from lobewise.interchange.checks.normals import Guess, make_bases, turn_normals
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.reading import read_image
 from lobewise.metrics import rel_mse
@@ -331,6 +333,55 @@ def test_a_long_render_is_not_taken_for_denoised(tmp_path: Path) -> None:
     assert import_file(path).findings == ()
 
 
+def change_channel(source: Path, target: Path, word: str, function: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Write a copy of a file in which every channel whose name has a word is changed."""
+    parts = []
+    with OpenEXR.File(str(source), separate_channels=True) as file:
+        for part in file.parts:
+            header = {key: value for key, value in part.header.items() if key not in ("channels", "chunkCount")}
+            channels = {
+                key: OpenEXR.Channel(np.array(function(one.pixels) if word in key else one.pixels))
+                for key, one in part.channels.items()
+            }
+            parts.append(OpenEXR.Part(header, channels, part.name()))
+        OpenEXR.File(parts).write(str(target))
+
+
+@pytest.mark.parametrize(
+    ("meaning", "function"), [("microfacet alpha", np.square), ("glossiness", lambda roughness: 1.0 - roughness)]
+)
+def test_roughness_of_another_meaning_is_found_by_the_mean_over_lobes(
+    meaning: str, function: Callable[[np.ndarray], np.ndarray], tmp_path: Path
+) -> None:
+    source, target = FOREIGN / "blender_5.2_multipart.exr", tmp_path / "frame.exr"
+    change_channel(source, target, "ViewLayer.Roughness", function)
+    right, found = import_file(source).frame.gbuffer.alpha_u, import_file(target)
+    assert [(one.what, one.mended) for one in found.findings] == [("roughness of another meaning", True)]
+    assert meaning in found.findings[0].told
+    np.testing.assert_allclose(found.frame.gbuffer.alpha_u, right, atol=1e-5)
+
+
+def test_roughness_in_percent_is_told(tmp_path: Path) -> None:
+    channels = write_showroom()
+    channels["specular_roughness.R"] = 100.0 * channels["specular_roughness.R"]
+    findings = import_channels(channels, tmp_path).findings
+    assert [(one.what, one.mended) for one in findings] == [("not a roughness", False)]
+
+
+def test_what_is_assumed_of_a_roughness_is_named_with_the_option(tmp_path: Path) -> None:
+    path = tmp_path / "frame.exr"
+    frame = read_showroom()[0]
+    channels = name("", frame.radiance.color) | name("roughness", frame.gbuffer.alpha_u, "R")
+    write(path, Written("generic", channels, {}))
+    assumed = import_file(path)
+    (note,) = (note for note in assumed.notes if "perceptual" in note)
+    option = note.partition("--map roughness=")[2].partition(" ")[0]
+    mapped = import_file(path, mapping={"roughness": option})
+    np.testing.assert_allclose(mapped.frame.gbuffer.alpha_u, frame.gbuffer.alpha_u)
+    np.testing.assert_allclose(assumed.frame.gbuffer.alpha_u, frame.gbuffer.alpha_u**2, rtol=1e-6)
+    assert not any("perceptual" in note for note in mapped.notes)
+
+
 def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> None:
     channels = write_showroom("P", "Z")
     for head in ("N", "diffuse_albedo", "specular_albedo"):
@@ -361,6 +412,27 @@ def test_rendered_files_raise_nothing(file: str) -> None:
 @pytest.mark.parametrize("file", REAL)
 def test_real_files_raise_nothing(file: str, exr_folder: Path) -> None:
     assert import_file(exr_folder / file).findings == ()
+
+
+@pytest.mark.real_exr
+def test_real_normals_in_a_space_of_each_ray_are_those_of_flat_walls(exr_folder: Path) -> None:
+    """A box of V-Ray 3.60, whose walls look outwards: x is to the left, z along the ray, against it."""
+    path = exr_folder / "vray_cornellBox_CryptoWildcard.0001.exr"
+    camera = import_file(path).frame.camera
+    assert camera is not None
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        planes = [file.channels()[f"normals.{letter}"].pixels for letter in "XYZ"]
+    raw = np.stack(planes, axis=-1).astype(np.float32)
+    axes = np.diag(np.float32([-1.0, 1.0, -1.0]))
+    basis = make_bases(camera, None, camera.make_ray_directions(raw.shape[1], raw.shape[0]))
+
+    def measure(space: str) -> float:
+        """Return the share of the pixels whose normal is along an axis of the box, to a fifth of a degree."""
+        turned = turn_normals(raw, Guess(space, axes), basis[space])
+        return float((np.abs(turned).max(axis=-1) > np.cos(np.deg2rad(0.2))).mean())
+
+    assert measure("ray") > 0.8
+    assert measure("camera") < 0.1
 
 
 @pytest.mark.real_exr

@@ -12,7 +12,14 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
-from lobewise.interchange.checks import check_guides, check_noise, check_places
+from lobewise.interchange.checks import (
+    check_alpha,
+    check_guides,
+    check_noise,
+    check_places,
+    find_second,
+    name_assumption,
+)
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import (
@@ -237,7 +244,9 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
     diffuse_albedo, specular_albedo = take_albedos(images, light.layers)
-    alpha = _take_alpha(images, channels, (diffuse_albedo, specular_albedo), notes)
+    albedos = diffuse_albedo, specular_albedo
+    alpha = _take_alpha(images, channels, albedos, notes)
+    alpha, meant = check_alpha(alpha, guides, channels, find_second(container, channels), read, albedos)
     motion = images.get("motion")
     coverage = take_coverage(channels, read, notes) if light.layers or diffuse_albedo is not None else None
     gbuffer = GBuffer(
@@ -261,6 +270,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         spp=spp,
         layers=light.layers,
     )
+    findings += meant
+    notes += name_assumption(channels)
     findings += check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
     frame = keep_lamps(frame, notes)

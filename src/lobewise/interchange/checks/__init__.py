@@ -1,7 +1,17 @@
 """Conventions of foreign frames are checked: what guides are is measured, mended where it is sure, else told."""
 
-from lobewise.interchange.checks.checking import Guides, check_guides, check_places
+from lobewise.interchange.checks.checking import Guides, check_alpha, check_guides, check_places
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.noise import check_noise
+from lobewise.interchange.checks.roughness import find_second, name_assumption
 
-__all__ = ["Finding", "Guides", "check_guides", "check_noise", "check_places"]
+__all__ = [
+    "Finding",
+    "Guides",
+    "check_alpha",
+    "check_guides",
+    "check_noise",
+    "check_places",
+    "find_second",
+    "name_assumption",
+]

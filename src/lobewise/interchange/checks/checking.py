@@ -14,6 +14,7 @@ from lobewise.interchange.checks.geometry import find_patches
 from lobewise.interchange.checks.guides import check_albedos, check_encoding, check_values
 from lobewise.interchange.checks.normals import check_normals, take_assumed
 from lobewise.interchange.checks.precision import measure_grain
+from lobewise.interchange.checks.roughness import check_range, check_roughness
 from lobewise.interchange.placing import Places, derive_normal
 
 if TYPE_CHECKING:
@@ -175,3 +176,38 @@ def _check_depth(places: Places, camera: Camera, roles: Mapping[str, Found]) -> 
     elif places.normal is not None:
         places.depth, findings = check_depth_by_normal(places.depth, places.normal, camera, found.label, planar=planar)
     return findings
+
+
+def check_alpha(
+    alpha: FloatArray | None,
+    guides: Guides,
+    channels: ChannelMap,
+    second: Found | None,
+    read: Read,
+    albedos: tuple[FloatArray | None, FloatArray | None],
+) -> tuple[FloatArray | None, list[Finding]]:
+    """Return microfacet alphas (height, width), and what was found of the roughness that they are made of.
+
+    Parameters
+    ----------
+    alpha : (height, width), optional
+        Alphas if the roughness is what it was taken for.
+    guides : Guides
+        The images.
+    channels : ChannelMap
+        What they were taken for.
+    second : Found, optional
+        As `find_second` returns.
+    read : callable
+        Gives the pixels of an image of the file.
+    albedos : pair of (height, width, 3)
+        Diffuse and specular.
+    """
+    if alpha is None:
+        return None, []
+    found, raw = channels.roles["roughness"], guides.images["roughness"]
+    findings = check_range(raw, found.label)
+    if second is None:
+        return alpha, findings
+    alpha, meant = check_roughness(alpha, raw, found, second, read, albedos)
+    return alpha, findings + meant
