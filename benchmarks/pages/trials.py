@@ -20,7 +20,7 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 
 ## What comes before and after
 
-- **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used; else the two colours of a checkerboard are.
+- **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used. Else the noise is read off the image itself: second differences along both axes, squared and filtered by the weights of the image, are the noise of a pass, for they cancel slopes and edges. Where pixels share samples they are taken two pixels apart.
 - **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` and the command line say
   which share of the light that took.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.

@@ -205,6 +205,9 @@ class Frame(Guided):
         background) passes as it is.
     also : mapping of str to array_like, shape (height, width, 3)
         Noisy images that belong to the total, such as the light of every lamp; what sums to it before does so after.
+    noise_is_shared : bool
+        Whether neighbouring pixels share samples, as with a pixel filter that spreads them: then their noise is no
+        longer independent, and that of a frame without halves is judged two pixels apart.
 
     Raises
     ------
@@ -223,6 +226,7 @@ class Frame(Guided):
     lobe_tables: tuple[LobeTable, ...] = ()
     layers: tuple[RadianceLayer, ...] = ()
     also: Mapping[str, FloatArray] = field(default_factory=dict)
+    noise_is_shared: bool = False
 
     def __post_init__(self) -> None:
         for name in ("gbuffer", "half_a", "half_b", "variance"):

@@ -14,7 +14,7 @@ from lobewise import peers
 from lobewise.denoising import combining, denoise, high, recipe
 from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
-from lobewise.denoising.guided import finish_layer, make_noisy_layers, make_pass_guide, resolve_guided
+from lobewise.denoising.guided import NoisyLayer, finish_layer, make_noisy_layers, make_pass_guide, resolve_guided
 from lobewise.denoising.high import (
     COUNT,
     EXTRAS,
@@ -225,7 +225,8 @@ class Recorder:
         self.levels: list[float] = []
         self.rng = np.random.default_rng(11)
         monkeypatch.setattr(high, "filter_dual_buffer", self.run)
-        monkeypatch.setattr(high, "make_noise_guide", self.guide)
+        monkeypatch.setattr(high, "filter_samples", self.run_samples)
+        monkeypatch.setattr(high, "compare_halves", self.guide)
 
     def draw(self, *shape: int) -> FloatArray:
         return self.rng.uniform(0.1, 9.0, shape).astype(np.float32)
@@ -238,9 +239,12 @@ class Recorder:
         self.gave.append([DualBufferOutput(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
         return self.gave[-1]
 
-    def guide(self, a: FloatArray, b: FloatArray, level: float, device: str) -> FloatArray:
+    def run_samples(self, noisy: NoisyLayer, *groups: Any, **options: Any) -> list[DualBufferOutput]:
+        return self.run(noisy.samples, noisy.layer.mask, *groups, **options)
+
+    def guide(self, noisy: NoisyLayer, a: FloatArray, b: FloatArray, device: str) -> FloatArray:
         self.guided.append((a, b))
-        self.levels.append(level)
+        self.levels.append(noisy.level)
         self.guides.append(self.draw(*a.shape[:2], 4))
         return self.guides[-1]
 
@@ -280,7 +284,6 @@ class TestCandidates:
         candidates = find_of(make_frame(), name)
         pilot, *_ = recorder.calls
         (found_pilot,), *found = recorder.gave
-        assert pilot.get("guide") is None
         assert [call["variants"] for call in recorder.dense] == list(high.DENSE)
         for call in recorder.dense:
             assert all(given is first for given, first in zip(call["halves"], pilot["halves"], strict=True))
@@ -301,19 +304,17 @@ class TestCandidates:
         assert all(a is each.a and b is each.b for (a, b), each in zip(candidates.pairs, every, strict=True))
         assert candidates.middle is found[0][MIDDLE]
 
-    def test_the_pilot_is_guided_by_the_samples_where_halves_have_all_pixels(self, recorder):
+    def test_the_pilot_is_guided_by_the_samples(self, recorder):
         frame, _ = make_shadowed()
-        for each, guided in ((frame, True), (frame.with_changes(half_a=None, half_b=None), False)):
+        for each in (frame, frame.with_changes(half_a=None, half_b=None)):
             recorder.calls.clear()
             find_of(each, "specular")
             (noisy,) = (layer for layer in make_noisy_layers(each, resolve(each), ()) if layer.name == "specular")
             guide, expected = recorder.calls[0]["guide"], make_pass_guide(noisy, None, "cpu")
-            assert (guide is not None) == (expected is not None) == guided
-            if guided:
-                np.testing.assert_array_equal(guide, expected)
-                light = noisy.halves[0] / 0.5
-                offset = 0.04 * light.mean()
-                assert np.abs(guide[..., :3] - np.log(light + offset)).max() < 1.0
+            np.testing.assert_array_equal(guide, expected)
+            light = noisy.samples[0] / 0.5
+            offset = 0.04 * light.mean()
+            assert np.abs(guide[..., :3] - np.log(light + offset)).max() < 1.0
             assert recorder.calls[0]["noise"] == high.PILOT.noise
 
     def test_every_filter_but_the_pilot_heeds_its_guide(self):

@@ -299,7 +299,7 @@ def spread(image: np.ndarray, deviation: float = 0.5) -> np.ndarray:
     return image
 
 
-def test_noise_that_pixels_share_is_told_with_the_radius_that_helps(tmp_path: Path) -> None:
+def test_noise_that_pixels_share_is_judged_further_apart(tmp_path: Path) -> None:
     channels = write_showroom()
     right = import_channels(channels, tmp_path)
     color = np.stack([channels[letter] for letter in "RGB"], axis=-1)
@@ -307,15 +307,15 @@ def test_noise_that_pixels_share_is_told_with_the_radius_that_helps(tmp_path: Pa
     for head in ("diffuse", "specular"):
         channels = change(head, spread)(channels)
     found = import_channels(channels, tmp_path)
-    assert [(one.what, one.mended) for one in found.findings] == [("noise shared by pixels", False)]
-    assert "--radius 12" in found.findings[0].told
+    assert [(one.what, one.mended) for one in found.findings] == [("noise shared by pixels", True)]
+    assert found.frame.noise_is_shared
     reference = read_showroom()[1]
     error = rel_mse(lobewise.denoise(right.frame, quality="balanced").image, reference)
-    helped, unhelped = (
-        rel_mse(lobewise.denoise(found.frame, quality="balanced", radius=radius).image, spread(reference))
-        for radius in (12, 8)
+    mended, trusting = (
+        rel_mse(lobewise.denoise(frame, quality="balanced").image, spread(reference))
+        for frame in (found.frame, found.frame.with_changes(noise_is_shared=False))
     )
-    assert helped <= 1.05 * error < unhelped
+    assert mended <= 1.05 * error < trusting
 
 
 @pytest.mark.parametrize("quality", ["fast", "balanced"])

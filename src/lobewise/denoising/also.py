@@ -121,7 +121,8 @@ def _run_guided(
     for start in range(0, len(images), 2):
         pair = [np.asarray(image * bounded) for image in images[start : start + 2]]
         halves = [mark_bad(image) for image in pair]
-        own = replace(noisy, bounded=noisy.bounded._replace(a=halves[0], b=halves[-1]))
+        # Both are samples of every pixel, whatever the layer itself has.
+        own = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
         output: DualBufferOutput | None = None
         for number in range(first, len(guides)):
             output = run_pass(frame, own, number, output, settings, guides[number], joined=False)
@@ -132,7 +133,7 @@ def _run_guided(
     return found
 
 
-def _find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image | None]:
+def _find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
     """Return what each pass of a layer is guided by."""
     before: DualBufferOutput | None = None
     guides = [make_pass_guide(noisy, before, settings.device)]

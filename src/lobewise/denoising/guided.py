@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,16 @@ from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
-from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
+from lobewise.filters.noise_guides import (
+    LONE_FLOOR,
+    VARIANCE_FLOOR,
+    find_dark,
+    find_level,
+    make_noise_guide,
+    measure_light,
+)
+from lobewise.filters.residuals import REACH as RESIDUAL_REACH
+from lobewise.filters.residuals import find_squared_residual, split_by_noise, split_samples
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import find_halves
 from lobewise.lobes.band_limit import default_tau
@@ -132,6 +142,8 @@ class BoundedLayer:
     bounded: BoundedHalves
     is_whole: bool
     """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
+    noise_is_shared: bool
+    """As of `lobewise.Frame`."""
 
     @property
     def name(self) -> str:
@@ -153,6 +165,8 @@ class NoisyLayer(BoundedLayer):
     seen: tuple[Feature, ...]
     level: float
     """Mean light of the whole image's samples, radiance over albedo, which says what is dark."""
+    samples: tuple[Image, Image]
+    """What a dense pass averages: the halves; or of an image without any itself, and the square of its residual."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +193,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     for layer in make_lobe_layers(frame, settings, finest=True):
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
         plan = DIFFUSE if layer.is_diffuse else SPECULAR
-        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file"))
+        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file", frame.noise_is_shared))
     return found
 
 
@@ -209,12 +223,41 @@ def make_noisy_layers(
                 each.plan,
                 each.bounded,
                 each.is_whole,
+                each.noise_is_shared,
                 (*pilot, *extra),
                 find_seen(frame, each.layer.mask, settings) if is_specular else (),
                 levels[number] if levels is not None else find_level(measure_layer(each, settings)),
+                each.halves if each.is_whole else _find_samples(each),
             )
         )
     return found
+
+
+def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
+    """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
+    even, odd = map(download, each.halves)
+    image = np.where(np.isnan(even), odd, even)
+    return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
+
+
+def filter_samples(noisy: NoisyLayer, *groups: Any, joined: bool = False, **options: Any) -> list[DualBufferOutput]:
+    """Run a dense pass over the samples of a layer: `filter_dual_buffer`, whose other parameters these are.
+
+    Of an image without halves, the two that come out are as far apart as its noise says.
+    """
+    if noisy.is_whole:
+        return filter_dual_buffer(noisy.samples, noisy.layer.mask, *groups, joined=joined, **options)
+    found = filter_dual_buffer(noisy.samples, noisy.layer.mask, *groups, **options)
+    return [_split(each, noisy.level, joined=joined) for each in found]
+
+
+def _split(found: DualBufferOutput, level: float, *, joined: bool) -> DualBufferOutput:
+    """Return what a pass made of an image and its squared residual as two halves of it."""
+    mean = download(found.a)
+    # Of two halves by the same weights the mean is worth twice as much as each, which this is not.
+    worth = np.float32(0.5) * download(found.effective_samples)
+    halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_dark(level))
+    return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
 
 
 def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
@@ -242,16 +285,24 @@ def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
-def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> Image | None:
-    """Return the guide of a pass: what the one ``before`` gave, or else the samples; None where they tell no noise."""
-    if before is None:
-        if not noisy.is_whole:
-            return None
-        layer, itself = noisy.layer, [Exponents(0.0, 0.0)]
-        (before,) = filter_dual_buffer(
-            noisy.halves, layer.mask, (), (), itself, radius=0, albedo=layer.albedo, device=device
-        )
-    return make_noise_guide(before.a, before.b, noisy.level, device)
+def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> Image:
+    """Return the guide of a pass: what the one ``before`` gave, or else the samples."""
+    if before is not None:
+        halves = before.a, before.b
+    elif noisy.is_whole:
+        itself = [Exponents(0.0, 0.0)]
+        (found,) = filter_samples(noisy, (), (), itself, radius=0, albedo=noisy.layer.albedo, device=device)
+        halves = found.a, found.b
+    else:
+        image, layer = download(noisy.samples[0]), noisy.layer
+        halves = split_samples(image, layer.albedo, layer.mask, find_dark(noisy.level), shared=noisy.noise_is_shared)
+    return compare_halves(noisy, *halves, device)
+
+
+def compare_halves(noisy: NoisyLayer, a: Image, b: Image, device: str) -> Image:
+    """Return the guide of a pass from two images that are as far apart as their noise says."""
+    floor = VARIANCE_FLOOR if noisy.is_whole else LONE_FLOOR
+    return make_noise_guide(a, b, noisy.level, device, floor=floor)
 
 
 def run_pass(
@@ -269,27 +320,29 @@ def run_pass(
     ``before`` is what the one before it gave, which a sparse pass averages; ``guide`` is by default made of it. Unless
     ``joined``, the last pass gives both halves as well: all others do.
     """
-    layer, chosen = noisy.layer, noisy.plan.passes[number]
+    chosen = noisy.plan.passes[number]
     follows = number > 0
     radius, step = chosen.get_kernel(settings.radius, follows=follows)
     seen = noisy.seen if follows else ()
-    sparse = before is not None and chosen.step > 1
-    (found,) = filter_dual_buffer(
-        (before.a, before.b) if before is not None and sparse else noisy.halves,
-        layer.mask,
+    groups = (
         make_pass_features(frame, settings, chosen.sigma),
-        layer.features if follows else noisy.pilot_features,
+        noisy.layer.features if follows else noisy.pilot_features,
         [Exponents(1.0, chosen.lobes_with_seen if seen else chosen.lobes, 1.0)],
-        radius=radius,
-        seen=seen,
-        step=step,
-        albedo=None if sparse else layer.albedo,
-        guide=make_pass_guide(noisy, before, settings.device) if guide is None else guide,
-        noise=chosen.noise,
-        # Nothing follows that asks for the noise that is left.
-        joined=joined and number == len(noisy.plan.passes) - 1,
-        device=settings.device,
     )
+    options: dict[str, Any] = {
+        "radius": radius,
+        "seen": seen,
+        "step": step,
+        "guide": make_pass_guide(noisy, before, settings.device) if guide is None else guide,
+        "noise": chosen.noise,
+        # Nothing follows that asks for the noise that is left.
+        "joined": joined and number == len(noisy.plan.passes) - 1,
+        "device": settings.device,
+    }
+    if before is not None and chosen.step > 1:
+        (found,) = filter_dual_buffer((before.a, before.b), noisy.layer.mask, *groups, **options)
+    else:
+        (found,) = filter_samples(noisy, *groups, albedo=noisy.layer.albedo, **options)
     return found
 
 
@@ -299,7 +352,7 @@ def find_balanced_reach(settings: ResolvedSettings) -> int:
 
 
 def _find_plan_reach(plan: Plan, radius: int) -> int:
-    reach = FIREFLY_REACH
+    reach = FIREFLY_REACH + RESIDUAL_REACH
     for number, chosen in enumerate(plan.passes):
         taps, step = chosen.get_kernel(radius, follows=number > 0)
         # A tap reads what the pass before gave, through the blurred variance of its guide. What reflections see comes

@@ -20,6 +20,8 @@ from lobewise.denoising.guided import (
     CleanLayer,
     NoisyLayer,
     Pass,
+    compare_halves,
+    filter_samples,
     finish_layer,
     make_pass_features,
     make_pass_guide,
@@ -32,7 +34,7 @@ from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.mixing import REACH as MIXING_REACH
 from lobewise.filters.mixing import Network, mix_candidates
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
-from lobewise.filters.noise_guides import make_noise_guide
+from lobewise.filters.residuals import REACH as RESIDUAL_REACH
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import ResolvedSettings
@@ -93,7 +95,7 @@ def find_high_reach(settings: ResolvedSettings) -> int:
     kernels = [PILOT.get_kernel(settings.radius, follows=False), (settings.radius, 1), *list_sparse(settings.radius)]
     # Every pass reads the one before through the blurred variance of its guide.
     passes = sum(taps * step + GUIDE_REACH for taps, step in kernels)
-    return FIREFLY_REACH + passes + MIXING_REACH + COVERAGE_REACH
+    return FIREFLY_REACH + RESIDUAL_REACH + passes + MIXING_REACH + COVERAGE_REACH
 
 
 def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:
@@ -103,11 +105,10 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings)
     radius, device = settings.radius, settings.device
 
     def guide(found: DualBufferOutput) -> Image:
-        return make_noise_guide(found.a, found.b, noisy.level, device)
+        return compare_halves(noisy, found.a, found.b, device)
 
-    (pilot,) = filter_dual_buffer(
-        noisy.halves,
-        layer.mask,
+    (pilot,) = filter_samples(
+        noisy,
         make_pass_features(frame, settings, PILOT.sigma),
         noisy.pilot_features,
         [Exponents(1.0, PILOT.lobes, 1.0)],
@@ -123,9 +124,8 @@ def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings)
     pairs: list[tuple[Image, Image]] = []
     first: list[DualBufferOutput] = []
     for variants in DENSE:
-        dense = filter_dual_buffer(
-            noisy.halves,
-            layer.mask,
+        dense = filter_samples(
+            noisy,
             place,
             layer.features,
             variants,

@@ -27,6 +27,8 @@ BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 """Gaussian of one pixel, over which the variance is averaged."""
 VARIANCE_FLOOR = 5e-4
 """Least variance of the mean: relative differences below some 4 % are never told apart."""
+LONE_FLOOR = 1e-4
+"""The same for an image without halves, whose noise is known from more pixels than a difference of halves."""
 DARKEST = 0.04
 """What is added under the logarithm, as a share of the whole image's mean light."""
 
@@ -47,7 +49,7 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     """Return the guide, to be compiled."""
     signature = Signature("noise guide")
     halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
-    offset = signature.number("offset")
+    offset, floor = signature.number("offset"), signature.number("floor")
     signature.output("guide", "height", "width", GUIDE_CHANNELS)
     width, height = halves[0].dim(1).extent(), halves[0].dim(2).extent()
     at = hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1)
@@ -62,7 +64,7 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     spread[X, Y] = sum((step * step for step in steps), hl.f32(0.0)) * hl.f32(0.25 / COLORS)
     taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), BLUR, strict=True))
     rows[X, Y] = sum((hl.f32(weight) * spread[X + k, Y] for k, weight in taps), hl.f32(0.0))
-    variance = sum((hl.f32(weight) * rows[X, Y + k] for k, weight in taps), hl.f32(VARIANCE_FLOOR))
+    variance = sum((hl.f32(weight) * rows[X, Y + k] for k, weight in taps), floor)
     half = hl.f32(0.5)
     means = [half * (logs[X, k, Y] + logs[X, k + COLORS, Y]) for k in range(COLORS)]
     out[C, X, Y] = hl.mux(C, [*means, variance])
@@ -146,7 +148,7 @@ def find_level(rows: NDArray[np.float64]) -> float:
 
 
 @returns_host_images
-def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu") -> Image:
+def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = VARIANCE_FLOOR) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is `DARKEST` of ``level``, so that the guide of a brighter image is the same but for a constant. The variance
@@ -161,8 +163,15 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu") -> I
         for, and which is the same for every part of an image.
     device : str
         A name from `list_devices`.
+    floor : float
+        Least variance.
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
     kernel = get_kernel(device, (make_noise_guide,), _make_noise_guide)
-    return run_kernel(kernel, device, images, offset=max(DARKEST * level, 1e-30))["guide"]
+    return run_kernel(kernel, device, images, offset=find_dark(level), floor=floor)["guide"]
+
+
+def find_dark(level: float) -> float:
+    """Return what is added under the logarithms of an image whose mean light is ``level``."""
+    return max(DARKEST * level, 1e-30)

@@ -13,6 +13,7 @@ from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
 from lobewise.interchange.checks import (
+    SHARED,
     check_alpha,
     check_guides,
     check_noise,
@@ -272,7 +273,9 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     )
     findings += meant
     notes += name_assumption(channels)
-    findings += check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
+    noise = check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
+    frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
+    findings += noise
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}

@@ -2,10 +2,11 @@
 
 from lobewise.interchange.checks.checking import Guides, check_alpha, check_guides, check_places
 from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.noise import check_noise
+from lobewise.interchange.checks.noise import SHARED, check_noise
 from lobewise.interchange.checks.roughness import find_second, name_assumption
 
 __all__ = [
+    "SHARED",
     "Finding",
     "Guides",
     "check_alpha",

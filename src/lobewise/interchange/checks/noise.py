@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
 
+SHARED = "noise shared by pixels"
+"""What is found where neighbouring pixels are not independent: `lobewise.Frame.noise_is_shared`."""
 TILE = 32
 SMALL_TILE = 16
 """Pixels along a side of the tiles that are looked at, and in small frames."""
@@ -68,10 +70,10 @@ def check_noise(frame: Frame, *, shows_surfaces: bool) -> list[Finding]:
     strength = typical * float(np.sqrt(count or 1))
     if alike and typical > FAINTEST and strength > (STRONG if count else STRONG_ALONE):
         told = (
-            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; some of "
-            "it is taken for light: filter with a radius of 12 (--radius 12), or render with a box filter."
+            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; it is "
+            "judged two pixels apart. The quality fast knows no noise and needs a wider kernel (--radius 12)."
         )
-        return [Finding("noise shared by pixels", told, mended=False)]
+        return [Finding(SHARED, told, mended=True)]
     if (count or 1) < MANY and ((alike and low > SMOOTH) or (count and strength < (WEAK if alike else NONE))):
         left = f"{count} samples per pixel leave" if count else "samples leave"
         told = (

@@ -1,0 +1,164 @@
+"""The noise of an image that has no halves: what is left of a pixel when its surroundings are taken from it.
+
+Second differences along both axes cancel whatever is linear along either, so edges along rows and columns and slopes of
+any direction, and leave white noise with 36 times its variance. Source: J. Immerkaer 1996, "Fast noise variance
+estimation", Computer Vision and Image Understanding 64(2). Filtered by the weights of a pass, the squared residual is
+the variance of that pass's samples; the variance of their mean is that over their count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import halide as hl
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
+from lobewise.frame import FloatArray
+
+REACH = SHARED_STEP = 2
+"""Pixels to each side that a residual is taken from at most: 1, or this where neighbours share their noise."""
+SHARED = 3.2
+"""How many times larger the variance of a mean is where they do: the sum of the correlations with all pixels around for
+a Gaussian pixel filter of half a pixel's deviation."""
+SHARE = 0.5
+"""How much of the squared residual counts as noise: the rest is detail that no difference cancels, and the mean of a
+few squares that one of them rules. Tuned on ``showroom`` and ``parlour`` (docs/quality.md)."""
+DIFFERENCES = (1.0, -2.0, 1.0)
+_SMALLEST = 1e-12
+
+
+def find_squared_residual(
+    image: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], *, shared: bool = False
+) -> FloatArray:
+    """Return the squared residual of radiance over albedo, times albedo, so that it is filtered like radiance.
+
+    A pixel stands for a neighbour that is bad, or in which the layer has no meaning. Where neighbours share their noise
+    the residual is taken `SHARED_STEP` pixels apart, and its square is `SHARED` times as large.
+
+    Parameters
+    ----------
+    image : array, shape (height, width, 3)
+        Radiance; NaN, infinite and negative pixels are bad.
+    albedo : array, shape (height, width, 3) or None
+        What it is divided by.
+    mask : bool array, shape (height, width)
+        Where the layer has meaning.
+    shared : bool
+        Whether neighbouring pixels share their noise.
+
+    Returns
+    -------
+    array, shape (height, width, 3)
+        NaN where the image is bad.
+    """
+    (found,) = run_pointwise(_define_residual, {"image": image, "albedo": albedo, "mask": mask}, {}, shared)
+    return np.asarray(found)
+
+
+def _define_residual(grid: Grid, shared: bool) -> list[Vector]:
+    residual, _, good = _find_residual(grid, SHARED_STEP if shared else 1)
+    scale = hl.f32(SHARED if shared else 1.0)
+    floor = hl.f32(ALBEDO_FLOOR)
+    tints = [hl.max(tint, floor) for tint in grid.read("albedo")] if grid.has("albedo") else [hl.f32(1.0)] * COLORS
+    return [[select_or_nan(good, scale * value * value * tint) for value, tint in zip(residual, tints, strict=True)]]
+
+
+def _find_residual(
+    grid: Grid, step: int, convert: Callable[[hl.Expr], hl.Expr] = lambda value: value
+) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
+    """Return the residual of a pixel's light, that light, radiance over albedo, converted, and whether it is good."""
+    width, height = grid.size
+    image, albedo = (grid.images[name][0] if grid.has(name) else None for name in ("image", "albedo"))
+    assert image is not None, "the caller gives one"
+
+    def take(dx: int, dy: int) -> tuple[list[hl.Expr], hl.Expr]:
+        at = hl.clamp(grid.x + dx, 0, width - 1), hl.clamp(grid.y + dy, 0, height - 1)
+        light, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
+        (known,) = grid.read("mask", *at)
+        return [convert(value) for value in light], good & (known != 0)
+
+    own, good = take(0, 0)
+    totals: list[hl.Expr] = [hl.f32(0.0)] * COLORS
+    for row, down in enumerate(DIFFERENCES):
+        for column, across in enumerate(DIFFERENCES):
+            light, there = take(step * (column - 1), step * (row - 1))
+            share = hl.f32(down * across / 6.0)
+            totals = [
+                total + share * hl.select(there, value, mine)
+                for total, value, mine in zip(totals, light, own, strict=True)
+            ]
+    return totals, own, good
+
+
+def split_samples(
+    image: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], dark: float, *, shared: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Return two images around the samples, radiance over albedo, as far apart in logarithms as their noise says.
+
+    The residual is that of the logarithms: a pixel that is far brighter than those around it makes their noise no
+    larger than its own. The images may be negative, down to ``-dark``; they are to be compared, not averaged.
+
+    Parameters
+    ----------
+    image, albedo, mask, shared
+        As in `find_squared_residual`.
+    dark : float
+        What is added under the logarithm, > 0.
+    """
+    images = {"image": image, "albedo": albedo, "mask": mask}
+    first, second = run_pointwise(_define_samples, images, {"dark": np.float32(dark)}, shared)
+    return first, second
+
+
+def _define_samples(grid: Grid, shared: bool) -> list[Vector]:
+    (dark,) = grid.get("dark")
+    residual, logs, good = _find_residual(grid, SHARED_STEP if shared else 1, lambda value: hl.log(value + dark))
+    zero = hl.f32(0.0)
+    return [
+        [
+            hl.select(good, hl.exp(log + sign * hl.abs(value)) - dark, zero)
+            for value, log in zip(residual, logs, strict=True)
+        ]
+        for sign in (hl.f32(1.0), hl.f32(-1.0))
+    ]
+
+
+def split_by_noise(
+    mean: FloatArray, residual: FloatArray, worth: FloatArray, dark: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return two images around a filtered one that are as far apart as halves of its samples would be.
+
+    The quarter of the squared difference of their logarithms (`lobewise.filters.noise_guides`) is the variance of the
+    mean; the mean of both is the filtered image.
+
+    Parameters
+    ----------
+    mean, residual : array, shape (height, width, 3)
+        The image and its squared residual, filtered by the same weights, over their albedo.
+    worth : array, shape (height, width)
+        How many samples the mean is worth.
+    dark : float
+        What is added under the logarithm, > 0.
+    """
+    images = {"mean": mean, "residual": residual, "worth": worth}
+    first, second = run_pointwise(_define_split, images, {"dark": np.float32(dark)})
+    return first, second
+
+
+def _define_split(grid: Grid) -> list[Vector]:
+    (dark,) = grid.get("dark")
+    one, worth = hl.f32(1.0), hl.max(grid.read_one("worth"), hl.f32(1.0))
+    above: list[hl.Expr] = []
+    below: list[hl.Expr] = []
+    for mean, residual in zip(grid.read("mean"), grid.read("residual"), strict=True):
+        offset = mean + dark
+        # Half the difference of the logarithms ln(1 + t) and ln(1 - t) is the inverse hyperbolic tangent of t.
+        spread = hl.sqrt(hl.f32(SHARE) * hl.max(residual, hl.f32(0.0)) / worth) / offset
+        double = hl.exp(hl.f32(2.0) * hl.min(spread, hl.f32(20.0)))
+        apart = hl.min((double - one) / (double + one), mean / hl.max(offset, hl.f32(_SMALLEST)))
+        above.append(mean + apart * offset)
+        below.append(hl.max(mean - apart * offset, hl.f32(0.0)))
+    return [above, below]
