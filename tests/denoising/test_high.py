@@ -541,6 +541,11 @@ class TestPeer:
         # In proportions that change from pixel to pixel.
         assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 0.1
 
+    def test_of_light_that_is_not_told_apart_it_is_the_peers(self, networks, peer):
+        networks["peer"] = force(networks["peer"], OURS)
+        frame, ours = make_frame(apart=False), self.make_ours()
+        np.testing.assert_array_equal(self.combine(frame, ours), peer["image"])
+
     def test_the_peer_is_given_the_frame(self, networks, peer):
         frame = make_frame()
         self.combine(frame, self.make_ours())

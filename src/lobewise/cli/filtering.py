@@ -53,6 +53,9 @@ Memory = Annotated[
 ]
 
 
+ALL_PEER = "The light is not told apart by lobes, so the image is that of Open Image Denoise."
+
+
 @dataclass
 class Writing:
     """How results are written: the options, and what has been said of it already."""
@@ -82,6 +85,8 @@ class Writing:
             confidence=self.confidence,
             rerender=find_unsupported(result).astype("f4") if self.confidence else None,
         )
+        if result.settings.get("with_oidn") and found.frame.radiance.parts is None:
+            notes = (*notes, ALL_PEER)
         for note in notes:
             if note not in self._told:
                 print_note(note)

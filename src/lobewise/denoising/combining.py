@@ -25,6 +25,9 @@ LAYERS = 2
 def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArray], device: str) -> FloatArray:
     """Return a mixture of ``image`` and what Open Image Denoise makes of the frame, (height, width, 3).
 
+    Of a frame whose light is not told apart it is what that makes: no such frame was in the training, and ours had 1.5
+    to 7 times its error on all that were looked at.
+
     Parameters
     ----------
     frame : Frame
@@ -41,7 +44,10 @@ def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArr
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    pairs, seen = list_pairs(image, denoise_with_peer(frame, image)), join_extras(extras)
+    peer = denoise_with_peer(frame, image)
+    if frame.radiance.parts is None:
+        return peer
+    pairs, seen = list_pairs(image, peer), join_extras(extras)
     return download(mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device))
 
 
