@@ -20,6 +20,8 @@ from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn
 
 LAYERS = 2
+DARKEST = 1e-30
+"""Radiance up to which there is no share of it."""
 
 
 def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArray], device: str) -> FloatArray:
@@ -68,7 +70,7 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
     filtered = np.sum(good, axis=0, dtype=np.float32)
     rest = np.maximum(before - filtered, np.float32(0.0))
     wanted = np.maximum(image - rest, np.float32(0.0))
-    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=filtered > 0.0)
+    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=filtered > DARKEST)
     return [part * factor for part in good]
 
 
