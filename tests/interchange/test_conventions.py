@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -382,6 +383,38 @@ def test_what_is_assumed_of_a_roughness_is_named_with_the_option(tmp_path: Path)
     assert not any("perceptual" in note for note in mapped.notes)
 
 
+def bump(normal: np.ndarray, size: float) -> np.ndarray:
+    """Return unit normals that differ from pixel to pixel."""
+    noise = np.random.default_rng(5).normal(size=normal.shape)
+    bumped = normal + size * noise * (normal != 0.0).any(axis=-1, keepdims=True)
+    return bumped / np.maximum(np.linalg.norm(bumped, axis=-1, keepdims=True), 1e-9)
+
+
+@pytest.mark.parametrize("size", [0.2, 0.5])
+def test_bumps_are_right(size: float, tmp_path: Path) -> None:
+    assert import_channels(change("N", lambda n: bump(n, size))(write_showroom()), tmp_path).findings == ()
+
+
+def test_bumps_hide_no_mistake(tmp_path: Path) -> None:
+    right = import_channels(change("N", lambda n: bump(n, 0.2))(write_showroom()), tmp_path)
+    turned = import_channels(change("N", lambda n: to_camera(-1.0)(bump(n, 0.2)))(write_showroom()), tmp_path)
+    assert [one.what for one in turned.findings] == ["normals in another space"]
+    np.testing.assert_allclose(turned.frame.gbuffer.normal, right.frame.gbuffer.normal, atol=1e-3)
+
+
+def test_normals_that_fit_no_surface_are_told_and_left(tmp_path: Path) -> None:
+    strewn = np.random.default_rng(5).normal(size=(512, 512, 3)).astype(np.float32)
+    strewn /= np.linalg.norm(strewn, axis=-1, keepdims=True)
+    found = import_channels(change("N", lambda n: strewn)(write_showroom()), tmp_path)
+    assert [(one.what, one.mended) for one in found.findings] == [("normals of no known space", False)]
+    np.testing.assert_allclose(found.frame.gbuffer.normal, strewn, atol=1e-6)
+
+
+@pytest.mark.parametrize("leave", [("N",), ("P", "N"), ("Z",), ("diffuse_albedo", "specular_albedo"), ("P", "Z")])
+def test_right_files_with_fewer_guides_raise_nothing(leave: tuple[str, ...], tmp_path: Path) -> None:
+    assert import_channels(write_showroom(*leave), tmp_path, camera=get_camera()).findings == ()
+
+
 def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> None:
     channels = write_showroom("P", "Z")
     for head in ("N", "diffuse_albedo", "specular_albedo"):
@@ -398,6 +431,7 @@ REAL = (
     "beachball_singlepart.0001.exr",
     "bright_rings_nan_inf.exr",
     "display_window_t03.exr",
+    "mitsuba_multi_channels.exr",
     "special_chars.exr",
     "vray_cornellBox_CryptoWildcard.0001.exr",
 )
@@ -435,11 +469,17 @@ def test_real_normals_in_a_space_of_each_ray_are_those_of_flat_walls(exr_folder:
     assert measure("camera") < 0.1
 
 
-@pytest.mark.real_exr
-def test_a_real_file_of_a_wide_pixel_filter_shares_noise(exr_folder: Path) -> None:
-    """Mitsuba's filters but "box" spread every sample over several pixels."""
-    findings = import_file(exr_folder / "mitsuba_multi_channels.exr").findings
-    assert [one.what for one in findings] == ["noise shared by pixels"]
+@pytest.mark.parametrize(("pixel_filter", "found"), [("box", []), ("gaussian", ["noise shared by pixels"])])
+def test_mitsuba_spreads_samples_by_its_filters(mi: Any, pixel_filter: str, found: list[str], tmp_path: Path) -> None:
+    scene = mi.cornell_box()
+    scene["sensor"]["film"] |= {"width": 160, "height": 160, "rfilter": {"type": pixel_filter}}
+    aovs = "albedo:albedo,sh_normal:sh_normal,position:position,depth:depth"
+    scene["integrator"] = {"type": "aov", "aovs": aovs, "image": {"type": "path", "max_depth": 6}}
+    loaded = mi.load_dict(scene)
+    mi.render(loaded, spp=32, seed=3)
+    path = tmp_path / "frame.exr"
+    loaded.sensors()[0].film().bitmap().write(str(path))
+    assert [one.what for one in import_file(path).findings] == found
 
 
 @pytest.mark.parametrize("layout", ["float", "half"])

@@ -273,7 +273,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     )
     findings += meant
     notes += name_assumption(channels)
-    noise = check_noise(frame, shows_surfaces="normal" in images or diffuse_albedo is not None)
+    noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]

@@ -41,7 +41,7 @@ MEDIAN_SIZE = 0.6745 * 6.0**0.5
 Numbers = NDArray[np.float32]
 
 
-def check_noise(frame: Frame, *, shows_surfaces: bool) -> list[Finding]:
+def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
     """Return what was found of a frame's noise: denoised already, or shared between pixels.
 
     Looked at are pixels inside surfaces: where normals and albedos are those of their neighbours. There second
@@ -52,10 +52,11 @@ def check_noise(frame: Frame, *, shows_surfaces: bool) -> list[Finding]:
     ----------
     frame : Frame
         As it was read.
-    shows_surfaces : bool
-        Whether its guides are the file's: without any nothing is told.
+    has_normals : bool
+        Whether they are the file's. Without them or without albedos, edges or textures look like noise that pixels
+        share, so nothing is told.
     """
-    if not shows_surfaces:
+    if not has_normals or (frame.gbuffer.diffuse_albedo is None and frame.gbuffer.specular_albedo is None):
         return []
     tiles = _choose_tiles(frame.shape)
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)

@@ -25,6 +25,8 @@ SHARPNESS = 50.0
 """Of the score, the mean of ``exp(SHARPNESS (cosine - 1))``: 1 for the normals of the surfaces, 0.5 at 10 degrees."""
 SURE = 0.9
 """Share of the pixels that must be alike, of what is taken for right."""
+FAIR = 0.5
+"""That where it is twice as many as of what the file was taken for: leaves and hair have normals of their own."""
 LEAST_GAIN = 0.03
 """By how much its score must be higher than that of what the file was taken for."""
 FLIP_GAIN = 0.1
@@ -259,7 +261,8 @@ def check_normals(
     raw = undo_turn(taken[there], assumed, camera)
     bases = make_bases(camera, header, -patches.view[there])
     first, best = judge_normals(raw, bases, patches.normal[there], assumed)
-    if best is first or best.alike < SURE:
+    clearly = best.alike > FAIR and best.alike > 2.0 * first.alike and not best.guess.either
+    if best is first or not (best.alike > SURE or clearly):
         return normal, findings + _doubt(label, first)
     height, width = normal.shape[:2]
     rays = camera.make_ray_directions(width, height)
