@@ -230,9 +230,10 @@ WRITERS = {
 }  # fmt: skip
 
 
-def write(path: Path, written: Written, *, half: bool = False, part_each: bool = False) -> None:
-    """Write a file of one part, or of a part for each pass."""
-    compression = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+def write(path: Path, written: Written, *, half: bool = False, part_each: bool = False, packed: bool = True) -> None:
+    """Write a file of one part, or of a part for each pass; ``packed`` takes longer and makes it smaller."""
+    kind_of_packing = OpenEXR.ZIP_COMPRESSION if packed else OpenEXR.NO_COMPRESSION
+    compression = {"compression": kind_of_packing, "type": OpenEXR.scanlineimage}
     header = dict(written.attributes)
     kind = np.float16 if half else np.float32
     channels = {key: np.ascontiguousarray(plane, kind) for key, plane in written.channels.items()}

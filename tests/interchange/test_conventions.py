@@ -214,7 +214,7 @@ MISTAKES = {
 
 def import_channels(channels: Channels, folder: Path, *, camera: Camera | None = None) -> Imported:
     path = folder / "frame.exr"
-    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}))
+    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}), packed=False)
     return import_file(path, camera=camera)
 
 
@@ -330,7 +330,7 @@ def test_an_image_that_is_denoised_already_is_told(quality: str, tmp_path: Path)
 def test_a_long_render_is_not_taken_for_denoised(tmp_path: Path) -> None:
     channels = write_showroom("diffuse", "specular") | name("", read_showroom()[1])
     path = tmp_path / "frame.exr"
-    write(path, Written("arnold", channels, {"arnold/AA_samples": 64}))
+    write(path, Written("arnold", channels, {"arnold/AA_samples": 64}), packed=False)
     assert import_file(path).findings == ()
 
 
@@ -496,6 +496,6 @@ def test_right_files_of_every_renderer_raise_nothing(renderer: str, layout: str,
 def test_what_was_found_is_told_by_inspect(tmp_path: Path) -> None:
     path = tmp_path / "frame.exr"
     channels = change("N", np.negative)(write_showroom())
-    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}))
+    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}), packed=False)
     told = describe_file(path)
     assert any("look away from the camera" in note for note in told.notes)
