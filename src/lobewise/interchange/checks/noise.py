@@ -23,6 +23,8 @@ LIT = 0.02
 INDEPENDENT = -0.605
 """Correlation between neighbouring second differences, of the lowest tenth of the tiles, up to which pixels are
 independent: for those it is -2/3; texture and shadows raise it in some tiles, a filter in all."""
+SCATTERED = 0.25
+"""Difference of that of the middle tile from which on light that changes is the cause, and no filter."""
 SMOOTH = -0.3
 """That of the lowest quarter from which on no noise of samples is left."""
 STRONG, STRONG_ALONE = 0.034, 0.02
@@ -64,15 +66,16 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
     correlation, noise = _measure(_cut(frame.radiance.color, tiles), known)
     if len(noise) < FEWEST_TILES:
         return []
-    lowest, low = np.quantile(correlation, (0.1, 0.25))
+    lowest, low, middle = np.quantile(correlation, (0.1, 0.25, 0.5))
     typical = float(np.median(noise))
     count = frame.spp
     alike = lowest > INDEPENDENT
     strength = typical * float(np.sqrt(count or 1))
-    if alike and typical > FAINTEST and strength > (STRONG if count else STRONG_ALONE):
+    everywhere = alike and middle - lowest < SCATTERED and typical > FAINTEST
+    if everywhere and strength > (STRONG if count else STRONG_ALONE):
         told = (
-            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several; it is "
-            "judged two pixels apart. The quality fast knows no noise and needs a wider kernel (--radius 12)."
+            "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several: the "
+            "qualities balanced and high judge it two pixels apart."
         )
         return [Finding(SHARED, told, mended=True)]
     if (count or 1) < MANY and ((alike and low > SMOOTH) or (count and strength < (WEAK if alike else NONE))):
