@@ -64,7 +64,7 @@ class Radiance(Images):
 LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission")
 """What a layer of light can follow."""
 DIFFUSE_LOBES = LOBES[:3]
-"""Those that scatter so widely that they are compared like diffuse light; the others follow the specular lobe."""
+"""Those that scatter so widely that they are compared like diffuse light; glossy and coat follow the specular lobe."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,6 +112,11 @@ class RadianceLayer(Images):
     def is_diffuse(self) -> bool:
         """Whether it is compared like diffuse light."""
         return self.lobe in DIFFUSE_LOBES
+
+    @property
+    def is_transmitted(self) -> bool:
+        """Whether it is compared by normals: the way of light through a surface hangs on those behind it as well."""
+        return self.lobe == "transmission"
 
 
 def sum_layers(layers: Sequence[RadianceLayer], field: str, *, diffuse: bool) -> FloatArray | None:

@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.guided import make_noisy_layers, resolve_guided
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import composite_light
-from lobewise.frame import Frame, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
 from lobewise.lobes.band_limit import default_tau
+from lobewise.metrics import rel_mse
 from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
@@ -352,3 +354,29 @@ class TestSettings:
         # A Gaussian of one pixel sums to less than 2 pi.
         assert bound.weight_sum.max() < 2.0 * np.pi * 1.01
         assert free.weight_sum.max() > 20.0
+
+
+@pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
+def test_light_through_glass_is_compared_by_normals(quality: str) -> None:
+    """A smooth pane: no two pixels of its reflection lobe are alike, but what is behind it is seen all the same."""
+    height, width = 48, 64
+    camera = Camera((0.0, 0.0, 3.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.8)
+    depth = (3.0 / -camera.make_ray_directions(width, height)[..., 2]).astype(np.float32)
+    normal = np.zeros((height, width, 3), np.float32)
+    normal[..., 2] = 1.0
+    guides = GBuffer(
+        depth=depth,
+        normal=normal,
+        alpha_u=np.full((height, width), 1e-3, np.float32),
+        specular_albedo=np.full((height, width, 3), 0.9, np.float32),
+        diffuse_albedo=np.zeros((height, width, 3), np.float32),
+    )
+    noisy = np.random.default_rng(3).gamma(4.0, 0.25, (height, width, 1)).astype(np.float32) * np.ones(3, np.float32)
+    errors = {}
+    for lobe in ("glossy", "transmission"):
+        layer = RadianceLayer(lobe, lobe, noisy, np.full_like(noisy, 0.9))
+        radiance = Radiance(noisy, diffuse=np.zeros_like(noisy), specular=noisy)
+        frame = Frame(radiance, guides, camera, spp=16, layers=(layer,))
+        errors[lobe] = rel_mse(denoise(frame, quality=quality).image, np.ones_like(noisy))
+    assert errors["transmission"] < 0.2 * errors["glossy"]
+    assert errors["transmission"] < 0.1 * rel_mse(noisy, np.ones_like(noisy))

@@ -213,8 +213,8 @@ def make_noisy_layers(
     bounded = make_bounded_layers(frame, settings)
     for number, each in enumerate(bounded):
         pilot: Sequence[Feature] = each.layer.features
-        is_specular = not each.layer.is_diffuse and each.name != "color"
-        if not each.layer.is_diffuse and settings.similarity in ("ggx", "asg"):
+        is_specular = each.layer.is_reflected and each.name != "color"
+        if each.layer.is_reflected and settings.similarity in ("ggx", "asg"):
             simple = replace(settings, similarity="sg")
             pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color")
         found.append(

@@ -60,6 +60,13 @@ class Layer:
     features: tuple[Feature, ...]
     name: str = "color"
     is_diffuse: bool = False
+    is_transmitted: bool = False
+    """Whether it was bent by a surface, and perhaps by others behind it: then no lobe of the first tells its way."""
+
+    @property
+    def is_reflected(self) -> bool:
+        """Whether it follows a specular lobe."""
+        return not self.is_diffuse and not self.is_transmitted
 
 
 def _name_similarity(settings: ResolvedSettings) -> str:
@@ -165,15 +172,23 @@ def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings, *, finest: boo
         diffuse = NormalFeature(normal, settings.normal_exponent)
     else:
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
-    by_lobe = {True: (surface, (diffuse,)), False: (specular_mask, tuple(specular))}
+    scattered, reflected = (surface, (diffuse,)), (specular_mask, tuple(specular))
+    transmitted = surface, (NormalFeature(normal, settings.normal_exponent),)
     if finest and isinstance(frame, Frame) and frame.layers:
         return [
-            Layer(each.radiance, each.albedo, *by_lobe[each.is_diffuse], each.name, each.is_diffuse)
+            Layer(
+                each.radiance,
+                each.albedo,
+                *(scattered if each.is_diffuse else transmitted if each.is_transmitted else reflected),
+                each.name,
+                each.is_diffuse,
+                each.is_transmitted,
+            )
             for each in frame.layers
         ]
     return [
-        Layer(parts[0], guides.diffuse_albedo, *by_lobe[True], "diffuse", is_diffuse=True),
-        Layer(parts[1], guides.specular_albedo, *by_lobe[False], "specular"),
+        Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
+        Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
 
 
