@@ -327,6 +327,17 @@ def test_an_image_that_is_denoised_already_is_told(quality: str, tmp_path: Path)
     assert [(one.what, one.mended) for one in found.findings] == [("denoised already", False)]
 
 
+def test_what_is_found_of_a_second_render_is_told(tmp_path: Path) -> None:
+    paths = [tmp_path / "first.exr", tmp_path / "second.exr"]
+    channels = write_showroom("diffuse", "specular")
+    clean = lobewise.denoise(read_showroom()[0], quality="fast").image
+    for path, image in zip(paths, (channels, channels | name("", clean)), strict=True):
+        write(path, Written("arnold", image, {"arnold/AA_samples": 2}), packed=False)
+    found = import_file(paths[0], half=paths[1])
+    assert [one.what for one in found.findings] == ["denoised already"]
+    assert any(note.startswith("The second render: ") for note in found.notes)
+
+
 def test_a_long_render_is_not_taken_for_denoised(tmp_path: Path) -> None:
     channels = write_showroom("diffuse", "specular") | name("", read_showroom()[1])
     path = tmp_path / "frame.exr"

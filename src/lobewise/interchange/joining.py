@@ -121,10 +121,14 @@ def join_halves(first: Imported, second: Imported) -> Imported:
         also=also,
         spp=None if a.spp is None else 2 * a.spp,
     )
+    known = {one.what for one in first.findings}
+    further = tuple(one for one in second.findings if one.what not in known)
+    told = [f"The second render: {one.told}" for one in further]
     return Imported(
         frame,
         first.container,
         first.map,
-        (*first.notes, "Two renders were joined as halves of the samples."),
+        (*first.notes, "Two renders were joined as halves of the samples.", *told),
         first.outputs,
+        (*first.findings, *further),
     )
