@@ -19,7 +19,7 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.checks.normals import Guess, make_bases, turn_normals
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.reading import read_image
+from lobewise.interchange.reading import import_planes, read_image
 from lobewise.metrics import rel_mse
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -424,6 +424,39 @@ def test_normals_that_fit_no_surface_are_told_and_left(tmp_path: Path) -> None:
 @pytest.mark.parametrize("leave", [("N",), ("P", "N"), ("Z",), ("diffuse_albedo", "specular_albedo"), ("P", "Z")])
 def test_right_files_with_fewer_guides_raise_nothing(leave: tuple[str, ...], tmp_path: Path) -> None:
     assert import_channels(write_showroom(*leave), tmp_path, camera=get_camera()).findings == ()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 3), (9, 13), (24, 24), (1, 100), (48, 1), (33, 64)])
+def test_frames_of_any_size_are_checked(shape: tuple[int, int]) -> None:
+    part = slice(100, 100 + shape[0]), slice(200, 200 + shape[1])
+    planes = {key: np.ascontiguousarray(plane[part]) for key, plane in write_showroom().items()}
+    for camera in (None, get_camera()):
+        assert import_planes(planes, preset="arnold", camera=camera).frame.shape == shape
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_spoiled_guides_are_read_all_the_same(seed: int) -> None:
+    """Values that are none, all alike, huge, tiny, or at random: in any of the passes."""
+    rng = np.random.default_rng(seed)
+    values = np.float32([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40, 0.0, 1.0, -1.0, 65504.0])
+    whole = {key: np.array(plane[::4, ::4]) for key, plane in write_showroom().items()}
+    for head in sorted({key.partition(".")[0] for key in whole}):
+        kind, value = rng.integers(0, 5), rng.choice(values)
+        for key in (key for key in whole if key.partition(".")[0] == head):
+            plane = whole[key]
+            if kind == 1:
+                plane[:] = value
+            elif kind == 2:
+                plane[rng.random(plane.shape) < 0.3] = value
+            elif kind == 3:
+                plane[:] = rng.normal(size=plane.shape) * 10.0 ** rng.integers(-10, 10)
+            elif kind == 4:
+                plane[:, :60] = value
+    found = import_planes(whole, preset="arnold", camera=get_camera() if seed % 2 else None)
+    guides = found.frame.gbuffer
+    assert np.isfinite(guides.normal).all()
+    for image in (guides.alpha_u, guides.diffuse_albedo, guides.specular_albedo):
+        assert ((image >= 0.0) & (image <= 1.0)).all()
 
 
 def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -
     """Return the median distance, pixels, of where a camera shows the points of some pixels to where they are seen."""
     height, width = mask.shape
     rows, columns = _choose_pixels(mask)
+    if not len(rows):
+        return float("inf")
     seen = project_points(camera, position[rows, columns].astype(np.float64), width, height)
     apart = np.hypot(seen[:, 0] - columns - 0.5, seen[:, 1] - rows - 0.5)
     return float(np.median(np.where(np.isfinite(apart), apart, np.inf)))

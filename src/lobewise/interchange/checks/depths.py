@@ -50,11 +50,11 @@ class Meaning:
 
     def apply(self, depth: FloatArray, cosine: FloatArray) -> FloatArray:
         """Return distances along the rays; ``cosine`` is that of the angle between ray and axis."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             found = self.offset + self.scale * depth
             found = 1.0 / found if self.inverted else found
-        found = np.where(np.isfinite(found) & (found > 0.0), found, 0.0)
-        return np.asarray(found / cosine if self.planar else found, dtype=np.float32)
+            found = np.asarray(found / cosine if self.planar else found, dtype=np.float32)
+        return np.where(np.isfinite(found) & (found > 0.0), found, np.float32(0.0))
 
     def tell(self) -> str:
         """Return it in words."""

@@ -169,7 +169,8 @@ def _compress(color: FloatArray, step: int) -> Numbers:
     for down in shifts:
         for right in shifts:
             thin = np.ascontiguousarray(_thin(color, step, down, right))
-            gray = thin[..., 0] + thin[..., 1] + thin[..., 2]
+            with np.errstate(all="ignore"):
+                gray = thin[..., 0] + thin[..., 1] + thin[..., 2]
             grays.append(np.where(np.isfinite(gray) & (gray > 0.0), gray, np.float32(0.0)))
     lit = grays[0][grays[0] > 0.0]
     middle = np.median(lit) if lit.size else np.float32(1.0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
+from lobewise.interchange.values import FARTHEST
 
 ROUNDING = 1e-3
 """How far beyond [0, 1] an albedo may be by the rounding of 16-bit floats."""
@@ -46,9 +47,10 @@ def check_values(
 def _find_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
     """Return which pixels are NaN (or infinite), None where none is; most images need but one fast sum."""
     with np.errstate(all="ignore"):
-        if np.isfinite(np.vdot(image, image)):
+        # Not so for NaN.
+        if np.vdot(image, image) < FARTHEST:
             return None
-    bad = ~np.isfinite(image) if infinite else np.isnan(image)
+        bad = ~(np.abs(image) < FARTHEST) if infinite else np.isnan(image)
     bad = np.asarray(bad.any(axis=-1)) if bad.ndim == 3 else bad
     return bad if bad.any() else None
 

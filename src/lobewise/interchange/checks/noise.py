@@ -110,7 +110,8 @@ def _measure(color: Numbers, guides: list[Numbers]) -> tuple[Numbers, Numbers]:
 
     Noise is that over brightness; both are of brightness compressed to [0, 1), so that a few samples are not all of it.
     """
-    gray = color[..., 0] + color[..., 1] + color[..., 2]
+    with np.errstate(all="ignore"):
+        gray = color[..., 0] + color[..., 1] + color[..., 2]
     gray = np.where(np.isfinite(gray) & (gray > 0.0), gray, np.float32(0.0))
     lit = gray[gray > 0.0]
     if not lit.size:

@@ -252,6 +252,8 @@ def check_normals(
     sure : bool
         Whether the surfaces are where they are shown: the depth, say, agrees with the positions.
     """
+    if len(patches) < FEWEST_SAMPLES:
+        return normal, []
     patches = patches.thin_out(MOST_JUDGED)
     normal, findings = _check_flip(normal, label, patches, sure=sure)
     taken = patches.take(normal)
