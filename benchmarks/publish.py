@@ -6,6 +6,7 @@ python -m benchmarks.publish
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, ROOT
@@ -13,6 +14,7 @@ from benchmarks.pages.bench import load_machines, make_bench_page, write_picture
 from benchmarks.pages.foreign import make_foreign_page
 from benchmarks.pages.gallery import make_gallery_page
 from benchmarks.pages.interactive import make_interactive_page
+from benchmarks.pages.mitsuba import make_mitsuba_figures
 from benchmarks.pages.performance import make_performance_page
 from benchmarks.pages.quality import make_quality_page
 from benchmarks.pages.results import (
@@ -35,17 +37,20 @@ def load_startup() -> dict[str, Any] | None:
     return json.loads(path.read_text()) if path.exists() else None
 
 
+def put_figures(page: Path, figures: str) -> None:
+    """Put figures between the marks of a page."""
+    head, rest = page.read_text().split(START)
+    tail = rest.split(END)[1]
+    page.write_text(f"{head}{START}\n{figures}\n{END}{tail}")
+
+
 def main() -> None:
     """Write the pages."""
     similarities = json.loads((RESULTS / "similarities.json").read_text())
     filters = json.loads((RESULTS / "filters.json").read_text())
     upsampling = json.loads((RESULTS / "upsampling.json").read_text())
     quality = json.loads((RESULTS / "quality.json").read_text())
-    readme = ROOT / "README.md"
-    text = readme.read_text()
-    head, rest = text.split(START)
-    tail = rest.split(END)[1]
-    readme.write_text(f"{head}{START}\n{make_readme_figures(quality, upsampling)}\n{END}{tail}")
+    put_figures(ROOT / "README.md", make_readme_figures(quality, upsampling))
     paper = json.loads((RESULTS / "paper_table.json").read_text())
     hits = json.loads((RESULTS / "hit_distance.json").read_text())
     gallery = json.loads((RESULTS / "gallery.json").read_text())
@@ -58,6 +63,7 @@ def main() -> None:
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
     foreign = json.loads((RESULTS / "foreign.json").read_text())
     (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign))
+    put_figures(ROOT / "docs" / "mitsuba.md", make_mitsuba_figures(json.loads((RESULTS / "mitsuba.json").read_text())))
     streamed = json.loads((RESULTS / "streaming.json").read_text())
     (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))
     performance = (json.loads((RESULTS / f"{name}.json").read_text()) for name in PERFORMANCE)

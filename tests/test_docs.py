@@ -83,6 +83,24 @@ def test_quality_page_says_what_was_measured() -> None:
     assert page.read_text() == publisher.make_quality_page(json.loads(measured.read_text()))
 
 
+def test_page_for_mitsubas_users_says_what_was_measured() -> None:
+    publisher = load_publisher()
+    measured = json.loads((ROOT / "benchmarks" / "results" / "mitsuba.json").read_text())
+    block = (ROOT / "docs" / "mitsuba.md").read_text().split(publisher.START)[1].split(publisher.END)[0]
+    assert block.strip() == publisher.make_mitsuba_figures(measured).strip()
+
+
+@pytest.mark.mitsuba
+def test_page_for_mitsubas_users_runs(mi: Any) -> None:
+    names: dict[str, Any] = {}
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "mitsuba.md").read_text(), flags=re.S)
+    for block in blocks:
+        exec(compile(block, "mitsuba.md", "exec"), names)
+    assert len(blocks) == 4
+    assert np.array(names["denoised"]).shape == names["previous"].shape == (256, 256, 3)
+    assert np.isfinite(np.array(names["dr"].grad(names["noisy"]))).all()
+
+
 @pytest.mark.mitsuba
 @pytest.mark.slow
 def test_interactive_page_runs(mi: Any) -> None:

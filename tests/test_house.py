@@ -60,6 +60,7 @@ INNER_ROOMS = {
         "virtual_lights",
         "images",
         "integrators",
+        "own_light",
         "renderer",
         "sequence",
         "stages",

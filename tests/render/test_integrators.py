@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.render.integrators import DEEPEST, DEPTH, make_box_sensor, plan_light
+from lobewise.render.integrators import DEEPEST, DEPTH, plan_light
+from lobewise.render.own_light import make_box_sensor
 from tests.render.tolerances import Z_MEAN
 
 pytestmark = pytest.mark.mitsuba
 
 HEIGHT, WIDTH = 24, 32
+CROPPED = {
+    "film": {"type": "hdrfilm", "width": 64, "height": 48, "crop_width": 20, "crop_height": 12, "crop_offset_x": 5}
+}
 FOG = {"type": "homogeneous", "sigma_t": 3.0, "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]}}
 
 
@@ -182,10 +186,11 @@ def test_the_copy_of_a_sensor_has_its_rays(mi: Any, sensor: dict[str, Any]) -> N
     scene = make_scene(mi, None, **sensor)
     original, copy = scene.sensors()[0], make_box_sensor(scene)
     place = mi.Point2f([0.1, 0.5, 0.9], [0.3, 0.5, 0.8])
-    rays = [each.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0] for each in (original, copy)]
-    for name in ("o", "d"):
-        first, second = (np.array(getattr(ray, name)) for ray in rays)
-        np.testing.assert_allclose(first, second, atol=1e-5)
+    for lens in (0.5, 0.1):
+        rays = [each.sample_ray(0.0, 0.5, place, mi.Point2f(lens))[0] for each in (original, copy)]
+        for name in ("o", "d"):
+            first, second = (np.array(getattr(ray, name)) for ray in rays)
+            np.testing.assert_allclose(first, second, atol=1e-5)
 
 
 def test_mistakes_are_told(mi: Any) -> None:
@@ -207,3 +212,69 @@ def test_mistakes_are_told(mi: Any) -> None:
     for pattern, call in cases:
         with pytest.raises(InputError, match=pattern):
             call()
+
+
+def make_lens(mi: Any, radius: float, focus: float = 4.0) -> dict[str, Any]:
+    return {"type": "thinlens", "aperture_radius": radius, "focus_distance": focus}
+
+
+def test_a_lens_blurs_the_light_and_the_guides(mi: Any) -> None:
+    from lobewise.render import render_frame, render_reference
+
+    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": "box"}}
+    scene = make_scene(mi, {"type": "path", "max_depth": 6}, film=film, **make_lens(mi, 0.3, focus=1.5))
+    plan = plan_light(scene)
+    assert plan.lens
+    assert "through the lens by 'path'" in plan.told
+    frame = render_frame(scene, spp=256)
+    check_light(mi, scene, frame)
+    check_light(mi, scene, render_reference(scene, spp=64))
+    theirs = np.array(mi.render(scene, spp=1024, seed=9))[..., :3]
+    sharp = render_frame(make_scene(mi, {"type": "path", "max_depth": 6}), spp=256).radiance.color
+    assert np.abs(frame.radiance.color - theirs).mean() < 0.5 * np.abs(sharp - theirs).mean()
+    assert frame.half_a is not None
+    assert frame.camera is not None
+    assert frame.radiance.parts is None
+
+
+def test_guides_through_a_narrow_lens_are_those_of_a_pinhole(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    lens = render_frame(make_scene(mi, None, **make_lens(mi, 1e-4)), spp=32, aov_only=True)
+    plain = render_frame(make_scene(mi, None), spp=32, aov_only=True)
+    assert lens.camera is not None
+    assert plain.camera is not None
+    np.testing.assert_allclose(lens.camera.position, plain.camera.position, atol=1e-6)
+    inner = np.s_[4:14, 14:18]
+    for name, tolerance in (("depth", 0.02), ("position", 0.03), ("normal", 0.05), ("diffuse_albedo", 0.01)):
+        first, second = getattr(lens.gbuffer, name), getattr(plain.gbuffer, name)
+        np.testing.assert_allclose(first[inner], second[inner], atol=tolerance)
+
+
+def test_guides_through_a_wide_lens_are_means(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    wide = render_frame(make_scene(mi, None, **make_lens(mi, 0.6, focus=100.0)), spp=32, aov_only=True)
+    assert wide.gbuffer.normal is not None
+    # Around the ball's outline floor and ball are mixed.
+    lengths = np.linalg.norm(wide.gbuffer.normal, axis=-1)
+    assert ((lengths > 0.1) & (lengths < 0.9)).mean() > 0.1
+
+
+def test_what_a_lens_cannot_have_is_told(mi: Any) -> None:
+    from lobewise.render import get_camera, render_frame, render_sparse_frame
+
+    scene = make_scene(mi, {"type": "path"}, **make_lens(mi, 0.3))
+    flat = mi.load_dict({"type": "scene", "sensor": {"type": "orthographic"}, "ball": {"type": "sphere"}})
+    camera = get_camera(make_scene(mi, None))
+    cases: list[tuple[str, Any]] = [
+        (r"integrator: expected 'scene' or 'auto', for a lens", lambda: render_frame(scene, spp=1, integrator="paths")),
+        (r"previous_camera: expected none, as a lens", lambda: render_frame(scene, spp=1, previous_camera=camera)),
+        (r"for sparse frames, got 'path' through a lens", lambda: render_sparse_frame(scene, spp=1, scale=2)),
+        (r"sensor: .*got 'thinlens'; only whole frames", lambda: get_camera(scene)),
+        (r"sensor: expected type 'perspective'.*got 'orthographic'", lambda: render_frame(flat, spp=1)),
+    ]
+    for pattern, call in cases:
+        with pytest.raises(InputError, match=pattern):
+            call()
+    assert get_camera(make_scene(mi, None, **make_lens(mi, 0.0))).position.shape == (3,)

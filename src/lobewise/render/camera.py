@@ -19,6 +19,10 @@ RAY_TOLERANCE = 1e-4
 """Largest difference, per component of a unit direction, between the sensor's rays and the pinhole's."""
 
 
+LENS = "ThinLensCamera"
+PINHOLE = 1e-6
+"""Radius of a lens, world units, up to which it is none: Mitsuba makes one of 0 a little wider."""
+
 _chosen: ContextVar[Any] = ContextVar("sensor", default=None)
 
 
@@ -62,16 +66,30 @@ def get_image_size(scene: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _get_perspective_sensor(scene: Any) -> Any:
+PLUGINS = {"PerspectiveCamera": "perspective", LENS: "thinlens", "OrthographicCamera": "orthographic"}
+"""Names of sensors in scene files, by class."""
+
+
+def has_lens(scene: Any) -> bool:
+    """Return whether a scene is seen through a lens of some width."""
     sensor = get_sensor(scene)
-    if sensor.class_name() != "PerspectiveCamera":
+    return sensor.class_name() == LENS and bool(np.array(mi.traverse(sensor)["aperture_radius"]).item() > PINHOLE)
+
+
+def _get_perspective_sensor(scene: Any, *, lens: bool = False) -> Any:
+    sensor = get_sensor(scene)
+    kind = str(sensor.class_name())
+    if kind != "PerspectiveCamera" and not (kind == LENS and (lens or not has_lens(scene))):
         action = "reflection lobes need one viewpoint for all pixels; use a perspective sensor"
-        raise InputError("sensor", expected="type 'perspective'", got=str(sensor.class_name()), action=action)
+        if kind == LENS:
+            action = "only whole frames are rendered through a lens; use a perspective sensor"
+        expected = "type 'perspective' or, for whole frames, 'thinlens'"
+        raise InputError("sensor", expected=expected, got=repr(PLUGINS.get(kind, kind)), action=action)
     return sensor
 
 
-def get_camera(scene: Any) -> Camera:
-    """Return the pinhole camera of a scene's first sensor.
+def get_camera(scene: Any, *, lens: bool = False) -> Camera:
+    """Return the pinhole camera of a scene's first sensor; with ``lens`` that in the middle of one.
 
     A shifted principal point, and a crop window off the film's centre, are its ``shift``.
 
@@ -81,7 +99,7 @@ def get_camera(scene: Any) -> Camera:
         If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
         of sensor, a mirrored ``to_world``.
     """
-    sensor = _get_perspective_sensor(scene)
+    sensor = _get_perspective_sensor(scene, lens=lens)
     width, height = get_image_size(scene)
     parameters = mi.traverse(sensor)
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)

@@ -9,16 +9,14 @@ filter, so that pixels are independent; guides are those of the first surface al
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lobewise.errors import InputError, require_choice, require_integer
-from lobewise.frame import FloatArray
 from lobewise.render.bridge import dr, mi
-from lobewise.render.camera import get_camera, get_image_size, get_sensor
+from lobewise.render.camera import get_sensor, has_lens
 from lobewise.render.materials.bsdfs import list_nested
 from lobewise.render.variant import VARIANTS
 
@@ -49,9 +47,6 @@ PLUGINS = {
 }
 """Names in scene files, by class."""
 
-CHUNK_SAMPLES = 1 << 22
-"""Samples per launch of an integrator of the scene's."""
-
 
 @dataclass(frozen=True)
 class Light:
@@ -63,12 +58,15 @@ class Light:
         Longest of this package's paths, in vertices after the camera.
     own : mitsuba.Integrator or None
         The scene's, where it renders the light.
+    lens : bool
+        Whether it comes through a lens of some width, which paths and guides of one ray know nothing of.
     told : str
         That in a sentence; empty where there is nothing to tell.
     """
 
     max_depth: int
     own: Any = None
+    lens: bool = False
     told: str = ""
 
 
@@ -106,6 +104,8 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
     if max_depth is not None:
         require_integer("max_depth", max_depth, 1, DEEPEST)
     own = scene.integrator()
+    if has_lens(scene):
+        return _plan_lens(own, integrator, max_depth)
     if own is None:
         if integrator == "scene":
             action = "add one to the scene, or leave the choice out"
@@ -113,17 +113,42 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
         return Light(max_depth or DEPTH)
     depth = None if integrator == "scene" else _find_depth(scene, own)
     if integrator == "paths" or depth is not None:
-        told = depth is None and f"Light by paths as asked for, which is not that of the scene's own {_name(own)}."
-        return Light(max_depth or depth or DEPTH, told=told or "")
+        other = f"Light by paths as asked for, which is not that of the scene's own {name_integrator(own)}."
+        return Light(max_depth or depth or DEPTH, told=other if depth is None else "")
     _require_light(own)
+    _refuse_depth(own, max_depth)
+    return Light(
+        DEPTH,
+        own,
+        told=f"Light by the scene's own integrator, {name_integrator(own)}: one image, not told apart by lobe.",
+    )
+
+
+def _plan_lens(own: Any, integrator: str, max_depth: int | None) -> Light:
+    """Return the light of a scene that is seen through a lens."""
+    if integrator == "paths":
+        action = "leave the choice out, or use a perspective sensor"
+        raise InputError("integrator", expected="'scene' or 'auto', for a lens", got="'paths'", action=action)
+    if own is None:
+        depth = DEPTH if max_depth is None else max_depth
+        own = mi.load_dict({"type": "path", "max_depth": depth})
+    else:
+        _refuse_depth(own, max_depth)
+    _require_light(own)
+    whose = name_integrator(own)
+    told = f"Light through the lens by {whose}: one image, not told apart by lobe; guides are means over the lens."
+    return Light(DEPTH, own, lens=True, told=told)
+
+
+def _refuse_depth(own: Any, max_depth: int | None) -> None:
+    """Raise InputError if a depth is given for an integrator that has its own."""
     if max_depth is not None:
         raise InputError(
             "max_depth",
-            expected=f"none, as the scene's own integrator, {_name(own)}, renders the light",
+            expected=f"none, as the scene's own integrator, {name_integrator(own)}, renders the light",
             got=str(max_depth),
             action="change it in the scene, or ask for integrator 'paths'",
         )
-    return Light(DEPTH, own, f"Light by the scene's own integrator, {_name(own)}: one layer, not told apart by lobe.")
 
 
 def require_paths(scene: Any, what: str, integrator: str = "auto", max_depth: int | None = None) -> Light:
@@ -136,16 +161,17 @@ def require_paths(scene: Any, what: str, integrator: str = "auto", max_depth: in
     """
     light = plan_light(scene, integrator, max_depth)
     if light.own is not None:
+        seen = " through a lens" if light.lens else ""
         raise InputError(
             "integrator",
             expected=f"one whose light paths give, for {what}",
-            got=_name(light.own),
+            got=name_integrator(light.own) + seen,
             action="render whole frames of all light, or ask for integrator 'paths', whose light is another",
         )
     return light
 
 
-def _name(integrator: Any) -> str:
+def name_integrator(integrator: Any) -> str:
     """Return the name of an integrator as scene files have it."""
     kind = _get_class(integrator)
     return repr(PLUGINS.get(kind, kind))
@@ -225,81 +251,6 @@ def _require_light(integrator: Any) -> None:
         raise InputError(
             "integrator",
             expected="one that makes an image of light",
-            got=f"{_name(integrator)}{' without one inside' if empty else ''}",
+            got=f"{name_integrator(integrator)}{' without one inside' if empty else ''}",
             action="put another into the scene, or ask for integrator 'paths'",
         )
-
-
-def make_box_sensor(scene: Any) -> Any:
-    """Return a sensor with the rays of a scene's first one, whose pixels have a box filter and linear RGB."""
-    camera = get_camera(scene)
-    width, height = get_image_size(scene)
-    original = get_sensor(scene)
-    half_width, half_height = camera.get_half_extent(width, height)
-    matrix = np.eye(4)
-    # Mitsuba's x points to the left of the image.
-    matrix[:3] = np.stack([-camera.right, camera.up, camera.forward, camera.position], axis=-1)
-    sensor = mi.load_dict(
-        {
-            "type": "perspective",
-            "fov": float(np.rad2deg(2.0 * np.arctan(half_width))),
-            "fov_axis": "x",
-            "principal_point_offset_x": float(0.5 * camera.shift[0] / half_width),
-            "principal_point_offset_y": float(-0.5 * camera.shift[1] / half_height),
-            "near_clip": float(original.near_clip()),
-            "far_clip": float(original.far_clip()),
-            "to_world": mi.ScalarTransform4f(matrix),
-            "film": {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "pixel_format": "rgb",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": "independent"},
-        }
-    )
-    if original.get_medium() is not None:
-        sensor.set_medium(original.get_medium())
-    return sensor
-
-
-def render_own(
-    scene: Any, integrator: Any, *, spp: int, seed: int, advance: Callable[[int], None]
-) -> tuple[FloatArray, FloatArray | None]:
-    """Return what an integrator makes of each half of the samples, (height, width, 3); one sample has no second half.
-
-    Parameters
-    ----------
-    scene, integrator
-        Of Mitsuba.
-    spp, seed : int
-        Samples per pixel, more by one in the first half where they are odd, and what their random numbers follow.
-    advance : callable
-        Called with how many samples were taken.
-
-    Raises
-    ------
-    InputError
-        If it makes no image of three colours.
-    """
-    sensor = make_box_sensor(scene)
-    width, height = get_image_size(scene)
-    most = max(1, CHUNK_SAMPLES // (width * height))
-    halves = []
-    for half, count in enumerate(((spp + 1) // 2, spp // 2)):
-        total = np.zeros((height, width, 3))
-        for number, start in enumerate(range(0, count, most)):
-            samples = min(most, count - start)
-            own_seed = int(np.random.SeedSequence([seed, half, number]).generate_state(1)[0])
-            with dr.suspend_grad():
-                image = np.array(integrator.render(scene, sensor, seed=own_seed, spp=samples), dtype=np.float32)
-            if image.ndim != 3 or image.shape[2] < 3:
-                got = f"{_name(integrator)}, which gives an image of shape {image.shape}"
-                action = "put another into the scene, or ask for integrator 'paths'"
-                raise InputError("integrator", expected="one that makes an image of light", got=got, action=action)
-            total += image[..., :3].astype(np.float64) * samples
-            advance(width * height * samples)
-        halves.append((total / max(count, 1)).astype(np.float32))
-    return halves[0], halves[1] if spp > 1 else None

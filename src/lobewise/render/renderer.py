@@ -13,12 +13,13 @@ from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
-from lobewise.render.camera import get_camera, get_image_size
+from lobewise.render.camera import get_camera, get_image_size, has_lens
 from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, move_back, trace_guides
 from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
-from lobewise.render.integrators import Light, plan_light, render_own, require_paths
+from lobewise.render.integrators import Light, check_scene, plan_light, require_paths
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
+from lobewise.render.own_light import render_lens_guides, render_own
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
@@ -173,12 +174,18 @@ def render_frame(
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
-    plan = plan_light(scene, "paths" if aov_only else integrator, max_depth)
+    check_scene(scene)
+    lens = has_lens(scene)
+    alone = aov_only and not lens
+    plan = plan_light(scene, "paths" if alone else integrator, None if aov_only and lens else max_depth)
     guided: dict[str, Any] = {"coverage": coverage, "previous_camera": previous_camera, "moves": moves}
+    if plan.lens:
+        moved = previous_camera is not None
+        guides = render_lens_guides(scene, samples=min(spp, GUIDE_SAMPLES), seed=seed, moved=moved)
+        return guides if aov_only else _add_own_light(guides, scene, plan, spp, seed, light, progress)
     if plan.own is not None:
-        _require_all_light(light, plan)
         guides = render_frame(scene, spp=min(spp, GUIDE_SAMPLES), seed=seed, aov_only=True, **guided)
-        return guides.with_changes(spp=spp, **_render_own(scene, plan, spp, seed, progress))
+        return _add_own_light(guides, scene, plan, spp, seed, light, progress)
     settings: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": plan.max_depth, "light": light}
     return _render_by_paths(_Pass(scene, radiance=not aov_only, **settings), progress, **guided)
 
@@ -215,24 +222,25 @@ def _render_by_paths(
     return frame.with_changes(**{name: Radiance(**select(images, name)) for name in parts}) if parts else frame
 
 
-def _require_all_light(light: str, plan: Light) -> None:
+def _add_own_light(
+    guides: Frame, scene: Any, plan: Light, spp: int, seed: int, light: str, progress: Progress | None
+) -> Frame:
+    """Return a frame with the light of a scene's own integrator."""
+    return guides.with_changes(spp=spp, **_render_own(scene, plan, spp, seed, light, progress))
+
+
+def _render_own(
+    scene: Any, plan: Light, spp: int, seed: int, light: str, progress: Progress | None
+) -> dict[str, Radiance]:
+    """Return the images of a scene's own integrator by their names in `Frame`."""
     if require_choice("light", light, LIGHTS) != "all":
         action = "leave it out, or ask for integrator 'paths'"
         raise InputError("light", expected="'all' beside a scene's own integrator", got=repr(light), action=action)
-
-
-def _render_own(scene: Any, plan: Light, spp: int, seed: int, progress: Progress | None) -> dict[str, Radiance]:
-    """Return the images of a scene's own integrator by their names in `Frame`."""
     require_integer("spp", spp, 1, 1 << 24)
     require_integer("seed", seed, 0, (1 << 32) - 1)
     width, height = get_image_size(scene)
     advance = _make_advance(progress, width * height * spp)
-    first, second = render_own(scene, plan.own, spp=spp, seed=seed, advance=advance)
-    if second is None:
-        return {"radiance": Radiance(first)}
-    share = np.float32(((spp + 1) // 2) / spp)
-    color = share * first + (np.float32(1.0) - share) * second
-    return {"radiance": Radiance(color), "half_a": Radiance(first), "half_b": Radiance(second)}
+    return render_own(scene, plan.own, spp=spp, seed=seed, advance=advance)
 
 
 def render_sparse_frame(
@@ -379,9 +387,8 @@ def render_reference(
     """
     plan = plan_light(scene, integrator, max_depth)
     if plan.own is not None:
-        _require_all_light(light, plan)
-        images = _render_own(scene, plan, spp, seed, progress)
-        return Frame(radiance=images["radiance"], camera=get_camera(scene), spp=spp)
+        images = _render_own(scene, plan, spp, seed, light, progress)
+        return Frame(radiance=images["radiance"], camera=get_camera(scene, lens=True), spp=spp)
     run = _Pass(scene, spp=spp, seed=seed, max_depth=plan.max_depth, light=light, guides=False)
 
     def finish(_: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:

@@ -1,0 +1,218 @@
+"""Light that a scene's own integrator renders, and what surfaces a lens shows.
+
+Both see the scene through a copy of its sensor whose film has a box filter, so that pixels are independent. Through a
+lens a pixel shows more than one ray does: guides are then means over the lens and the pixel's area, as the light is, in
+place of those of the ray through its centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lobewise.camera import Camera
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.render.bridge import dr, mi, repeat, starts_as
+from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens
+from lobewise.render.images import to_image
+from lobewise.render.integrators import name_integrator
+from lobewise.render.materials.bsdfs import read_scene_materials
+from lobewise.render.tracing.points import find_first_opaque
+from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
+
+CHUNK_SAMPLES = 1 << 22
+"""Samples per launch of an integrator of the scene's."""
+SEEN = 0.5
+"""Share of a pixel's rays that must meet a surface for it to show one."""
+
+
+def make_box_sensor(scene: Any) -> Any:
+    """Return a sensor with the rays of a scene's first one, whose pixels have a box filter and linear RGB."""
+    original = get_sensor(scene)
+    kind = _describe_lens(original) if has_lens(scene) else _describe_pinhole(get_camera(scene), *get_image_size(scene))
+    matrix = np.array(mi.traverse(original)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    sensor = mi.load_dict(
+        {
+            **kind,
+            "fov_axis": "x",
+            "near_clip": float(original.near_clip()),
+            "far_clip": float(original.far_clip()),
+            "to_world": mi.ScalarTransform4f(matrix),
+            "sampler": {"type": "independent"},
+        }
+    )
+    if original.get_medium() is not None:
+        sensor.set_medium(original.get_medium())
+    return sensor
+
+
+def _describe_film(width: int, height: int, **crop: int) -> dict[str, Any]:
+    size = {"width": width, "height": height, **crop}
+    pixels = {"pixel_format": "rgb", "component_format": "float32", "rfilter": {"type": "box"}}
+    return {"type": "hdrfilm", **size, **pixels}
+
+
+def _describe_pinhole(camera: Camera, width: int, height: int) -> dict[str, Any]:
+    """Return a pinhole whose film is what of it is rendered."""
+    half_width, half_height = camera.get_half_extent(width, height)
+    return {
+        "type": "perspective",
+        "fov": float(np.rad2deg(2.0 * np.arctan(half_width))),
+        "principal_point_offset_x": float(0.5 * camera.shift[0] / half_width),
+        "principal_point_offset_y": float(-0.5 * camera.shift[1] / half_height),
+        "film": _describe_film(width, height),
+    }
+
+
+def _describe_lens(sensor: Any) -> dict[str, Any]:
+    """Return a lens with the same crop window: it has no other way to look to the side."""
+    known, film = mi.traverse(sensor), sensor.film()
+    numbers = {name: float(np.array(known[name]).item()) for name in ("aperture_radius", "focus_distance", "x_fov")}
+    crop = {
+        f"crop_{name}": int(value)
+        for names, values in (
+            (("width", "height"), film.crop_size()),
+            (("offset_x", "offset_y"), film.crop_offset()),
+        )
+        for name, value in zip(names, values, strict=True)
+    }
+    whole = film.size()
+    return {
+        "type": "thinlens",
+        "fov": numbers.pop("x_fov"),
+        **numbers,
+        "film": _describe_film(int(whole[0]), int(whole[1]), **crop),
+    }
+
+
+def render_own(
+    scene: Any, integrator: Any, *, spp: int, seed: int, advance: Callable[[int], None]
+) -> dict[str, Radiance]:
+    """Return the images that an integrator makes, by their names in `Frame`; one sample has no halves.
+
+    Parameters
+    ----------
+    scene, integrator
+        Of Mitsuba.
+    spp, seed : int
+        Samples per pixel, more by one in the first half where they are odd, and what their random numbers follow.
+    advance : callable
+        Called with how many samples were taken.
+
+    Raises
+    ------
+    InputError
+        If it makes no image of three colours.
+    """
+    sensor = make_box_sensor(scene)
+    width, height = get_image_size(scene)
+    most = max(1, CHUNK_SAMPLES // (width * height))
+    halves = []
+    for half, count in enumerate(((spp + 1) // 2, spp // 2)):
+        total = np.zeros((height, width, 3))
+        for number, start in enumerate(range(0, count, most)):
+            samples = min(most, count - start)
+            own_seed = int(np.random.SeedSequence([seed, half, number]).generate_state(1)[0])
+            with dr.suspend_grad():
+                image = np.array(integrator.render(scene, sensor, seed=own_seed, spp=samples), dtype=np.float32)
+            if image.ndim != 3 or image.shape[2] < 3:
+                got = f"{name_integrator(integrator)}, which gives an image of shape {image.shape}"
+                action = "put another into the scene, or ask for integrator 'paths'"
+                raise InputError("integrator", expected="one that makes an image of light", got=got, action=action)
+            total += image[..., :3].astype(np.float64) * samples
+            advance(width * height * samples)
+        halves.append((total / max(count, 1)).astype(np.float32))
+    if spp == 1:
+        return {"radiance": Radiance(halves[0])}
+    share = np.float32(((spp + 1) // 2) / spp)
+    color = share * halves[0] + (np.float32(1.0) - share) * halves[1]
+    return {"radiance": Radiance(color), "half_a": Radiance(halves[0]), "half_b": Radiance(halves[1])}
+
+
+@dataclass
+class _Sums:
+    """Sums over the rays of a pixel (Dr.Jit arrays; a PyTree)."""
+
+    found: Any = starts_as("Float")
+    depth: Any = starts_as("Float")
+    position: Any = starts_as("Vector3f")
+    normal: Any = starts_as("Vector3f")
+    shine: Any = starts_as("Float")
+    alpha_u: Any = starts_as("Float")
+    alpha_v: Any = starts_as("Float")
+    diffuse_albedo: Any = starts_as("Color3f")
+    specular_albedo: Any = starts_as("Color3f")
+
+
+def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = False) -> Frame:
+    """Return a black frame with what surfaces the pixels of a lens show in the mean, and the camera in its middle.
+
+    Alphas are weighed by the specular albedo. A pixel of which most rays meet no surface shows none.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        Seen through its sensor.
+    samples, seed : int
+        Rays of every pixel, and what their random numbers follow.
+    moved : bool
+        Whether motion is asked for, of which a lens shows no single one.
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if moved:
+        action = "leave it out, or use a perspective sensor"
+        raise InputError("previous_camera", expected="none, as a lens shows no single motion", got="one", action=action)
+    camera = get_camera(scene, lens=True)
+    width, height = get_image_size(scene)
+    sensor, materials = make_box_sensor(scene), read_scene_materials(scene)
+    pixel = dr.arange(mi.UInt32, width * height)
+    columns, rows = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+    eye = mi.Point3f(*(float(value) for value in camera.position))
+    seed_value = make_opaque(seed)
+
+    def take(index: Any, sums: _Sums) -> tuple[_Sums]:
+        rng = make_rng(pixel, index, seed_value)
+        place = draw_point(rng)
+        x = (mi.Float(pixel % columns) + place.x) / mi.Float(columns)
+        y = (mi.Float(pixel // columns) + place.y) / mi.Float(rows)
+        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), draw_point(rng))
+        si, surface = find_first_opaque(scene, materials, ray)
+        found = si.is_valid()
+        shine = dr.select(found, dr.mean(surface.specular_albedo), 0.0)
+        sums.found += dr.select(found, 1.0, 0.0)
+        sums.depth += dr.select(found, dr.norm(si.p - eye), 0.0)
+        sums.position += dr.select(found, mi.Vector3f(si.p), 0.0)
+        sums.normal += dr.select(found, surface.normal, 0.0)
+        sums.shine += shine
+        sums.alpha_u += shine * surface.alpha_u
+        sums.alpha_v += shine * surface.alpha_v
+        sums.diffuse_albedo += dr.select(found, surface.diffuse_albedo, 0.0)
+        sums.specular_albedo += dr.select(found, surface.specular_albedo, 0.0)
+        return (sums,)
+
+    with dr.suspend_grad():
+        (sums,) = repeat(take, mi.UInt32(0), dr.opaque(mi.UInt32, samples), _Sums(), label="lens")
+        dr.eval(sums)
+    found, shine = to_image(sums.found), to_image(sums.shine)
+    there = found > SEEN * samples
+
+    def divide(value: Any, by: FloatArray, default: float) -> FloatArray:
+        image = to_image(value)
+        by, valid = (by[:, None], there[:, None]) if image.ndim == 2 else (by, there)
+        return np.where(valid & (by > 0.0), image / np.maximum(by, np.float32(1e-9)), np.float32(default))
+
+    images = {name: divide(getattr(sums, name), found, 0.0) for name in ("depth", "position", "normal")}
+    images |= {name: divide(getattr(sums, name), shine, 1.0) for name in ("alpha_u", "alpha_v")}
+    for name in ("diffuse_albedo", "specular_albedo"):
+        images[name] = np.clip(to_image(getattr(sums, name)) / np.float32(samples), 0.0, 1.0)
+    whole = {name: image.reshape(height, width, *image.shape[1:]) for name, image in images.items()}
+    black = np.zeros((height, width, 3), np.float32)
+    return Frame(Radiance(black), GBuffer(**whole), camera, spp=samples)
