@@ -142,6 +142,14 @@ def test_what_asked_for_goes_first(mi: Any) -> None:
     assert "not that of the scene's own 'path'" in plan.told
 
 
+def test_media_that_nobody_renders_are_told(mi: Any) -> None:
+    for integrator, whose in (({"type": "path"}, "the scene's integrator, 'path', does not"), (None, "paths do not")):
+        plan = plan_light(make_scene(mi, integrator, fog=True))
+        assert plan.own is None
+        assert whose in plan.told
+        assert plan_light(make_scene(mi, integrator)).told == ""
+
+
 def test_the_same_seed_gives_the_same_light_and_another_other(mi: Any) -> None:
     from lobewise.render import render_frame
 

@@ -17,6 +17,11 @@ LARGEST_EXCESS = 0.02
 """Share of the light by which layers may exceed the image before they are not taken for its parts."""
 SMALLEST_REST = 0.002
 """Share of the light from which on what no pass accounts for is filtered as a layer of its own."""
+WHITE_SHARE = np.float32(0.1)
+"""Of a lone albedo, what is white: it tells of textures, but light that gloss reflects does not follow it, and that of
+a dark mirror over its albedo would be far brighter than anything beside it. (Mitsuba's Cornell box, ``showroom``,
+``kitchen`` and a scene with fog, 4 to 64 samples: the geometric mean of the error is 0.0255 without, 0.0125 with 0.05,
+0.0118 with 0.1, 0.0121 with 0.2.)"""
 REST = "rest"
 
 Read = Callable[[Found], FloatArray]
@@ -190,8 +195,9 @@ def take_albedos(
     diffuse, specular = images.get("diffuse_albedo"), images.get("specular_albedo")
     diffuse = sum_albedos(layers, diffuse=True) if diffuse is None else diffuse
     specular = sum_albedos(layers, diffuse=False) if specular is None else specular
-    if diffuse is None and specular is None and not layers:
-        diffuse = images.get("albedo")
+    lone = _clip(images.get("albedo"))
+    if diffuse is None and specular is None and not layers and lone is not None:
+        return WHITE_SHARE + np.float32(1.0 - WHITE_SHARE) * lone, None
     return _clip(diffuse), _clip(specular)
 
 

@@ -110,11 +110,11 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
         if integrator == "scene":
             action = "add one to the scene, or leave the choice out"
             raise InputError("integrator", expected="one in the scene", got="none", action=action)
-        return Light(max_depth or DEPTH)
+        return Light(max_depth or DEPTH, told=_tell_media(scene))
     depth = None if integrator == "scene" else _find_depth(scene, own)
     if integrator == "paths" or depth is not None:
         other = f"Light by paths as asked for, which is not that of the scene's own {name_integrator(own)}."
-        return Light(max_depth or depth or DEPTH, told=other if depth is None else "")
+        return Light(max_depth or depth or DEPTH, told=other if depth is None else _tell_media(scene))
     _require_light(own)
     _refuse_depth(own, max_depth)
     return Light(
@@ -230,13 +230,26 @@ def _shows_emitters(integrator: Any) -> bool:
     return bool(image[0, 0, :3].min() > 0.5)
 
 
+def _has_media(scene: Any) -> bool:
+    if scene.sensors() and get_sensor(scene).get_medium() is not None:
+        return True
+    return any(shape.is_medium_transition() for shape in scene.shapes())
+
+
+def _tell_media(scene: Any) -> str:
+    """Return a remark on media that nobody renders; empty without any."""
+    if not _has_media(scene):
+        return ""
+    own = scene.integrator()
+    whose = "paths do" if own is None else f"the scene's integrator, {name_integrator(own)}, does"
+    return f"There are participating media, which {whose} not see: 'volpath' in the scene would."
+
+
 def _has_volumes(scene: Any) -> bool:
     """Return whether there are media, or surfaces that light passes without being scattered."""
-    if get_sensor(scene).get_medium() is not None:
+    if _has_media(scene):
         return True
     for shape in scene.shapes():
-        if shape.is_medium_transition():
-            return True
         for bsdf in list_nested(shape.bsdf()) if shape.bsdf() is not None else ():
             if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
                 return True
