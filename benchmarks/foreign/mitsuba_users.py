@@ -20,7 +20,7 @@ from lobewise.render import load_mitsuba, load_scene
 SIZE = 192
 SAMPLES = (4, 16, 64)
 SEEDS = (11, 12)
-REFERENCE_SAMPLES = 1024
+REFERENCE_SAMPLES = 512
 AOVS = "albedo:albedo,normals:sh_normal,position:position"
 
 
