@@ -20,7 +20,7 @@ SMALLEST_REST = 0.002
 WHITE_SHARE = np.float32(0.1)
 """Of a lone albedo, what is white: it tells of textures, but light that gloss reflects does not follow it, and that of
 a dark mirror over its albedo would be far brighter than anything beside it. (Mitsuba's Cornell box, ``showroom``,
-``kitchen`` and a scene with fog, 4 to 64 samples: the geometric mean of the error is 0.0194 without, 0.0096 with it.)"""
+``kitchen`` and a scene with fog, 4 to 64 samples: the geometric mean of the error is 0.0194 without, 0.0096 with.)"""
 REST = "rest"
 
 Read = Callable[[Found], FloatArray]
