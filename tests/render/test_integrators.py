@@ -21,7 +21,9 @@ CROPPED = {
 FOG = {"type": "homogeneous", "sigma_t": 3.0, "albedo": {"type": "rgb", "value": [0.8, 0.6, 0.4]}}
 
 
-def make_scene(mi: Any, integrator: dict[str, Any] | None, *, fog: bool = False, **sensor: Any) -> Any:
+def make_scene(
+    mi: Any, integrator: dict[str, Any] | None, *, fog: bool = False, bsdf: dict[str, Any] | None = None, **sensor: Any
+) -> Any:
     """Return a ball on a floor under a lamp and a dim sky."""
     transform = mi.ScalarTransform4f
     film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT}
@@ -46,7 +48,7 @@ def make_scene(mi: Any, integrator: dict[str, Any] | None, *, fog: bool = False,
     if integrator is not None:
         items["integrator"] = integrator
     if fog:
-        items["ball"] |= {"bsdf": {"type": "null"}, "interior": FOG}
+        items["ball"] |= {"bsdf": bsdf or {"type": "null"}, "interior": FOG}
     return mi.load_dict(items)
 
 
@@ -140,6 +142,18 @@ def test_what_asked_for_goes_first(mi: Any) -> None:
     plan = plan_light(hidden, "paths")
     assert plan.own is None
     assert "not that of the scene's own 'path'" in plan.told
+
+
+def test_surfaces_that_hold_media_have_no_lobe(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    scene = make_scene(mi, {"type": "volpath"}, fog=True, bsdf={"type": "dielectric"})
+    own, paths = (render_frame(scene, spp=4, integrator=name).gbuffer for name in ("auto", "paths"))
+    for name, plain in (("alpha_u", 1.0), ("alpha_v", 1.0), ("lobe_kind", 0.0)):
+        found, before = getattr(own, name), getattr(paths, name)
+        assert (found[8:14, 13:19] == plain).all()
+        assert not (before[8:14, 13:19] == plain).any()
+        np.testing.assert_array_equal(found[-2:], before[-2:])
 
 
 def test_media_that_nobody_renders_are_told(mi: Any) -> None:

@@ -8,20 +8,20 @@ place of those of the ray through its centre.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.render.bridge import dr, mi, repeat, starts_as
 from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens
 from lobewise.render.images import to_image
 from lobewise.render.integrators import name_integrator
 from lobewise.render.materials.bsdfs import read_scene_materials
-from lobewise.render.tracing.points import find_first_opaque
+from lobewise.render.tracing.points import find_first_opaque, find_points
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 
 CHUNK_SAMPLES = 1 << 22
@@ -131,6 +131,31 @@ def render_own(
     share = np.float32(((spp + 1) // 2) / spp)
     color = share * halves[0] + (np.float32(1.0) - share) * halves[1]
     return {"radiance": Radiance(color), "half_a": Radiance(halves[0]), "half_b": Radiance(halves[1])}
+
+
+def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
+    """Return a frame without the lobes of surfaces that hold media: light from inside follows none of them.
+
+    (Of a glass ball filled with fog nothing at all would be averaged, as of a mirror; a scene with one had four times
+    the error at 4 samples, and more than twice at 64.)
+    """
+    guides = frame.gbuffer
+    if guides.alpha_u is None or not any(shape.is_medium_transition() for shape in scene.shapes()):
+        return frame
+    width, height = get_image_size(scene)
+    pixel = dr.arange(mi.UInt32, width * height)
+    size = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+    with dr.suspend_grad():
+        points = find_points(scene, read_scene_materials(scene), pixel, size)
+        inside = points.active & points.si.shape.is_medium_transition()
+        holds = to_image(dr.select(inside, mi.Float(1), 0.0)).reshape(height, width) > 0.0
+    plain = {"alpha_u": 1.0, "alpha_v": 1.0, "lobe_kind": float(LobeKind.NONE), "material": 0.0}
+    changes = {
+        name: np.where(holds, np.float32(value), getattr(guides, name))
+        for name, value in plain.items()
+        if getattr(guides, name) is not None
+    }
+    return frame.with_changes(gbuffer=replace(guides, **changes))
 
 
 @dataclass

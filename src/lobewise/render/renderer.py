@@ -19,7 +19,7 @@ from lobewise.render.gbuffer import Moves, move_back, trace_guides
 from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
 from lobewise.render.integrators import Light, check_scene, plan_light, require_paths
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
-from lobewise.render.own_light import render_lens_guides, render_own
+from lobewise.render.own_light import forget_lobes_of_media, render_lens_guides, render_own
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
 from lobewise.sparse_frame import MOST_SCALE, SparseFrame
@@ -185,6 +185,7 @@ def render_frame(
         return guides if aov_only else _add_own_light(guides, scene, plan, spp, seed, light, progress)
     if plan.own is not None:
         guides = render_frame(scene, spp=min(spp, GUIDE_SAMPLES), seed=seed, aov_only=True, **guided)
+        guides = forget_lobes_of_media(scene, guides)
         return _add_own_light(guides, scene, plan, spp, seed, light, progress)
     settings: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": plan.max_depth, "light": light}
     return _render_by_paths(_Pass(scene, radiance=not aov_only, **settings), progress, **guided)
