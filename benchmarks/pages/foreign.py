@@ -27,8 +27,8 @@ METHODS = {
 KINDS = {"rel_mse": "", "without the worst": ", the worst 0.1 % of pixels left out"}
 
 
-def make_foreign_page(measured: Mapping[str, Any]) -> str:
-    """Return docs/renderers_results.md."""
+def make_foreign_page(measured: Mapping[str, Any], speed: Mapping[str, Any]) -> str:
+    """Return docs/renderers_results.md, from errors and from the times of whole commands."""
     machine = measured["machine"]
     sections = [make_section(name, measured["renderers"][name]) for name in RENDERERS if name in measured["renderers"]]
     return f"""# Results on frames of other renderers
@@ -44,7 +44,24 @@ so it also stands without the 0.1 % of an image's pixels that are furthest off.
 others run with their defaults. Open Image Denoise gets what the renderer itself hands to it (Blender: `Denoising Albedo` and `Denoising Normal`), prefiltered, at its best
 quality. "Of both renders" is `--half`: both seeds as halves of twice the samples, so these columns compare with each other alone.
 
-{chr(10).join(sections)}"""
+{chr(10).join(sections)}
+{make_speed(speed)}"""
+
+
+def make_speed(speed: Mapping[str, Any]) -> str:
+    """Return the times of the command on a large file, and of its steps."""
+    file = speed["file"]
+    size = "x".join(map(str, file["size"]))
+    steps = ("command", "filter", "read", "write", "command over filter")
+    rows = [[f"`{name}`", *(f"{times[step]:.2f}" for step in steps)] for name, times in speed["qualities"].items()]
+    return f"""## The whole command
+
+`lobewise denoise room.exr -o out.exr`, a process of its own, on the room at {size} with {file["channels"]} channels ({file["bytes"] / 1e6:.0f} MB, {file["compression"]}), kernels compiled before;
+beside it the same filter, reading and writing alone, warm, in turn, seconds, medians of {speed["rounds"]} rounds (`benchmarks/foreign/speed.py`, {speed["machine"]["threads"]} threads). Direct and indirect
+light of every layer are filtered each, so that they can be written back.
+
+{make_table(["quality", "command", "filter alone", "reading", "writing", "command over filter"], rows)}
+"""
 
 
 def make_section(name: str, measured: Mapping[str, Any]) -> str:

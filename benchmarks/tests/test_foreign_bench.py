@@ -123,8 +123,9 @@ def test_ratios_are_geometric_means() -> None:
 
 
 def test_the_page_says_what_was_measured() -> None:
-    measured = json.loads((ROOT / "benchmarks" / "results" / "foreign.json").read_text())
-    page = import_module("benchmarks.pages.foreign").make_foreign_page(measured)
+    results = ROOT / "benchmarks" / "results"
+    measured, speed = (json.loads((results / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
+    page = import_module("benchmarks.pages.foreign").make_foreign_page(measured, speed)
     assert (ROOT / "docs" / "renderers_results.md").read_text() == page
 
 
@@ -152,3 +153,12 @@ def test_luxcore_still_writes_what_is_kept(tmp_path: Path) -> None:
             rtol=0.1,
             atol=0.02,
         )
+
+
+def test_the_command_and_its_steps_are_timed_in_turn(tmp_path: Path) -> None:
+    speed = import_module("benchmarks.foreign.speed")
+    figures = speed.measure_file(FILES["blender"], "fast", 1)
+    assert set(figures) == {"command", "filter", "read", "write", "command over filter"}
+    assert all(value > 0.0 for value in figures.values())
+    # A process of its own starts besides.
+    assert figures["command"] > figures["filter"]
