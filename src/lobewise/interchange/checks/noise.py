@@ -25,6 +25,8 @@ INDEPENDENT = -0.605
 independent: for those it is -2/3; texture and shadows raise it in some tiles, a filter in all."""
 SCATTERED = 0.25
 """Difference of that of the middle tile from which on light that changes is the cause, and no filter."""
+LEAST_SHARED = -0.62
+"""That of the lowest tile of all, above which a filter is the cause."""
 SMOOTH = -0.3
 """That of the lowest quarter from which on no noise of samples is left."""
 STRONG, STRONG_ALONE = 0.034, 0.02
@@ -71,7 +73,8 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
     count = frame.spp
     alike = lowest > INDEPENDENT
     strength = typical * float(np.sqrt(count or 1))
-    everywhere = alike and middle - lowest < SCATTERED and typical > FAINTEST
+    # A filter raises it in every tile; where long renders leave little but shadows and textures, some still tell.
+    everywhere = alike and correlation.min() > LEAST_SHARED and middle - lowest < SCATTERED and typical > FAINTEST
     if everywhere and strength > (STRONG if count else STRONG_ALONE):
         told = (
             "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several: the "
