@@ -67,7 +67,7 @@ cannot be otherwise.
   every pass and the blur of its guide, the averages that the network reads, coverage. `tests/streaming/test_reach.py` holds each link against the
   truth: a change at its edge shows, one outside changes nothing.
 - **Rays know their row.** The camera of a band (`Camera.crop_rows`) is that of the whole frame, and so are pixel angles and the band-limit.
-- **Bands begin at even rows**, because without halves of the samples the colours of a checkerboard take their place.
+- **Bands begin at even rows**, because without halves of the samples the colours of a checkerboard tell fireflies.
 - **What is a property of the whole frame is measured first**, in a pass over the file: how bright each layer's samples are (what is dark is a share of that),
   what fireflies lose, the noise that `fast` resolves "auto" by, the number of bad pixels. Each is a sum of one number for each row, so that it does not matter how the rows
   were cut. A filter's own output tells none of it, or it would have to run twice.

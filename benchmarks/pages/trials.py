@@ -51,7 +51,7 @@ python -m benchmarks.training.train --cache DIR
 ## Together with Open Image Denoise
 
 `denoise(frame, with_oidn=True)`, `--with-oidn`: `high`, then a mixture with what Open Image Denoise makes of the frame, pixel by pixel, in proportions that a third network reads off the same
-inputs and the difference of both. Of a frame whose light is not told apart it is Open Image Denoise's image, which is better there. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
+inputs and the difference of both. Of a frame whose light is not told apart it is Open Image Denoise's image, because the network knows no such frames. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
 
 {peer}
 

@@ -11,6 +11,17 @@ import OpenEXR
 
 from lobewise.camera import Camera
 
+REAL = (
+    "arnold_multichannel.exr",
+    "beachball_multipart.0001.exr",
+    "beachball_singlepart.0001.exr",
+    "bright_rings_nan_inf.exr",
+    "display_window_t03.exr",
+    "mitsuba_multi_channels.exr",
+    "special_chars.exr",
+    "vray_cornellBox_CryptoWildcard.0001.exr",
+)
+"""Real files of the folder that LOBEWISE_TEST_DATA names."""
 HEIGHT, WIDTH = 36, 48
 CAMERA = Camera((0.3, -5.0, 1.6), (-0.05, 1.0, -0.2), (0.0, 0.0, 1.0), 0.7)
 

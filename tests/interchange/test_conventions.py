@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from renderers import WRITERS, Written, make_scene, name, write
+from renderers import REAL, WRITERS, Written, make_scene, name, write
 
 import lobewise
 from lobewise.camera import Camera
@@ -469,16 +469,6 @@ def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> Non
 
 
 RIGHT = ("blender_4.5_seed1.exr", "blender_4.5_seed2.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
-REAL = (
-    "arnold_multichannel.exr",
-    "beachball_multipart.0001.exr",
-    "beachball_singlepart.0001.exr",
-    "bright_rings_nan_inf.exr",
-    "display_window_t03.exr",
-    "mitsuba_multi_channels.exr",
-    "special_chars.exr",
-    "vray_cornellBox_CryptoWildcard.0001.exr",
-)
 
 
 @pytest.mark.parametrize("file", RIGHT)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from renderers import WRITERS, make_scene, write
+from renderers import REAL, WRITERS, make_scene, write
 
 import lobewise
 from lobewise.cli.main import run
@@ -17,16 +17,6 @@ from lobewise.io.exr.header import DENOISED
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 
-REAL = (
-    "arnold_multichannel.exr",
-    "beachball_multipart.0001.exr",
-    "beachball_singlepart.0001.exr",
-    "bright_rings_nan_inf.exr",
-    "display_window_t03.exr",
-    "mitsuba_multi_channels.exr",
-    "special_chars.exr",
-    "vray_cornellBox_CryptoWildcard.0001.exr",
-)
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
 

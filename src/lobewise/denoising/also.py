@@ -17,9 +17,8 @@ from lobewise.backend.buffers import Image, device_scope, download
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.denoising.guided import NoisyLayer, finish_layer, make_noisy_layers, make_pass_guide, run_pass
-from lobewise.denoising.layers import Layer, make_layers
+from lobewise.denoising.layers import Layer, filter_layer, make_layers
 from lobewise.features import Feature
-from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
@@ -95,15 +94,7 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
 def _run_plain(layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]) -> list[FloatArray]:
     found = []
     for image in images:
-        output = run_filter(
-            image,
-            layer.mask,
-            layer.features,
-            form=settings.form,
-            radius=settings.radius,
-            albedo=layer.albedo,
-            device=settings.device,
-        )
+        output = filter_layer(layer, settings, image)
         lost = (output.weight_sum <= 0.0)[..., None]
         found.append(np.where(lost, blacken_bad(image), output.image))
     return found

@@ -27,8 +27,7 @@ DARKEST = 1e-30
 def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArray], device: str) -> FloatArray:
     """Return a mixture of ``image`` and what Open Image Denoise makes of the frame, (height, width, 3).
 
-    Of a frame whose light is not told apart it is what that makes: no such frame was in the training, and ours had 1.5
-    to 7 times its error on all that were looked at.
+    Of a frame whose light is not told apart it is what that makes: the network was trained on none.
 
     Parameters
     ----------

@@ -21,6 +21,7 @@ from lobewise.features import (
     SgFeature,
     SgMixtureFeature,
 )
+from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field
@@ -190,6 +191,19 @@ def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings, *, finest: boo
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
+
+
+def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) -> FilterOutput:
+    """Return an image, the layer's or one that belongs to it, after one pass by the layer's features."""
+    return run_filter(
+        image,
+        layer.mask,
+        layer.features,
+        form=settings.form,
+        radius=settings.radius,
+        albedo=layer.albedo,
+        device=settings.device,
+    )
 
 
 def find_whole_albedo(guides: GBuffer) -> FloatArray | None:

@@ -23,9 +23,9 @@ from lobewise.denoising.guided import (
     resolve_guided,
 )
 from lobewise.denoising.high import find_high_reach, mix_layer
-from lobewise.denoising.layers import Layer, Support, find_support, make_layers
+from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
 from lobewise.features import Feature
-from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray, Frame, Result
@@ -185,18 +185,7 @@ def find_reach(settings: ResolvedSettings) -> int:
 def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> Filtered:
     """Filter every layer in one pass, by its guides alone."""
     layers = make_layers(frame, settings, features, finest=True)
-    outputs = [
-        run_filter(
-            layer.radiance,
-            layer.mask,
-            layer.features,
-            form=settings.form,
-            radius=settings.radius,
-            albedo=layer.albedo,
-            device=settings.device,
-        )
-        for layer in layers
-    ]
+    outputs = [filter_layer(layer, settings, layer.radiance) for layer in layers]
     parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
     return Filtered(layers, parts, outputs, compose(frame, parts))
 
