@@ -16,7 +16,7 @@ import pytest
 from lobewise import frame
 from lobewise.backend import disk
 from lobewise.backend.buffers import Buffer
-from lobewise.backend.disk import fetch_object, find_cache_folder
+from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder
 from lobewise.backend.jit import Kernel, describe_kernel, describe_key
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call
@@ -36,9 +36,10 @@ import numpy as np
 from lobewise.features import NormalFeature, ScreenFeature
 from lobewise.filters.cross_filter import run_filter
 import lobewise.backend.jit as jit
+import lobewise.backend.objects as objects
 import lobewise.backend.runtime as runtime
 made = []
-compile_object = runtime.compile_object
+compile_object = objects.compile_object
 runtime.compile_object = jit.compile_object = lambda write: (made.append(1), compile_object(write))[1]
 Own = type("Own", (ScreenFeature,), {{}})
 FEATURE = {feature}
@@ -52,6 +53,16 @@ def run_program(folder: Path | str, feature: str = "ScreenFeature(1.0)") -> str:
     told = {**os.environ, "LOBEWISE_CACHE": str(folder)}
     program = PROGRAM.format(feature=feature)
     return subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, env=told, text=True).stdout
+
+
+def make_elf() -> bytes:
+    """Return an object file with two empty sections."""
+    head = bytearray(64)
+    head[:6] = b"\x7fELF\x02\x01"
+    head[16:18] = (1).to_bytes(2, "little")
+    head[40:48] = (64).to_bytes(8, "little")
+    head[58:64] = b"".join(number.to_bytes(2, "little") for number in (64, 2, 1))
+    return bytes(head) + bytes(128)
 
 
 class TestFolder:
@@ -76,13 +87,13 @@ class TestFolder:
 
         def make() -> tuple[bytes, dict[str, Any]]:
             made.append(1)
-            return b"code\nwith a line", {"kinds": ["buffer"]}
+            return make_elf() + b"\nwith a line", {"kinds": ["buffer"]}
 
         content, head = fetch_object("something", make)
         (path,) = tmp_path.glob("*.kernel")
         path.write_bytes(damage)
         for _ in range(2):
-            assert fetch_object("something", make)[0] == content == b"code\nwith a line"
+            assert fetch_object("something", make)[0] == content == make_elf() + b"\nwith a line"
         assert head["kinds"] == ["buffer"]
         assert len(made) == 2
         assert list(tmp_path.iterdir()) == [path]
@@ -90,7 +101,8 @@ class TestFolder:
     def test_a_folder_that_cannot_be_made_is_done_without(self, tmp_path, monkeypatch):
         (tmp_path / "file").write_text("")
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / "file" / "folder"))
-        assert fetch_object("something", lambda: (b"code", {}))[0] == b"code"
+        with pytest.warns(CacheWarning, match="not kept"):
+            assert fetch_object("something", lambda: (b"code", {}))[0] == b"code"
 
     def test_files_not_used_for_longest_go(self, tmp_path, monkeypatch):
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))

@@ -1,6 +1,7 @@
 """Compiled kernels on disk: object files by what they were made from, in the user's folder for caches.
 
-The environment variable ``LOBEWISE_CACHE`` names another folder, or is ``off``.
+The environment variable ``LOBEWISE_CACHE`` names another folder, or is ``off``. Kernels are machine code that this
+process runs, so that files are only taken from folders that nobody else can write to (`lobewise.backend.trust`).
 """
 
 from __future__ import annotations
@@ -8,7 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
+import secrets
+import sys
+import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -16,55 +20,150 @@ from typing import Any
 
 import platformdirs
 
+from lobewise.backend.objects import is_object
+from lobewise.backend.trust import find_folder_problem, read_trusted
+
 OLD_FILES = 4000
 """Files in the folder above which those that were not used for longest go."""
+MAX_FILE_BYTES = 2**26
+MAX_TEMPORARY_SECONDS = 3600.0
+"""Age from which on a temporary file is one that a killed process left."""
+_TEMPORARY = ".lobewise-"
+"""How the names of temporary files begin."""
+
+
+class CacheWarning(UserWarning):
+    """Compiled kernels are not kept, or one that was found is not used; results are not affected."""
 
 
 def find_cache_folder() -> Path | None:
-    """Return where compiled kernels are kept; None where nowhere."""
+    """Return where compiled kernels are kept; None where nowhere: they are switched off, or the user has no folder."""
     named = os.environ.get("LOBEWISE_CACHE", "")
     if named == "off":
         return None
-    return Path(named) if named else platformdirs.user_cache_path("lobewise", appauthor=False)
+    if named:
+        return Path(os.path.abspath(named))
+    return _find_user_folder()
 
 
-def fetch_object(known: str | None, make: Callable[[], tuple[bytes, dict[str, Any]]]) -> tuple[bytes, dict[str, Any]]:
+def _find_user_folder() -> Path | None:
+    """Return the user's folder for caches; None where the system knows of no home.
+
+    An empty ``HOME`` counts as none: caches would land in the root of the file system.
+    """
+    if os.name == "posix" and not os.environ.get("HOME") and not os.environ.get("XDG_CACHE_HOME"):
+        import pwd
+
+        try:
+            home = pwd.getpwuid(os.getuid()).pw_dir
+        except KeyError:
+            return None
+        folder = "Library/Caches" if sys.platform == "darwin" else ".cache"
+        return Path(home, folder, "lobewise")
+    try:
+        found = platformdirs.user_cache_path("lobewise", appauthor=False)
+    except RuntimeError:
+        # The home is no absolute path.
+        return None
+    return found if found.is_absolute() else None
+
+
+def find_trusted_folder() -> Path | None:
+    """Return where compiled kernels are kept if nobody else can write there; where others can, warn and return None."""
+    folder = find_cache_folder()
+    if folder is None:
+        return None
+    problem = find_folder_problem(folder)
+    if problem:
+        _warn(
+            f"Compiled kernels are not kept in {str(folder)!r}, because {problem}: make it a folder that only you can "
+            "write to (chmod go-w), or let LOBEWISE_CACHE name another one."
+        )
+    return None if problem else folder
+
+
+def fetch_object(
+    known: str | None, make: Callable[[], tuple[bytes, dict[str, Any]]], *, symbol: str = ""
+) -> tuple[bytes, dict[str, Any]]:
     """Return an object file and what goes with it, from disk where it is there; ``known`` tells what it is made from.
 
-    A file that cannot be read, or is not whole, is made again; one that cannot be written is done without.
+    A file that cannot be read, is not whole or does not name ``symbol`` is made again; so is one that others can write
+    to, with a warning. Where none can be written, the program goes on without.
     """
-    folder = find_cache_folder()
+    folder = find_trusted_folder()
     if known is None or folder is None:
         return make()
     path = folder / (hashlib.sha256(known.encode()).hexdigest()[:40] + ".kernel")
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        line, content = path.read_bytes().split(b"\n", 1)
-        head = json.loads(line)
-        if head["sha256"] == hashlib.sha256(content).hexdigest():
-            os.utime(path)
-            return content, head
-    content, head = make()
-    head = {**head, "sha256": hashlib.sha256(content).hexdigest()}
-    if write_whole(path, json.dumps(head).encode() + b"\n" + content):
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        whole, problem = read_trusted(path, MAX_FILE_BYTES)
+        if problem:
+            _warn(f"The compiled kernel {str(path)!r} {problem}: it is not used, and compiled anew.")
+        else:
+            line, content = whole.split(b"\n", 1)
+            head = json.loads(line)
+            if head["digest"] == _digest(known, head["told"], content) and is_object(content, symbol):
+                os.utime(path)
+                return content, head["told"]
+    content, told = make()
+    head = {"digest": _digest(known, told, content), "told": told}
+    problem = write_whole(path, json.dumps(head).encode() + b"\n" + content)
+    if problem:
+        _warn(
+            f"Compiled kernels cannot be kept in {str(folder)!r} ({problem}), so every run compiles them again; let "
+            "LOBEWISE_CACHE name a folder that can be written to, or set it to off."
+        )
+    else:
         _remove_old(folder)
-    return content, head
+    return content, told
 
 
-def write_whole(path: Path, content: bytes) -> bool:
-    """Write a file at once or not at all, and return whether that could be done."""
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.replace(name, path)
-        return True
-    return False
+def _digest(known: str, told: dict[str, Any], content: bytes) -> str:
+    """Return a checksum of all that a file holds, with its key: a file that was given another's name does not count."""
+    head = json.dumps([known, told, hashlib.sha256(content).hexdigest()], sort_keys=True)
+    return hashlib.sha256(head.encode()).hexdigest()
+
+
+def write_whole(path: Path, content: bytes) -> str:
+    """Write a file that this user alone can read, at once or not at all; return why it failed, empty if it did not."""
+    temporary = path.parent / f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        try:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            with os.fdopen(os.open(temporary, flags, 0o600), "wb") as file:
+                file.write(content)
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink()
+    except OSError as problem:
+        return (problem.strerror or str(problem)).lower()
+    return ""
 
 
 def _remove_old(folder: Path) -> None:
-    """Remove the files that were not used for longest, where there are too many."""
-    files = list(folder.glob("*.kernel"))
+    """Remove what killed processes left, and where there are too many files those that were not used for longest."""
+    files: list[tuple[float, Path]] = []
+    latest = time.time() - MAX_TEMPORARY_SECONDS
+    for path in folder.iterdir():
+        with suppress(OSError):
+            changed = path.lstat().st_mtime
+            # Names of temporary files began with "tmp" once.
+            is_temporary = path.name.startswith(_TEMPORARY) or (path.name.startswith("tmp") and not path.suffix)
+            if is_temporary and changed < latest:
+                path.unlink()
+            elif path.suffix == ".kernel":
+                files.append((changed, path))
     if len(files) > OLD_FILES:
-        for path in sorted(files, key=lambda path: path.stat().st_mtime)[: len(files) - OLD_FILES // 2]:
+        for _, path in sorted(files)[: len(files) - OLD_FILES // 2]:
             path.unlink(missing_ok=True)
+
+
+_told: set[str] = set()
+
+
+def _warn(text: str) -> None:
+    """Warn once in a process."""
+    if text not in _told:
+        _told.add(text)
+        warnings.warn(text, CacheWarning, stacklevel=2)

@@ -24,7 +24,8 @@ import halide as hl
 from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
-from lobewise.backend.runtime import Runtime, compile_object, get_runtime
+from lobewise.backend.objects import compile_object
+from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_modules
 
@@ -184,7 +185,7 @@ def _load(
             "parameters": [astuple(each) for each in funcs.signature.parameters],
         }
 
-    content, head = fetch_object(known, compile_kernel)
+    content, head = fetch_object(known, compile_kernel, symbol=f"{symbol}_argv")
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))
 
 

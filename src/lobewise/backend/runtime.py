@@ -5,12 +5,10 @@ from __future__ import annotations
 import ctypes
 import os
 import re
-import tempfile
 import threading
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import halide as hl
@@ -18,6 +16,7 @@ import llvmlite.binding as llvm
 
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
+from lobewise.backend.objects import compile_object
 from lobewise.errors import DeviceError
 
 _CONSTRUCTORS = {
@@ -49,7 +48,7 @@ class Runtime:
             hl.compile_standalone_runtime(path, target)
 
         known = f"runtime {version('halide')} {target}"
-        content, _ = fetch_object(known, lambda: (compile_object(compile_runtime), {}))
+        content, _ = fetch_object(known, lambda: (compile_object(compile_runtime), {}), symbol="halide_error")
         self._engine = _load_object(content)
         self._loaded: list[Any] = []
         for name in _CONSTRUCTORS.get(device, ()):
@@ -105,7 +104,7 @@ class Runtime:
 
 
 def _load_object(content: bytes) -> Any:
-    """Return an engine that holds an object file."""
+    """Return an engine that holds an object file, which must be whole: LLVM ends the process at one that is not."""
     machine = llvm.Target.from_default_triple().create_target_machine()
     # llvmlite's memory manager lays the sections of a file side by side, so that they reach each other.
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)
@@ -133,11 +132,3 @@ def get_runtime(device: str) -> Runtime:
 @cache
 def _start_runtime(device: str) -> Runtime:
     return Runtime(device)
-
-
-def compile_object(write: Callable[[str], None]) -> bytes:
-    """Return the object file that ``write`` writes to a path."""
-    with tempfile.TemporaryDirectory(prefix="lobewise-") as folder:
-        path = Path(folder) / "kernel.o"
-        write(str(path))
-        return path.read_bytes()

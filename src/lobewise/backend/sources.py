@@ -15,8 +15,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from lobewise.backend.disk import find_cache_folder, write_whole
+from lobewise.backend.disk import MAX_FILE_BYTES, find_trusted_folder, write_whole
+from lobewise.backend.trust import read_trusted
 
 PACKAGE = "lobewise"
 _ROOT = Path(__file__).parents[1]
@@ -76,6 +78,13 @@ def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
+def _check(digest: Any, imports: Any) -> Source:
+    """Return what was remembered of a file; raise ValueError if it is something else."""
+    if not isinstance(digest, str) or not all(isinstance(name, str) for name in imports):
+        raise ValueError(digest)
+    return Source(digest, tuple(imports))
+
+
 @cache
 def _find_file(name: str) -> Path | None:
     first, *rest = name.split(".")
@@ -89,14 +98,15 @@ class _Kept:
     """What files hold, by the digest of their bytes, remembered on disk."""
 
     def __init__(self) -> None:
-        folder = find_cache_folder()
+        folder = find_trusted_folder()
         self._path = None if folder is None else folder / _KEPT
         self._known: dict[str, Source] = {}
         self._changed = False
         if self._path is not None:
-            with suppress(OSError, ValueError, TypeError, AttributeError):
-                read = json.loads(self._path.read_text()).items()
-                self._known = {key: Source(digest, tuple(imports)) for key, (digest, imports) in read}
+            # A file that cannot be trusted or read is written anew.
+            with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
+                text, _ = read_trusted(self._path, MAX_FILE_BYTES)
+                self._known = {key: _check(*told) for key, told in json.loads(text).items()}
 
     def fetch(self, path: Path) -> Source:
         """Return what a file holds."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 
 import typer
@@ -13,6 +14,7 @@ import lobewise
 from lobewise.errors import LobewiseError
 
 EXIT_OK, EXIT_OURS, EXIT_USER, EXIT_INTERRUPTED = 0, 1, 2, 130
+_PYTHONS_WAY = warnings.showwarning
 REPORT_AT = "https://github.com/lobewise/lobewise/issues"
 
 
@@ -41,6 +43,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
     command = typer.main.get_command(app)
+    warnings.showwarning = _show_warning
     try:
         # Not by its own `main`, which has its own ideas of exit codes, interrupts and closed pipes.
         with command.make_context("lobewise", arguments or ["--help"]) as context:
@@ -67,6 +70,14 @@ def run(arguments: list[str]) -> int:
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
         text = f"something went wrong inside lobewise {lobewise.__version__} ({what}); run it again with --debug"
         return _fail(f"{text} and report what it says at {REPORT_AT}.", EXIT_OURS, debug)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *rest: object, **more: object) -> None:
+    """Show a warning of this package as the other remarks; leave all others to Python."""
+    if category.__module__.startswith("lobewise."):
+        sys.stderr.write(f"lobewise: {message}\n")
+    else:
+        _PYTHONS_WAY(message, category, *rest, **more)  # type: ignore[arg-type]
 
 
 def _fail(text: str, code: int, debug: bool) -> int:

@@ -1,0 +1,241 @@
+"""Machine code is taken from this user's files alone, and only whole object files reach the loader."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lobewise.backend import disk, trust
+from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder, write_whole
+from lobewise.backend.objects import compile_object, is_object
+from lobewise.backend.trust import find_folder_problem, find_problem
+from tests.backend.test_jit import PROGRAM, make_elf
+
+pytestmark = [
+    pytest.mark.processor,
+    pytest.mark.skipif(os.name != "posix", reason="Windows has no modes of files"),
+]
+
+
+@pytest.fixture(autouse=True)
+def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every test be told again."""
+    monkeypatch.setattr(disk, "_told", set())
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a cache that holds one object file."""
+    path = tmp_path / "cache"
+    monkeypatch.setenv("LOBEWISE_CACHE", str(path))
+    fetch_object("something", make)
+    return path
+
+
+@pytest.fixture(scope="session")
+def code() -> bytes:
+    """Return an object file of two functions."""
+    import halide as hl
+
+    x, func = hl.Var("x"), hl.Func("f")
+    func[x] = 2 * x
+    target = hl.get_host_target().with_feature(hl.TargetFeature.NoRuntime)
+    return compile_object(lambda path: hl.Pipeline(func).compile_to_object(path, [], "twice", target))
+
+
+_made: list[int] = []
+
+
+def make() -> tuple[bytes, dict[str, Any]]:
+    """Return the smallest whole ELF file, and count how often it was asked for."""
+    _made.append(1)
+    return make_elf(), {"parameters": []}
+
+
+def count_made() -> int:
+    """Return how often the object file is made when it is asked for now."""
+    before = len(_made)
+    assert fetch_object("something", make)[0] == make_elf()
+    return len(_made) - before
+
+
+class TestModes:
+    def test_only_this_user_can_read_what_is_written(self, folder: Path) -> None:
+        (path,) = folder.iterdir()
+        assert folder.stat().st_mode & 0o777 == 0o700
+        assert path.stat().st_mode & 0o777 == 0o600
+        assert count_made() == 0
+
+    @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o707])
+    def test_a_folder_that_others_can_write_to_is_refused(self, folder: Path, mode: int) -> None:
+        folder.chmod(mode)
+        with pytest.warns(CacheWarning, match="every user.*LOBEWISE_CACHE"):
+            assert count_made() == 1
+        # Told once.
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert count_made() == 1
+
+    def test_so_is_one_below_it(self, folder: Path) -> None:
+        folder.parent.chmod(0o777)
+        assert "every user" in find_folder_problem(folder)
+        folder.parent.chmod(0o1777)
+        assert find_folder_problem(folder) == ""
+
+    @pytest.mark.parametrize("mode", [0o666, 0o602])
+    def test_a_file_that_others_can_write_to_is_compiled_anew(self, folder: Path, mode: int) -> None:
+        (path,) = folder.iterdir()
+        path.chmod(mode)
+        with pytest.warns(CacheWarning, match="every user"):
+            assert count_made() == 1
+        assert path.stat().st_mode & 0o777 == 0o600
+        assert count_made() == 0
+
+    @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
+    def test_files_and_folders_of_another_user(self, folder: Path) -> None:
+        (path,) = folder.iterdir()
+        os.chown(path, 12345, 12345)
+        with pytest.warns(CacheWarning, match="another user"):
+            assert count_made() == 1
+        os.chown(folder, 12345, 12345)
+        with pytest.warns(CacheWarning, match="another user"):
+            assert count_made() == 1
+
+    def test_groups(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        tmp_path.chmod(0o770)
+        monkeypatch.setattr(trust, "_is_private_group", lambda group: False)
+        assert "group" in find_problem(tmp_path.stat())
+        monkeypatch.setattr(trust, "_is_private_group", lambda group: True)
+        assert find_problem(tmp_path.stat()) == ""
+
+    def test_links_are_not_followed(self, folder: Path, tmp_path: Path) -> None:
+        (path,) = folder.iterdir()
+        path.rename(tmp_path / "elsewhere")
+        path.symlink_to(tmp_path / "elsewhere")
+        assert count_made() == 1
+        assert not path.is_symlink()
+
+    def test_a_file_with_the_name_of_another_does_not_count(self, folder: Path) -> None:
+        (path,) = folder.iterdir()
+        fetch_object("other", make)
+        other = next(each for each in folder.iterdir() if each != path)
+        other.replace(path)
+        assert count_made() == 1
+
+    def test_digests_of_sources_that_others_can_write_to_do_not_count(self, folder: Path) -> None:
+        from lobewise.backend.sources import describe_modules
+
+        told = describe_modules(["lobewise.frame"])
+        path = folder / "sources.json"
+        known = json.loads(path.read_text())
+        path.write_text(json.dumps({key: ["0", imports] for key, (_, imports) in known.items()}))
+        assert describe_modules(["lobewise.frame"]) != told
+        path.chmod(0o666)
+        assert describe_modules(["lobewise.frame"]) == told
+
+
+class TestObjects:
+    def test_whole_ones_pass(self, code: bytes) -> None:
+        assert is_object(code, "twice")
+        assert is_object(make_elf())
+        assert not is_object(code, "thrice")
+
+    def test_no_other_reaches_the_loader(self, code: bytes) -> None:
+        for damaged in (b"", b"twice\0" * 50, code[:64], code[: len(code) // 2], code[:-1], code[::-1]):
+            assert not is_object(damaged, "twice")
+
+    def test_an_empty_one_with_a_valid_checksum_is_compiled_anew(self, tmp_path: Path) -> None:
+        # The digest of a file without code is right, as a compiler on a full disk would have left it.
+        program = PROGRAM.format(feature="ScreenFeature(1.0)")
+        poison = (
+            "from lobewise.backend import disk\n"
+            "write = disk.write_whole\n"
+            "digest = disk._digest\n"
+            "disk._digest = lambda known, told, content: digest(known, told, b'')\n"
+            "disk.write_whole = lambda path, content: write(path, content.split(b'\\n', 1)[0] + b'\\n')\n"
+        )
+        environment = {**os.environ, "LOBEWISE_CACHE": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", poison + program], check=True, env=environment, capture_output=True)
+        assert all(path.read_bytes().endswith(b"\n") for path in tmp_path.glob("*.kernel"))
+        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (0, "2 True\n"), done.stderr
+
+    def test_a_disk_that_is_full(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", refuse)
+        with pytest.warns(CacheWarning, match="no space left"):
+            fetch_object("other", make)
+        assert [path.suffix for path in folder.iterdir()] == [".kernel"]
+
+    def test_what_killed_processes_left_is_removed(self, folder: Path) -> None:
+        for name in ("tmpab12cd34", ".lobewise-1-00"):
+            (folder / name).write_text("")
+            os.utime(folder / name, (1.0, 1.0))
+        young, other = folder / ".lobewise-2-00", folder / "notes.txt"
+        young.write_text("")
+        other.write_text("")
+        os.utime(other, (1.0, 1.0))
+        fetch_object("other", make)
+        assert {path.name for path in folder.iterdir() if path.suffix != ".kernel"} == {young.name, other.name}
+        assert time.time() - young.stat().st_mtime < disk.MAX_TEMPORARY_SECONDS
+
+
+class TestHomes:
+    @pytest.mark.parametrize("home", [None, ""])
+    def test_a_user_without_a_home(self, home: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+        import pwd
+
+        monkeypatch.delenv("LOBEWISE_CACHE", raising=False)
+        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+        if home is None:
+            monkeypatch.delenv("HOME", raising=False)
+        else:
+            monkeypatch.setenv("HOME", home)
+        own = Path(pwd.getpwuid(os.getuid()).pw_dir)
+        found = find_cache_folder()
+        assert found is not None
+        assert own in found.parents
+
+        def know_nobody(number: int) -> None:
+            raise KeyError(number)
+
+        monkeypatch.setattr(pwd, "getpwuid", know_nobody)
+        assert find_cache_folder() is None
+        assert fetch_object("something", make)[0] == make_elf()
+
+    @pytest.mark.parametrize("name", ["file/folder", "file", "x" * 300])
+    def test_folders_that_cannot_be(self, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        (tmp_path / "file").write_text("")
+        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / name))
+        with pytest.warns(CacheWarning, match="LOBEWISE_CACHE"):
+            assert count_made() == 1
+
+    def test_names_that_are_not_utf8(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("LOBEWISE_CACHE", os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+        assert count_made() == 1
+        assert count_made() == 0
+
+    def test_relative_ones(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("LOBEWISE_CACHE", "here")
+        assert write_whole(tmp_path / "here" / "a", b"") == ""
+        assert find_cache_folder() == tmp_path / "here"
+        monkeypatch.delenv("LOBEWISE_CACHE")
+        monkeypatch.setenv("XDG_CACHE_HOME", "here")
+        found = find_cache_folder()
+        assert found is None or found.is_absolute()
+
+
+def test_a_compiler_that_writes_nothing_is_told() -> None:
+    with pytest.raises(OSError, match="disk full"):
+        compile_object(lambda path: Path(path).write_bytes(b""))
