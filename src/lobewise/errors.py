@@ -48,6 +48,14 @@ class UnsupportedBsdfError(LobewiseError):
     """A scene uses a BSDF that cannot be evaluated."""
 
 
+def make_printable(text: str) -> str:
+    """Return a text that any terminal can show and none obeys: escapes in place of control characters and odd bytes.
+
+    Lines and tabs stay.
+    """
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else ascii(letter)[1:-1] for letter in text)
+
+
 def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
     """Return the one sentence of an error: ``what``, what was expected, what came, what to do.
 

@@ -2,6 +2,73 @@
 
 from __future__ import annotations
 
-from lobewise.cli.main import main
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+EXIT_INTERRUPTED = 130
+INTERRUPTED = "interrupted; every output is whole, or as it was."
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the program and leave with its exit code.
+
+    Ctrl-C ends the process at once while modules are imported and when all is done: nothing is being written then, and
+    Python would print a traceback of whatever it was doing.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Command line without the program's name; by default that of the process.
+
+    Raises
+    ------
+    SystemExit
+        Always: 0 when all went well, 2 for a mistake that the user can mend, 1 for one of ours, 130 for Ctrl-C.
+    """
+    is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    if not is_ignored:
+        _set_handler(_leave)
+    from lobewise.cli.main import run
+
+    if not is_ignored:
+        _set_handler(_interrupt)
+    try:
+        code = run(list(sys.argv[1:] if arguments is None else arguments))
+    except KeyboardInterrupt:
+        _say_interrupted()
+        code = EXIT_INTERRUPTED
+    if not is_ignored:
+        _set_handler(_leave)
+    sys.exit(code)
+
+
+def _set_handler(handler: object) -> None:
+    # Only the main thread may: in any other Ctrl-C does not arrive either.
+    with suppress(ValueError):
+        signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
+
+
+interrupts: list[int] = []
+"""Signals of Ctrl-C that this process got: a library may turn the exception of one into another."""
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    interrupts.append(number)
+    raise KeyboardInterrupt
+
+
+def _leave(number: int, frame: object) -> NoReturn:
+    _say_interrupted()
+    os._exit(EXIT_INTERRUPTED)
+
+
+def _say_interrupted() -> None:
+    with suppress(OSError):
+        os.write(2, f"lobewise: {INTERRUPTED}\n".encode())
+
 
 __all__ = ["main"]

@@ -1,43 +1,33 @@
-"""Entry point: which verb runs, and what its failures look like."""
+"""Which verb runs, and what its failures look like."""
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from contextlib import suppress
 
 import typer
 
 import lobewise
-from lobewise.errors import LobewiseError
+from lobewise.cli import EXIT_INTERRUPTED, INTERRUPTED, interrupts
+from lobewise.errors import LobewiseError, make_printable
 
-EXIT_OK, EXIT_OURS, EXIT_USER, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_OK, EXIT_OURS, EXIT_USER = 0, 1, 2
 _PYTHONS_WAY = warnings.showwarning
 REPORT_AT = "https://github.com/lobewise/lobewise/issues"
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the program and leave with its exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Command line without the program's name; by default that of the process.
-
-    Raises
-    ------
-    SystemExit
-        Always: 0 when all went well, 2 for a mistake that the user can mend, 1 for one of ours, 130 for Ctrl-C.
-    """
-    sys.exit(run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
 def run(arguments: list[str]) -> int:
     """Run the program and return its exit code."""
     from lobewise.cli.commands import app
 
+    for stream in (sys.stdout, sys.stderr):
+        # Names of files may hold bytes, and messages letters, that the terminal's encoding lacks.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # Accepted anywhere, because it is added to a line that has just failed.
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
@@ -48,7 +38,8 @@ def run(arguments: list[str]) -> int:
         # Not by its own `main`, which has its own ideas of exit codes, interrupts and closed pipes.
         with command.make_context("lobewise", arguments or ["--help"]) as context:
             command.invoke(context)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
         return EXIT_OK
     except typer.Exit as leave:
         return int(leave.exit_code)
@@ -59,8 +50,10 @@ def run(arguments: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; every output is whole, or as it was.", EXIT_INTERRUPTED, debug)
+        return _fail(INTERRUPTED, EXIT_INTERRUPTED, debug)
     except Exception as problem:
+        if interrupts:
+            return _fail(INTERRUPTED, EXIT_INTERRUPTED, debug)
         if hasattr(problem, "format_message"):
             # A mistake in the command line, told by the parser, whose class depends on typer's version.
             verb = next((word for word in arguments if not word.startswith("-")), "")
@@ -75,7 +68,7 @@ def run(arguments: list[str]) -> int:
 def _show_warning(message: Warning | str, category: type[Warning], *rest: object, **more: object) -> None:
     """Show a warning of this package as the other remarks; leave all others to Python."""
     if category.__module__.startswith("lobewise."):
-        sys.stderr.write(f"lobewise: {message}\n")
+        _write_line(str(message))
     else:
         _PYTHONS_WAY(message, category, *rest, **more)  # type: ignore[arg-type]
 
@@ -83,5 +76,12 @@ def _show_warning(message: Warning | str, category: type[Warning], *rest: object
 def _fail(text: str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    sys.stderr.write(f"lobewise: {text}\n")
+    _write_line(text)
     return code
+
+
+def _write_line(text: str) -> None:
+    # A process can be started without a standard error.
+    if sys.stderr is not None:
+        with suppress(OSError):
+            sys.stderr.write(f"lobewise: {make_printable(text)}\n")

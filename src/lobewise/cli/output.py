@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from lobewise.errors import make_printable
 from lobewise.frame import Result
 from lobewise.io import FileDescription
 from lobewise.lobe_table import LobeTable
@@ -31,14 +32,19 @@ class _Console(Console):
         raise BrokenPipeError
 
 
+def make_text(text: str, style: str = "") -> Text:
+    """Return a text that comes out letter for letter: no markup, and no control characters of file names."""
+    return Text(make_printable(text), style=style)
+
+
 def print_line(text: str) -> None:
     """Print a line of result, exactly as it is."""
-    _Console().print(Text(text), soft_wrap=True)
+    _Console().print(make_text(text), soft_wrap=True)
 
 
 def print_note(text: str) -> None:
     """Print a remark that is no result."""
-    Console(stderr=True).print(Text(text, style="dim"), soft_wrap=True)
+    Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
 def describe_result(result: Result) -> str:
@@ -87,7 +93,7 @@ def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tupl
     """Print one line of figures per image; the best of each column stands out, and a missing one is none."""
     metrics = list(metrics)
     # Without lines between them seven figures and a name fit 80 columns.
-    table = Table(title=Text(f"against {reference}"), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=make_text(f"against {reference}"), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("image", overflow="fold", min_width=12)
     best: dict[str, float | None] = {}
     for metric in metrics:
@@ -98,18 +104,18 @@ def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tupl
         cells = []
         for metric in metrics:
             stands_out = best[metric] is not None and figures[metric] == best[metric]
-            cells.append(Text(_format(figures[metric], digits=4), style="bold" if stands_out else ""))
-        table.add_row(Text(path), *cells)
+            cells.append(make_text(_format(figures[metric], digits=4), style="bold" if stands_out else ""))
+        table.add_row(make_text(path), *cells)
     _Console().print(table)
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table whose first column is text and whose others are figures."""
-    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=make_text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for place, name in enumerate(header):
         table.add_column(name, justify="right" if place else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*map(make_text, row))
     _Console().print(table)
 
 
@@ -119,7 +125,7 @@ def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
     for title in ("device", "runs here", "what it is, or why not"):
         table.add_column(title, overflow="fold")
     for name, available, reason in devices:
-        table.add_row(Text(name), "yes" if available else "no", Text(reason))
+        table.add_row(make_text(name), "yes" if available else "no", make_text(reason))
     _Console().print(table)
 
 
@@ -127,7 +133,9 @@ def print_fit(table: LobeTable) -> None:
     """Print how near the lobes of a material are to its data at each view, and the GGX that is nearest."""
     many = not table.is_isotropic
     listing = Table(
-        title=Text(f"{table.name}: {table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''} a view"),
+        title=make_text(
+            f"{table.name}: {table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''} a view"
+        ),
         title_justify="left",
     )
     for title in ("n.v", "worst L2 cosine" if many else "L2 cosine", "residual"):
@@ -142,7 +150,7 @@ def print_fit(table: LobeTable) -> None:
         if not many:
             cells.append(", ".join(f"{alpha:.3f}" for alpha in table.alpha[row, 0]))
             cells.append(", ".join(f"{albedo:.2f}" for albedo in table.albedo[row, 0]))
-        listing.add_row(*map(Text, cells))
+        listing.add_row(*map(make_text, cells))
     _Console().print(listing)
 
 
@@ -150,7 +158,9 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
     """Print the parts and channels, what each image of a frame is read from, and what that means."""
     console = _Console()
     size = found.bytes / 1e6
-    console.print(Text(f"{found.path}: {size:.1f} MB, {len(found.parts)} part{'s' if len(found.parts) != 1 else ''}"))
+    console.print(
+        make_text(f"{found.path}: {size:.1f} MB, {len(found.parts)} part{'s' if len(found.parts) != 1 else ''}")
+    )
     for index, part in enumerate(found.parts):
         data, display = part.data_window, part.display_window
         title = (
@@ -159,18 +169,20 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
         window = f"{data.width}x{data.height}"
         if data != display:
             window += f" at ({data.x_min}, {data.y_min}) of {display.width}x{display.height}"
-        table = Table(title=Text(f"{title}: {window}, {part.kind}, {part.compression}"), title_justify="left")
+        table = Table(title=make_text(f"{title}: {window}, {part.kind}, {part.compression}"), title_justify="left")
         for column in ("channel", "type", "read as"):
             table.add_column(column, overflow="fold")
         for channel in part.channels:
-            table.add_row(Text(channel.name), channel.pixel_type, channel.used_as or Text("only copied", style="dim"))
+            table.add_row(
+                make_text(channel.name), channel.pixel_type, channel.used_as or make_text("only copied", style="dim")
+            )
         console.print(table)
         if with_attributes:
             listing = Table(title="attributes", title_justify="left")
             for column in ("name", "type", "value"):
                 listing.add_column(column, overflow="fold")
             for row in part.attributes:
-                listing.add_row(*map(Text, row))
+                listing.add_row(*map(make_text, row))
             console.print(listing)
     table = Table(title="what a frame can have", title_justify="left")
     for column in ("image", "found", "meaning, or what follows without it"):
@@ -180,28 +192,28 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
         if not image.found and image.label.count(".") > 1:
             continue
         text = image.meaning if image.found else f"missing: {image.missing}"
-        table.add_row(image.label, "yes" if image.found else "no", Text(text, style="" if image.found else "dim"))
+        table.add_row(image.label, "yes" if image.found else "no", make_text(text, style="" if image.found else "dim"))
     console.print(table)
     if found.reason:
-        console.print(Text(f"Read as {found.preset}, because {found.reason}."), soft_wrap=True)
+        console.print(make_text(f"Read as {found.preset}, because {found.reason}."), soft_wrap=True)
         listing = Table(title="what is taken", title_justify="left")
         for column in ("image", "channels", "converted"):
             listing.add_column(column, overflow="fold")
         for role in found.roles:
             listing.add_row(
-                Text(role.role),
-                Text(role.channels),
-                Text(role.conversion or "as it is", style="" if role.conversion else "dim"),
+                make_text(role.role),
+                make_text(role.channels),
+                make_text(role.conversion or "as it is", style="" if role.conversion else "dim"),
             )
         console.print(listing)
     camera = "known" if found.camera else "unknown"
-    console.print(Text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
+    console.print(make_text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
     if found.materials:
         listed = "; ".join(f"{number} {text}" for number, text in enumerate(found.materials, start=1))
-        console.print(Text(f"Fitted materials: {listed}."), soft_wrap=True)
-    console.print(Text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
+        console.print(make_text(f"Fitted materials: {listed}."), soft_wrap=True)
+    console.print(make_text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
     for note in found.notes:
-        console.print(Text(note), soft_wrap=True)
+        console.print(make_text(note), soft_wrap=True)
 
 
 def _format(value: Any, digits: int = 5) -> str:

@@ -12,7 +12,8 @@ from pathlib import Path
 from string import Template
 
 from lobewise.errors import FileError
-from lobewise.io.files import PathLike, read_mask, refusing
+from lobewise.io.files import PathLike, refusing
+from lobewise.io.replacing import read_mask
 
 MARK = "lobewise-export.json"
 """The file by which a folder is known to be an earlier export."""
@@ -24,6 +25,11 @@ def require_folder(path: PathLike, *, force: bool) -> Path:
     Raises FileError if it is a file, its parent cannot be written, or it holds something; with ``force`` only if that
     is no export.
     """
+    with refusing(f"output {str(path)!r}", "a new or empty folder", "choose another name"):
+        return _check_folder(path, force)
+
+
+def _check_folder(path: PathLike, force: bool) -> Path:
     target = Path(os.path.realpath(path))
     parent = target.parent
     got = ""

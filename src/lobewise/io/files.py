@@ -6,11 +6,12 @@ import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 from lobewise.errors import FileError, InputError
+from lobewise.io.replacing import Replacement
 
 PathLike = str | os.PathLike[str]
 
@@ -75,6 +76,10 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
             expected, got, action = "a file name", "a directory", "name a file in it"
         elif target.exists() and not target.is_file():
             expected, got, action = "a regular file", "a device or pipe", "name a file that can be replaced"
+        elif target.exists() and _is_read_only(target):
+            mode = stat.S_IMODE(target.stat().st_mode)
+            expected, got = "a file that can be replaced", f"a read-only file (mode {mode:04o})"
+            action = "make it writable, or choose another name"
         elif not folder.exists():
             got, action = f"no folder {str(folder)!r}", "create it first"
         elif not folder.is_dir():
@@ -126,27 +131,20 @@ def make_folder(path: PathLike, *, what: str = "output") -> Path:
 def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path``; on success it replaces ``path`` in one step, on failure it is removed.
 
-    A reader sees the old file or the whole new one, never a part; an existing target keeps its permissions.
+    A reader sees the old file or the whole new one, never a part. An existing target keeps its permissions, its owner
+    and its extended attributes; what cannot be kept is told by a `lobewise.io.replacing.TargetWarning`. What a killed
+    process left of the same target is overwritten.
 
-    Raises FileError if the path cannot be written or the disk refuses, for example because it is full.
+    Raises FileError if the path cannot be written, another process is writing it, or the disk refuses, for example
+    because it is full.
     """
     target = require_writable(path, what=what)
-    temporary: str | None = None
-    try:
-        with refusing(f"{what} {str(path)!r}", "a path that can be written", "choose another path or make room"):
-            descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent)
-            with os.fdopen(descriptor, "wb") as stream:
-                yield stream
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.chmod(temporary, _choose_mode(target))
-            os.replace(temporary, target)
-            temporary = None
-            _sync_folder(target.parent)
-    finally:
-        if temporary is not None:
-            with suppress(OSError):
-                os.unlink(temporary)
+    with (
+        refusing(f"{what} {str(path)!r}", "a path that can be written", "choose another path or make room"),
+        Replacement(target) as replacement,
+    ):
+        yield replacement.stream
+        replacement.finish()
 
 
 @contextmanager
@@ -164,12 +162,12 @@ def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 
 
 def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
-    """Write ``text`` as UTF-8, whole or not at all.
+    """Write ``text`` as UTF-8, whole or not at all; bytes of file names that are no UTF-8 come out as escapes.
 
     Raises FileError if the path cannot be written.
     """
     with open_atomic(path, what=what) as stream:
-        stream.write(text.encode("utf-8"))
+        stream.write(text.encode("utf-8", "backslashreplace"))
 
 
 def _find_sibling(file: Path) -> str | None:
@@ -190,26 +188,6 @@ def say_reason(problem: OSError | ValueError) -> str:
     return reason[:1].lower() + reason[1:]
 
 
-def _choose_mode(target: Path) -> int:
-    """Return the permissions of the file that is replaced, or those that a new file would get."""
-    try:
-        return stat.S_IMODE(target.stat().st_mode)
-    except OSError:
-        return 0o666 & ~read_mask()
-
-
-def read_mask() -> int:
-    """Return the permissions that new files and folders do not get; it can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name durable; some file systems do not support it, and the data is safe without."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def _is_read_only(target: Path) -> bool:
+    """Return whether a file is closed to writing; root is asked by the mode too, as the system would let it."""
+    return not target.stat().st_mode & 0o222 or not os.access(target, os.W_OK)

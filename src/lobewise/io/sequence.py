@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ _RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
 def is_pattern(text: PathLike) -> bool:
     """Return whether a path stands for numbered files: its name has ``####`` or ``%04d``, and no file is named so."""
     path = Path(text)
-    return _RUN.search(path.name) is not None and not path.is_file()
+    # Not by `Path.is_file`, which raises an error at a name that is too long.
+    return _RUN.search(path.name) is not None and not os.path.isfile(path)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,200 @@
+"""Files that replace others in one step, also where a process is killed in between or two write at once."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import time
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:
+    # Windows: there an open file cannot be replaced, so two writers hinder each other anyway.
+    fcntl = None  # type: ignore[assignment]
+
+MAX_NAME_BYTES = 255
+"""Length of a file's name on usual file systems."""
+MIN_SECONDS_OF_LEFTOVERS = 86400.0
+"""Age from which on a temporary file of the first version of lobewise is taken for one of a killed process."""
+_OPEN = (
+    os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+)
+_MAX_ATTEMPTS = 100
+
+
+class TargetWarning(UserWarning):
+    """A file was replaced, and something beside its content could not stay as it was."""
+
+
+def name_temporary(target: Path) -> Path:
+    """Return the one temporary file of a target: the next write of that target takes it over."""
+    name = f".{target.name}.part"
+    if len(os.fsencode(name)) > MAX_NAME_BYTES:
+        name = f".{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:32]}.part"
+    return target.parent / name
+
+
+class Replacement:
+    """A new content of ``target``, which must be a real path, written into ``stream``.
+
+    It is locked as long as it is open, and given back by the system when the process dies. Without `finish` the target
+    stays as it was, and nothing is left.
+
+    Raises
+    ------
+    OSError
+        If another process or thread is writing the same target, or the system refuses.
+    """
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+        self._temporary = name_temporary(target)
+        self.stream: BinaryIO = os.fdopen(_open_locked(self._temporary), "wb")
+        self._is_done = False
+
+    def __enter__(self) -> Replacement:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._is_done:
+            # Before the lock is given back: afterwards the file may be another process's.
+            with suppress(OSError):
+                self._temporary.unlink()
+        with suppress(OSError):
+            self.stream.close()
+
+    def finish(self) -> None:
+        """Put the new content in the target's place."""
+        self.stream.flush()
+        os.fsync(self.stream.fileno())
+        told = _keep_properties(self._target, self.stream.fileno())
+        if fcntl is None:
+            self.stream.close()
+        os.replace(self._temporary, self._target)
+        self._is_done = True
+        _sync_folder(self._target.parent)
+        _remove_leftovers(self._target)
+        if told:
+            warnings.warn(told, TargetWarning, stacklevel=4)
+
+
+def _open_locked(path: Path) -> int:
+    """Return a descriptor of an empty file of this user at a path, locked; one that is there already is taken over."""
+    for _ in range(_MAX_ATTEMPTS):
+        if path.is_symlink():
+            raise OSError(f"{str(path)!r} beside it, which is a link")
+        descriptor = os.open(path, _OPEN, 0o600)
+        try:
+            if fcntl is not None:
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise OSError(f"another process that is writing it (it holds {str(path)!r})") from None
+                except OSError:
+                    # A file system without locks.
+                    pass
+            if _is_at(descriptor, path) and _is_own(descriptor, path):
+                os.ftruncate(descriptor, 0)
+                return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+    raise OSError(f"{str(path)!r}, which changes all the time")
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Return whether an open file still has its name: the one before may have been put in place meanwhile."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
+def _is_own(descriptor: int, path: Path) -> bool:
+    """Return whether an open file is this user's alone; one that is not loses its name."""
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(f"{str(path)!r} beside it, which is no regular file")
+    if found.st_nlink == 1 and (not hasattr(os, "geteuid") or found.st_uid == os.geteuid()):
+        return True
+    path.unlink()
+    return False
+
+
+def _keep_properties(target: Path, descriptor: int) -> str:
+    """Give a new file the permissions, the owner and the attributes of what it replaces; return what cannot be kept."""
+    try:
+        old = target.stat()
+    except OSError:
+        _set_mode(target, descriptor, 0o666 & ~read_mask())
+        return ""
+    told = []
+    if hasattr(os, "fchown"):
+        new = os.fstat(descriptor)
+        for name, before, now in (("group", old.st_gid, new.st_gid), ("owner", old.st_uid, new.st_uid)):
+            try:
+                if before != now:
+                    os.fchown(descriptor, before if name == "owner" else -1, before if name == "group" else -1)
+            except OSError:
+                told.append(f"its {name} is now {now} instead of {before}")
+    if hasattr(os, "listxattr"):
+        with suppress(OSError):
+            for key in os.listxattr(target):
+                if not key.startswith("security."):
+                    os.setxattr(descriptor, key, os.getxattr(target, key))
+    # After the owner, since a change of owner takes bits away.
+    _set_mode(target, descriptor, stat.S_IMODE(old.st_mode))
+    if old.st_nlink > 1:
+        told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
+    return f"{str(target)!r} was replaced: {', '.join(told)}." if told else ""
+
+
+def _set_mode(target: Path, descriptor: int, mode: int) -> None:
+    if hasattr(os, "fchmod"):
+        os.fchmod(descriptor, mode)
+    else:
+        os.chmod(name_temporary(target), mode)
+
+
+def read_mask() -> int:
+    """Return the permissions that new files and folders do not get; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+_swept: set[Path] = set()
+
+
+def _remove_leftovers(target: Path) -> None:
+    """Remove ``.NAME.exr.????????.part``, which killed processes of the first version left, once for each folder."""
+    folder = target.parent
+    if folder in _swept:
+        return
+    _swept.add(folder)
+    latest = time.time() - MIN_SECONDS_OF_LEFTOVERS
+    with suppress(OSError):
+        for path in folder.glob(".*.????????.part"):
+            found = path.lstat()
+            own = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
+            if own and stat.S_ISREG(found.st_mode) and found.st_mtime < latest:
+                path.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name durable; some file systems do not support it, and the data is safe without."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
