@@ -94,7 +94,7 @@ class Page:
         self.page.on("pageerror", lambda problem: self.errors.append(str(problem)))
         self.page.on("websocket", lambda socket: socket.on("close", self._count_closed))
         # On a busy machine viser draws fewer pixels than the window has, and then more again.
-        self.page.goto(f"{viewer.url}/?fixedDpr=1")
+        self.page.goto(f"{viewer.url}&fixedDpr=1")
 
     def _count_closed(self, *_: object) -> None:
         self.closed_sockets += 1
