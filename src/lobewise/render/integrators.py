@@ -253,10 +253,11 @@ def tell_unseen(scene: Any) -> str:
     own = scene.integrator()
     other = own is not None and _find_depth(scene, own) is None
     missed = ["participating media"] * _has_media(scene) + ["the width of the lens"] * has_lens(scene)
-    whose = f", not by the scene's own {name_integrator(own)}" if other else ""
     if not missed and not other:
         return ""
-    return f"Light by paths{whose}{': without ' if missed else ''}{' and '.join(missed)}."
+    whose = f", not by the scene's own {name_integrator(own)}" if other else ""
+    without = f", without {' and '.join(missed)}" if missed else ""
+    return f"The pictures show light by paths{whose}{without}."
 
 
 def _has_volumes(scene: Any) -> bool:
