@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.render.integrators import DEEPEST, DEPTH, plan_light
+from lobewise.render.integrators import DEEPEST, DEPTH, plan_light, tell_unseen
 from lobewise.render.own_light import make_box_sensor
 from tests.render.tolerances import Z_MEAN
 
@@ -300,3 +300,26 @@ def test_what_a_lens_cannot_have_is_told(mi: Any) -> None:
         with pytest.raises(InputError, match=pattern):
             call()
     assert get_camera(make_scene(mi, None, **make_lens(mi, 0.0))).position.shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more", "told"),
+    [
+        (None, {}, ""),
+        ({"type": "path"}, {}, ""),
+        (None, {"fog": True}, "The pictures show light by paths, without participating media."),
+        (
+            {"type": "volpath"},
+            {"fog": True},
+            "The pictures show light by paths, not by the scene's own 'volpath', without participating media.",
+        ),
+        ({"type": "ptracer"}, {}, "The pictures show light by paths, not by the scene's own 'ptracer'."),
+        (
+            {"type": "path"},
+            {"fog": True, "type": "thinlens", "aperture_radius": 0.1, "focus_distance": 4.0},
+            "The pictures show light by paths, without participating media and the width of the lens.",
+        ),
+    ],
+)
+def test_what_a_preview_does_not_show_is_named(mi, integrator, more, told):
+    assert tell_unseen(make_scene(mi, integrator, **more)) == told

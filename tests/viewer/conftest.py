@@ -20,7 +20,16 @@ from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
 from lobewise.viewer import Viewer
 
-FLAGS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+REBOUND = "evil.example"
+"""A name that the browser is made to believe is this machine."""
+FLAGS = [
+    "--no-sandbox",
+    "--use-gl=swiftshader",
+    "--enable-unsafe-swiftshader",
+    f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1",
+    # Newer browsers stop some strangers by themselves; older ones do not, and the server must.
+    "--disable-features=LocalNetworkAccessChecks,LocalNetworkAccessChecksWebSockets",
+]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 120.0
 """Seconds for anything to happen, kernels to be compiled on a busy machine among it."""
@@ -94,7 +103,7 @@ class Page:
         self.page.on("pageerror", lambda problem: self.errors.append(str(problem)))
         self.page.on("websocket", lambda socket: socket.on("close", self._count_closed))
         # On a busy machine viser draws fewer pixels than the window has, and then more again.
-        self.page.goto(f"{viewer.url}/?fixedDpr=1")
+        self.page.goto(f"{viewer.url}&fixedDpr=1")
 
     def _count_closed(self, *_: object) -> None:
         self.closed_sockets += 1

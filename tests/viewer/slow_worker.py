@@ -12,17 +12,19 @@ from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
 
 SECONDS = 0.15
+UNSEEN = "The pictures show no fog."
 
 
 def run_slow_worker(pipe: Connection, target: Target) -> None:
-    """Answer requests after `SECONDS`; number 666 ends the process, 13 fails."""
+    """Answer requests after `SECONDS`; number 666 ends the process, 13 fails. A foggy target has something unseen."""
     if target.name == "missing":
         pipe.send(Problem("there is no such thing; look elsewhere."))
         return
     if target.name == "broken":
         pipe.send(Problem("something is broken.", ours=True))
         return
-    pipe.send(Opened(Description(FrameLook(), 4, 4)))
+    unseen = UNSEEN if target.name == "foggy" else ""
+    pipe.send(Opened(Description(FrameLook("none"), 4, 4, similarities=("normal", "none"), unseen=unseen)))
     forgotten: list[int] = []
     while (order := pipe.recv()) is not None:
         if isinstance(order, Request):

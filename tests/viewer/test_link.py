@@ -19,7 +19,7 @@ from lobewise.viewer import Viewer, link
 from lobewise.viewer.link import MOST_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
-from lobewise.viewer.server import find_port
+from lobewise.viewer.server import find_port, hold_interrupts
 from tests.viewer.slow_worker import SECONDS, run_slow_worker
 
 PATIENCE = 120.0
@@ -148,6 +148,14 @@ class TestDeath:
         time.sleep(0.2)
         assert remarks == []
 
+    @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc for the signals that a process blocks")
+    def test_it_never_sees_ctrl_c(self, open_link):
+        one, _, _ = open_link()
+        blocked = re.search(r"SigBlk:\s*([0-9a-f]+)", Path(f"/proc/{one.process_id}/status").read_text())
+        assert blocked is not None
+        assert int(blocked[1], 16) >> (signal.SIGINT - 1) & 1
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
     def test_stopping_in_mid_frame(self, open_link):
         one, _, remarks = open_link()
         process = one.process_id
@@ -173,7 +181,7 @@ class TestEnd:
         )
         assert running.stdout is not None
         line = running.stdout.readline()
-        assert line.startswith(f"Showing {floor_file} at http://127.0.0.1:")
+        assert re.match(rf"Showing {floor_file} at http://127\.0\.0\.1:\d+/\?token=[\w-]{{40,}} ", line)
         assert line.endswith(" (only this machine can reach it); Ctrl-C ends it.\n")
         children = [
             int(word)
@@ -225,6 +233,19 @@ class TestViewer:
             taken.listen()
             port = taken.getsockname()[1]
             assert port < find_port("127.0.0.1", port) <= port + 100
+
+    def test_ctrl_c_waits_for_the_end_of_the_start(self):
+        done = []
+
+        def start() -> None:
+            with hold_interrupts():
+                signal.raise_signal(signal.SIGINT)
+                done.append("started")
+
+        with pytest.raises(KeyboardInterrupt):
+            start()
+        assert done == ["started"]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_an_address_of_another_machine(self):
         with pytest.raises(InputError, match="--host and --port: expected an address of this machine"):

@@ -36,6 +36,12 @@ def view(
     host: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.")
     ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORD", envvar="LOBEWISE_TOKEN", help="Secret in the page's URL.", show_default="a random one"
+        ),
+    ] = None,
     size: Annotated[
         str | None,
         typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's"),
@@ -52,7 +58,7 @@ def view(
     given += ["--size"] * (size is not None) + ["--fixed-size"] * fixed_size
     if is_frame and given:
         raise InputError(given[0], expected="a scene beside it", got="a finished frame", action="leave it out")
-    from lobewise.cli.output import print_line
+    from lobewise.cli.output import print_line, print_note
     from lobewise.viewer import Viewer
 
     for name, value in settings.items():
@@ -68,6 +74,8 @@ def view(
         size=None if size is None else parse_size(size),
         fixed_size=fixed_size,
         changes=settings,
+        token=token,
+        tell=print_note,
     )
     try:
         with viewer:

@@ -245,6 +245,21 @@ def _tell_media(scene: Any) -> str:
     return f"There are participating media, which {whose} not see: 'volpath' in the scene would."
 
 
+def tell_unseen(scene: Any) -> str:
+    """Return what paths from the centres of pixels, the light of a preview, do not show; empty where nothing is missed.
+
+    That is light of another integrator of the scene's, participating media, and the width of a lens.
+    """
+    own = scene.integrator()
+    other = own is not None and _find_depth(scene, own) is None
+    missed = ["participating media"] * _has_media(scene) + ["the width of the lens"] * has_lens(scene)
+    if not missed and not other:
+        return ""
+    whose = f", not by the scene's own {name_integrator(own)}" if other else ""
+    without = f", without {' and '.join(missed)}" if missed else ""
+    return f"The pictures show light by paths{whose}{without}."
+
+
 def _has_volumes(scene: Any) -> bool:
     """Return whether there are media, or surfaces that light passes without being scattered."""
     if _has_media(scene):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from lobewise.errors import LobewiseError
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
+from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.guest import Guest, has_moved
 from lobewise.viewer.link import Link
 from lobewise.viewer.looks import Look
@@ -30,16 +32,18 @@ class Audience:
     """All browsers, between the page and the process that renders.
 
     With ``fixed_size`` a picture has the target's size whatever the window's aspect, and never fewer pixels.
-    ``changes`` are settings to begin with: fields of `SceneLook` or `FrameLook`.
+    ``changes`` are settings to begin with: fields of `SceneLook` or `FrameLook`. ``tell`` gets what is to be known of
+    the target beside its pictures. ``controls`` are those of all browsers, by viser's identities of them.
     """
 
-    def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any]) -> None:
+    def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any], tell: Callable[[str], None]) -> None:
         self.link = Link(target, self.receive, self.remark)
         self.found: Description | None = None
         self.cameras: CameraMap | None = None
         self.failure: Exception | None = None
         self.over = threading.Event()
-        self._fixed_size, self._changes = fixed_size, changes
+        self.controls: dict[str, Control] = {}
+        self._fixed_size, self._changes, self._tell_starter = fixed_size, changes, tell
         self._lock = threading.RLock()
         self._guests: dict[int, Guest] = {}
         self._notice = f"Opening {target.name} \u2026"
@@ -99,8 +103,14 @@ class Audience:
     async def dismiss(self, client: Any) -> None:
         """Forget a browser that has gone."""
         with self._lock:
-            self._guests.pop(client.client_id, None)
+            guest = self._guests.pop(client.client_id, None)
         self.link.forget(client.client_id)
+        if guest is None:
+            return
+        guest.drop_pictures()
+        if guest.panel is not None:
+            for identity in guest.panel.controls:
+                self.controls.pop(identity, None)
 
     def _furnish(self, guest: Guest) -> None:
         """Give a browser its controls, or until the target is open a line that says what is being done."""
@@ -131,6 +141,7 @@ class Audience:
         look = replace(found.look, **self._changes)
         panel = Panel(gui, found, look, choose_other(found, look), actions, fixed_size=self._fixed_size)
         guest.panel, guest.status = panel, panel.status
+        self.controls.update(panel.controls)
         place_camera(guest.client.camera, self.cameras.start)
         guest.pose = self.cameras.start
 
@@ -193,6 +204,8 @@ class Audience:
             guests = list(self._guests.values())
             for guest in guests:
                 self._furnish(guest)
+        if found.unseen:
+            self._tell_starter(found.unseen)
         for guest in guests:
             self._ask(guest)
 
@@ -224,7 +237,8 @@ class Audience:
         rendered = self.found is not None and self.found.camera is not None
         rate = guest.get_rate() if rendered else None
         note = guest.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
-        guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered)
+        unseen = "" if self.found is None else self.found.unseen
+        guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered, unseen=unseen)
 
     def _announce(self, text: str, *, bad: bool = False) -> None:
         """Show one line to every browser; those that come later see it too until the target is open."""

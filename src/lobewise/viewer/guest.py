@@ -130,6 +130,10 @@ class Guest:
         """Take notice of a picture that was sent without loss."""
         self._kept = picture
 
+    def drop_pictures(self) -> None:
+        """Free the pictures of a browser that has gone, whose handles refer to each other and live a while longer."""
+        self.picture = self._kept = None
+
     def get_rate(self, last: int | None = None) -> float | None:
         """Return pictures per second: of the last ``last``, or of the last seconds; None where there are too few."""
         now = time.monotonic()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -119,7 +121,8 @@ class Link:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=run_worker, args=(theirs, self._target), name="lobewise-viewer", daemon=True)
-        process.start()
+        with _without_interrupts():
+            process.start()
         # Held here too, the pipe would never end when the process does.
         theirs.close()
         with self._lock:
@@ -196,6 +199,21 @@ class Link:
                 self._wishes.setdefault(client, _freshen(request))
         self._launch()
         return True
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let processes that are started meanwhile never see Ctrl-C, which a terminal sends to all: the page ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started with the first process, it would let Ctrl-C through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _freshen(request: Request) -> Request:

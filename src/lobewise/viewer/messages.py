@@ -45,6 +45,8 @@ class Description:
     # Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
     sparse: bool = False
     hit_distance: bool = False
+    unseen: str = ""
+    """What of a scene the pictures do not show, in a sentence."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 from lobewise.settings import Knob
+from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.looks import KNOBS, FrameLook, Look, SceneLook
 from lobewise.viewer.messages import Description
 from lobewise.viewer.pictures import LEGENDS, MOST_STOPS, VIEWS
@@ -91,6 +92,11 @@ class LookPanel:
             elif item.name not in choices and (item.name != "hit_distance" or found.hit_distance):
                 self._keep(item.name, gui.add_checkbox(knob.label, value, hint=knob.hint))
         self._refresh()
+
+    @property
+    def handles(self) -> tuple[Any, ...]:
+        """viser's handles of the controls."""
+        return tuple(self._handles.values())
 
     def get_look(self) -> Look:
         """Return what is set."""
@@ -242,6 +248,11 @@ class Panel:
             "Save", ("EXR", "PNG"), hint="EXR: linear radiance of A and guides. PNG: the picture that is shown."
         )
         self._connect(reset, save)
+        others = (self._view, self._stops, self._expose, reset, self._wiped, self._place, save)
+        paces = (handle for handle in (self._accumulate, self._adapt) if handle is not None)
+        handles = (*others, *paces, *self.left.handles, *self.right.handles)
+        self.controls = dict(describe_control(handle) for handle in handles)
+        """What the controls can be set to, by viser's identities of them."""
 
     @property
     def view(self) -> str:
@@ -312,3 +323,13 @@ class Panel:
         reset.on_click(click_reset)
         self._expose.on_click(click_expose)
         save.on_click(click_save)
+
+
+def describe_control(handle: Any) -> tuple[str, Control]:
+    """Return viser's identity of a control, by which browsers name it, and what it can be set to."""
+    identity = str(handle._impl.uuid)
+    if hasattr(handle, "options"):
+        return identity, Control(choices=tuple(handle.options))
+    if hasattr(handle, "min"):
+        return identity, Control(low=handle.min, high=handle.max)
+    return identity, Control()

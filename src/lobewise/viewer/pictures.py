@@ -53,6 +53,8 @@ BARS = (16, 17, 20)
 """Colour of what lies outside the picture."""
 _LABEL_MARGIN = 6
 _MOST_MAGNIFIED = 24
+MAX_PIXELS_WITH_BARS = 4.0
+"""Pixels of picture and bars, over those of the picture. A longer window gets a coarser picture, not more bars."""
 
 
 def choose_stops(image: NDArray[np.float32]) -> float:
@@ -80,6 +82,7 @@ def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
 def fit_window(picture: Pixels, window: Window) -> Pixels:
     """Return what the window shows of a picture, with its aspect: bars where it is larger, whole pixels where zoomed.
 
+    A window so long that bars would be most of the picture gets every second or third pixel.
     A picture of the window's aspect at zoom 1 comes back as it is.
     """
     height, width = picture.shape[:2]
@@ -91,6 +94,8 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
         return picture
     seen = tall / window.zoom
     times = max(1.0, min(np.ceil(window.height / seen), _MOST_MAGNIFIED)) if seen * 1.5 < window.height else 1.0
+    if times == 1.0:
+        times = min(1.0, math.sqrt(MAX_PIXELS_WITH_BARS * height * width / (seen * seen * aspect)))
     rows, columns = max(round(seen * times), 1), max(round(seen * aspect * times), 1)
     row = np.floor(0.5 * height - 0.5 * window.centre[1] * tall - 0.5 * seen + (np.arange(rows) + 0.5) / times)
     column = np.floor(

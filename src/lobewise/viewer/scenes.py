@@ -12,6 +12,7 @@ from lobewise.interactive.methods import METHODS
 from lobewise.interactive.views import VIEWS
 from lobewise.io.exr import write_frame
 from lobewise.render import find_orbit_centre
+from lobewise.render.integrators import tell_unseen
 from lobewise.viewer.looks import SCENE_SIMILARITIES, Look, SceneLook
 from lobewise.viewer.messages import Description, Request
 from lobewise.viewer.shots import Shot
@@ -45,6 +46,7 @@ class SceneTarget:
             methods=METHODS,
             similarities=SCENE_SIMILARITIES,
             views=VIEWS,
+            unseen=tell_unseen(self._first.scene),
         )
 
     def is_slow(self, request: Request) -> bool:

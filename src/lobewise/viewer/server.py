@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import logging
+import signal
 import socket
 import threading
 import warnings
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.io.files import say_reason
 from lobewise.viewer.audience import Audience
+from lobewise.viewer.door.access import Access, is_loopback
 from lobewise.viewer.messages import Target
 
 LOOPBACK = "127.0.0.1"
@@ -36,6 +40,17 @@ class Viewer:
         Render at that size whatever the window's aspect, and never fewer pixels.
     changes : dict, optional
         Settings to begin with: fields of `SceneLook` or `FrameLook`.
+    token : str, optional
+        The secret in the URL without which nobody gets the page: 16 or more letters, digits and any of ``. _ ~ -``; by
+        default a random one.
+    tell : callable, optional
+        Called from any thread with sentences for whoever started the viewer: what of the scene is not shown, which
+        browser was disconnected and why. By default they are logged as warnings.
+
+    Raises
+    ------
+    InputError
+        If the token is too short or has other characters.
 
     Examples
     --------
@@ -54,9 +69,13 @@ class Viewer:
         size: tuple[int, int] | None = None,
         fixed_size: bool = False,
         changes: dict[str, Any] | None = None,
+        token: str | None = None,
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         self._host, self._asked_port = host, port
-        self._audience = Audience(Target(target, is_frame, size), fixed_size, dict(changes or {}))
+        self._access = Access(host, token)
+        self._tell = tell or logging.getLogger(__name__).warning
+        self._audience = Audience(Target(target, is_frame, size), fixed_size, dict(changes or {}), self._tell)
         self._server: Any = None
         self._ticker = threading.Thread(target=self._audience.watch, name="lobewise-viewer", daemon=True)
 
@@ -75,30 +94,33 @@ class Viewer:
         InputError
             If host and port are not to be had.
         MissingDependencyError
-            If viser is not installed.
+            If viser is not installed, or is one whose server cannot be protected.
         """
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
         port = find_port(self._host, self._asked_port)
-        # First, because it takes longer than the page.
-        self._audience.link.start()
         try:
-            self._serve(port)
+            # Ctrl-C waits until there is something whole to stop.
+            with hold_interrupts():
+                # First, because it takes longer than the page.
+                self._audience.link.start()
+                self._serve(port)
+                self._ticker.start()
         except BaseException:
-            self._audience.link.stop()
+            self.stop()
             raise
-        self._ticker.start()
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Where the page is, with the token that opens it: whoever has this URL can use the page."""
         host = f"[{self._host}]" if ":" in self._host else self._host
-        return f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self._server.get_port()}"
+        place = f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self._server.get_port()}"
+        return f"{place}/?token={self._access.token}"
 
     @property
     def is_private(self) -> bool:
         """Whether only this machine can reach the page."""
-        return self._host in ("localhost", "::1") or self._host.startswith("127.")
+        return is_loopback(self._host)
 
     @property
     def statistics(self) -> dict[str, Any]:
@@ -133,16 +155,22 @@ class Viewer:
     def _serve(self, port: int) -> None:
         import viser
 
+        from lobewise.viewer.door.serving import guard_serving, require_guard
+
         # It greets on standard output, which has one line of ours.
-        with contextlib.redirect_stdout(io.StringIO()):
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            guard_serving(self._access, self._audience.controls, self._tell),
+        ):
             server = viser.ViserServer(host=self._host, port=port, label="lobewise", verbose=False)
+        self._server = server
+        require_guard(self._host, server.get_port())
         # A picture may be on its way to a browser that is just leaving.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         # Any browser could ask for a tunnel through somebody's server, which would make the page public.
         server.request_share_url = _refuse_sharing  # type: ignore[method-assign]
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="medium")
         server.gui.main_panel.dock_right()
-        self._server = server
         self._audience.join(server)
 
 
@@ -167,6 +195,22 @@ def find_port(host: str, port: int) -> int:
         got=f"{host}:{port} ({reason})",
         action="pass another",
     )
+
+
+@contextlib.contextmanager
+def hold_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C for the end of the block, where the block runs in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    kept: list[Any] = []
+    before = signal.signal(signal.SIGINT, lambda *found: kept.append(found))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if kept and callable(before):
+        before(*kept[-1])
 
 
 def _refuse_sharing(verbose: bool = True) -> None:

@@ -18,20 +18,23 @@ STAGES = {
 """Stages by the name of their seconds, with their names on the page."""
 
 _QUIET = "opacity:.65"
+_WARNING = "#ff8f70"
 _BOX = "font-size:.8em;line-height:1.5;padding:.15em .9em .4em;"
 
 
 def write_message(text: str, *, bad: bool = False) -> str:
     """Return HTML of one line of plain text."""
-    color = "color:#ff8f70;" if bad else ""
+    color = f"color:{_WARNING};" if bad else ""
     return f'<div style="{_BOX}{color}">{escape(text)}</div>'
 
 
-def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True) -> str:
+def write_figures(
+    picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True, unseen: str = ""
+) -> str:
     """Return HTML that tells what a picture took.
 
     ``shown`` counts the pictures so far, ``fps`` is None where pictures per second mean nothing, ``note`` is a line
-    below, plain text, and ``rendered`` tells whether the picture is one of a scene.
+    below, plain text, ``rendered`` tells whether the picture is one of a scene, and ``unseen`` what is missing in it.
     """
     width, height = picture.size
     parts = [f"{width}\u202f\u00d7\u202f{height}"]
@@ -54,4 +57,5 @@ def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "
     table = f'<table style="width:100%;border-collapse:collapse">{"".join(rows)}</table>'
     # A line of its own also where it is empty, so that the controls below never jump.
     below = f'<div style="{_QUIET}">{escape(note) or "&nbsp;"}</div>'
-    return f'<div style="{_BOX}">{head}<div style="{_QUIET}">{" · ".join(parts)}</div>{table}{below}</div>'
+    missing = f'<div style="color:{_WARNING}">{escape(unseen)}</div>' if unseen else ""
+    return f'<div style="{_BOX}">{head}<div style="{_QUIET}">{" · ".join(parts)}</div>{table}{missing}{below}</div>'

@@ -1,0 +1,173 @@
+"""viser's server with a guard before it: the one place that reaches into how viser serves.
+
+viser 1.x has no option for it. It serves page and WebSocket by one call of ``websockets.asyncio.server.serve``, public
+API of `websockets` that has all a guard needs: `process_request` is asked before anything is answered, and
+`create_connection` makes the object that viser reads messages from. A front server that relays to viser's own would
+guard nothing: any page could connect to viser's port behind it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import inspect
+import logging
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache, partial
+from typing import Any
+
+from lobewise.errors import MissingDependencyError
+from lobewise.viewer.door.access import Access, Visit
+from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES, Control, MessageError, read_message
+
+Tell = Callable[[str], None]
+REFUSED = 403
+_POLICY_VIOLATION = 1008
+_PATIENCE = 20.0
+_HEADERS = {
+    # The URL has the token: it goes to no other server, into no cache, and the page into no frame of another page.
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+}
+_starting = threading.Lock()
+
+
+@contextmanager
+def guard_serving(access: Access, controls: Mapping[str, Control], tell: Tell) -> Iterator[None]:
+    """Let every server that viser starts meanwhile answer only whom ``access`` welcomes.
+
+    Messages of browsers reach viser only as `read_message` passes them. ``tell`` gets a sentence for a browser that was
+    let go, and for what could not be done.
+    """
+    import websockets.asyncio.server as library
+
+    plain = library.serve
+
+    def serve(handler: Any, *arguments: Any, **options: Any) -> Any:
+        if str(getattr(handler, "__module__", "")).partition(".")[0] != "viser":
+            return plain(handler, *arguments, **options)
+        asyncio.get_running_loop().set_exception_handler(partial(_tell_failure, tell))
+        options["process_request"] = partial(_process_request, access, options.get("process_request"))
+        options["create_connection"] = partial(_make_connection_class(), controls, tell)
+        options["max_size"] = MAX_MESSAGE_BYTES
+        options["logger"] = _make_logger(tell)
+        return plain(handler, *arguments, **options)
+
+    with _starting:
+        vars(library)["serve"] = serve
+        try:
+            yield
+        finally:
+            vars(library)["serve"] = plain
+
+
+def require_guard(host: str, port: int) -> None:
+    """Raise MissingDependencyError unless a server refuses whoever comes without the token."""
+    connection = http.client.HTTPConnection({"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host), port, _PATIENCE)
+    try:
+        connection.request("GET", "/")
+        status = connection.getresponse().status
+    except (OSError, http.client.HTTPException) as problem:
+        status = 0
+        reason: Exception | None = problem
+    else:
+        reason = None
+    finally:
+        connection.close()
+    if status != REFUSED:
+        import viser
+
+        raise MissingDependencyError(
+            f"viser {viser.__version__} serves its page in a way that this lobewise cannot protect with a token; "
+            f"pip install 'viser==1.1.1'."
+        ) from reason
+
+
+async def _process_request(access: Access, pages: Any, connection: Any, request: Any) -> Any:
+    """Answer a request that is not welcome; otherwise let viser answer, and leave the cookie."""
+    headers = request.headers
+    visit = Visit(
+        request.path,
+        headers.get_all("Host"),
+        headers.get_all("Origin"),
+        headers.get_all("Cookie"),
+        is_socket="Upgrade" in headers,
+    )
+    refusal = access.refuse(visit)
+    if refusal:
+        answer = connection.respond(REFUSED, f"{refusal}\n")
+    else:
+        answer = None if pages is None else pages(connection, request)
+        if inspect.isawaitable(answer):
+            answer = await answer
+    if answer is not None:
+        for name, value in _HEADERS.items():
+            answer.headers[name] = value
+        if not refusal and access.knows_token(visit):
+            answer.headers["Set-Cookie"] = access.make_cookie(visit)
+    return answer
+
+
+@cache
+def _make_connection_class() -> Any:
+    """Return the class of connections whose `recv` gives checked messages only."""
+    from websockets.asyncio.server import ServerConnection
+
+    class Connection(ServerConnection):
+        """One browser's; the first message that no page sends ends it."""
+
+        def __init__(self, controls: Mapping[str, Control], tell: Tell, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self._controls, self._tell = controls, tell
+            self._remarked = self._refused = False
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            while True:
+                # Raises what viser expects as soon as the browser has gone, or was let go.
+                data = await super().recv(decode)
+                if self._refused:
+                    continue
+                try:
+                    checked, remark = read_message(data, self._controls)
+                except MessageError as problem:
+                    self._refused = True
+                    self._tell(f"A browser was disconnected because it sent {problem}.")
+                    await self.close(_POLICY_VIOLATION, f"lobewise does not take {problem}"[:120])
+                    continue
+                if remark and not self._remarked:
+                    self._remarked = True
+                    self._tell(f"A browser sent {remark}: ignored, as further ones of that browser will be.")
+                if checked is not None:
+                    return checked
+
+    return Connection
+
+
+def _tell_failure(tell: Tell, loop: Any, context: dict[str, Any]) -> None:
+    """Say in one line what failed in the server's thread; the others go on."""
+    problem = context.get("exception")
+    logging.getLogger(__name__).debug("in the server of the page", exc_info=problem)
+    tell(f"The page could not do something: {_shorten(problem or context.get('message', ''))}")
+
+
+def _make_logger(tell: Tell) -> logging.Logger:
+    """Return the log of a server of `websockets`: of what failed one line, of who knocked in vain none."""
+    logger = logging.Logger("lobewise.viewer.door", logging.WARNING)
+
+    class Lines(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if "handshake" not in record.getMessage():
+                problem = record.exc_info[1] if record.exc_info else None
+                tell(f"A browser was disconnected: {_shorten(problem or record.getMessage())}")
+
+    logger.addHandler(Lines())
+    return logger
+
+
+def _shorten(problem: object) -> str:
+    name = f"{type(problem).__name__}: " if isinstance(problem, BaseException) else ""
+    return " ".join(f"{name}{problem}".split())[:200]
