@@ -67,6 +67,19 @@ def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
     return f"{what}: expected {expected}, got {got}; {action}{'' if action.endswith('?') else '.'}"
 
 
+def require_kind(what: str, got: Any, *kinds: type) -> None:
+    """Raise an error unless ``got`` is of one of some classes.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if not isinstance(got, kinds):
+        expected = " or ".join(f"a {kind.__name__}" for kind in kinds)
+        raise InputError(what, expected=expected, got=f"a {type(got).__name__}", action="pass another")
+
+
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
     """Return ``got`` if it is one of ``valid``; otherwise raise an error that names the nearest valid one.
 

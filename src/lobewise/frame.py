@@ -321,6 +321,10 @@ class Result:
         Every parameter that was used, defaults resolved.
     seconds : float
         Wall time of the call.
+    notes : tuple of str
+        What is wrong with the guides, one sentence each: values that no surface can have, and what became of them.
+    unused : tuple of str
+        Images of the frame that change nothing with these settings.
     """
 
     image: FloatArray
@@ -335,6 +339,8 @@ class Result:
     energy_lost: float = 0.0
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
 
     @property
     def bad_pixel_count(self) -> int:

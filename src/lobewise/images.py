@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, overload
 
@@ -34,7 +35,7 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
     """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels)."""
     if value is None:
         return None
-    array = np.asarray(value)
+    array = _read_array(name, value)
     shape = "(height, width)" if channels is None else f"(height, width, {channels})"
     good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
     if not good or array.dtype.kind not in "fiub":
@@ -53,6 +54,26 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
         out = out.view()
     out.flags.writeable = False
     return out
+
+
+def _read_array(name: str, value: Any) -> NDArray[Any]:
+    """Return an array of any library as NumPy's; one that carries gradients is refused, as they would be lost."""
+    drjit = sys.modules.get("drjit")
+    is_traced = drjit is not None and any(kind.__module__.partition(".")[0] == "drjit" for kind in type(value).__mro__)
+    # PyTorch's tensors have the attribute.
+    if getattr(value, "requires_grad", False) is True or (is_traced and drjit.grad_enabled(value)):  # type: ignore[union-attr]
+        raise InputError(
+            name,
+            expected="an array without gradients, which are not passed on",
+            got="one with",
+            action="detach it, or use lobewise.mitsuba.Denoiser with quality='fast', which passes them",
+        )
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RuntimeError) as problem:
+        raise InputError(
+            name, expected="an array of numbers", got=f"a {type(value).__name__} ({problem})", action="convert it"
+        ) from None
 
 
 def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:

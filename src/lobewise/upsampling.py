@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import Frame, Result
+from lobewise.guides.usable import bound_albedos, find_unusable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame
 
@@ -69,6 +71,9 @@ def upsample(
         If the device cannot run here.
     """
     start = time.perf_counter()
+    require_kind("frame", frame, SparseFrame)
+    notes = tuple(map(str, find_unusable(frame)))
+    frame = bound_albedos(frame)
     asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
     require_full(asked)
     require_plain(asked, "upsampling")
@@ -102,6 +107,7 @@ def upsample(
         bad_pixels=spread(frame, bad),
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
         seconds=time.perf_counter() - start,
+        notes=notes,
     )
 
 

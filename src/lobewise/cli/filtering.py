@@ -283,7 +283,7 @@ def _run(
     from lobewise.sequence import filter_sequence
     from lobewise.temporal import TemporalFilter
 
-    current = source
+    current, remarks = source, _Remarks()
     require_exr_name(output)
 
     def read_one(path: Path) -> FrameT:
@@ -306,8 +306,13 @@ def _run(
         except LobewiseError as problem:
             raise type(problem)(f"{source}: {problem}") from problem
         write(output, result, frame, source)
+        remarks.tell(result)
         print_line(f"Wrote {output}: {_describe(result)}.")
         return
+
+    def write_one(target: Path, result: Result, frame: FrameT, path: Path) -> None:
+        write(target, result, frame, path)
+        remarks.tell(result)
 
     active = TemporalFilter(**temporal) if temporal is not None else _Alone(filter_one)
 
@@ -328,13 +333,31 @@ def _run(
             output,
             Named,
             read=read_one,
-            write=write,
+            write=write_one,
             fingerprint=repr([settings, temporal]),
             progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
             remark=print_note,
         )
     told = "" if report.last is None else f"; the last: {_describe(report.last)}"
     print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
+
+
+class _Remarks:
+    """What is said of results beside their figures, each sentence once."""
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def tell(self, result: Result | FileInBands) -> None:
+        """Print what is wrong with the guides of a frame, and which of its images were not used."""
+        from lobewise.cli.output import print_note
+
+        done = result.done if isinstance(result, FileInBands) else result
+        unused = f"Not used with these settings: {', '.join(done.unused)}."
+        for note in (*done.notes, *([unused] if done.unused else [])):
+            if note not in self._told:
+                print_note(note)
+            self._told.add(note)
 
 
 def _describe(result: Result | FileInBands) -> str:

@@ -276,5 +276,10 @@ class FileInBands:
         """Return in one line what was done."""
         from lobewise.cli.output import describe_file_result
 
+        return describe_file_result(self.done)
+
+    @property
+    def done(self) -> DenoisedFile:
+        """What was done, once it was written."""
         assert self._done is not None, "it is written first"
-        return describe_file_result(self._done)
+        return self._done

@@ -23,12 +23,15 @@ from lobewise.denoising.guided import (
     resolve_guided,
 )
 from lobewise.denoising.high import find_high_reach, mix_layer
+from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
+from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.guides.usable import bound_albedos, find_unusable
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 
@@ -83,6 +86,9 @@ def denoise(
     >>> clean = lobewise.denoise(frame, radius=12).image  # doctest: +SKIP
     """
     start = time.perf_counter()
+    require_kind("frame", frame, Frame)
+    notes = tuple(map(str, find_unusable(frame)))
+    frame = bound_albedos(frame)
     chosen = resolve_all(frame, ask(settings, changes))
     if chosen.with_oidn:
         require_oidn()
@@ -113,6 +119,8 @@ def denoise(
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         energy_lost=find_energy_lost(found.tallies),
+        notes=notes,
+        unused=list_unused(frame, chosen),
     )
 
 

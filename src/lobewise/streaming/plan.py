@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.recipe import find_reach
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
@@ -22,28 +23,8 @@ WORK = {"fast": 250, "balanced": 330, "high": 850}
 
 Bands = list[tuple[int, int]]
 """First row and the one behind the last of each."""
-Images = frozenset[tuple[str, str]]
-"""Owner and field of images of a frame."""
 
 _PARTS = ("color", "diffuse", "specular")
-_SURFACE = (
-    "depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diffuse_albedo", "specular_albedo",
-    "material",
-)  # fmt: skip
-_GUIDED = ("hit_normal", "hit_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "coverage")
-
-
-def list_images(settings: DenoiseSettings) -> Images:
-    """Return which images of a frame `denoise` looks at; ``settings`` have their quality chosen."""
-    found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
-    if settings.hit_distance is not False:
-        found.add(("gbuffer", "hit_distance"))
-    if settings.quality == "fast":
-        found.add(("variance", "color"))
-    else:
-        found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
-        found |= {("gbuffer", name) for name in _GUIDED}
-    return frozenset(found)
 
 
 def list_measured(settings: DenoiseSettings) -> Images:

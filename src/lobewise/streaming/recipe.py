@@ -22,12 +22,14 @@ from lobewise.denoising.bad_pixels import (
     sum_colors,
 )
 from lobewise.denoising.guided import make_bounded_layers, measure_layer
+from lobewise.denoising.inputs import list_images, list_unused
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
+from lobewise.guides.usable import Unusable, bound_albedos, find_unusable, join_unusable
 from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.exr.parsing import read_container
@@ -41,7 +43,6 @@ from lobewise.streaming.plan import (
     choose_rows,
     cut_bands,
     forgets,
-    list_images,
     list_measured,
     widen,
 )
@@ -64,7 +65,7 @@ class DenoisedFile:
         (height, width).
     bands : int
         In how many bands it was filtered.
-    bad_pixel_count, energy_lost, settings, seconds
+    bad_pixel_count, energy_lost, settings, seconds, notes, unused
         As in `lobewise.Result`.
     """
 
@@ -74,6 +75,8 @@ class DenoisedFile:
     energy_lost: float
     settings: dict[str, Any]
     seconds: float
+    notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
 
 
 def denoise_file(
@@ -121,15 +124,8 @@ def denoise_file(
     """
     start = time.perf_counter()
     asked = ask(settings, changes)
-    _check(asked, rows, memory)
+    _check(source, asked, rows, memory)
     require_writable(output)
-    if not is_own(read_container(source)):
-        raise InputError(
-            f"input {str(source)!r}",
-            expected="a file in lobewise's own channel names, which can be read in bands",
-            got="one of another renderer",
-            action="use read_frame, denoise and write_result",
-        )
     tell = progress or (lambda what, done, total: None)
     reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
     apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
@@ -154,7 +150,8 @@ def denoise_file(
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         levels = measure().levels if guided else None
         finisher = _Finisher(lambda: measure().mean_color, chosen.device)
-        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell)
+        unusable: list[Unusable] = []
+        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell, unusable)
         require_some_good(bad_count, reader.shape[0] * reader.shape[1], "pixel")
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
@@ -164,10 +161,12 @@ def denoise_file(
         energy_lost=find_energy_lost(measure().tallies) if guided else 0.0,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
+        notes=tuple(map(str, join_unusable(unusable))),
+        unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
     )
 
 
-def _check(asked: DenoiseSettings, rows: int | None, memory: float) -> None:
+def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: float) -> None:
     if asked.with_oidn:
         raise InputError(
             "with_oidn",
@@ -179,6 +178,13 @@ def _check(asked: DenoiseSettings, rows: int | None, memory: float) -> None:
         raise InputError("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
     if not 0.0 < memory < float("inf"):
         raise InputError("memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out")
+    if not is_own(read_container(source)):
+        raise InputError(
+            f"input {str(source)!r}",
+            expected="a file in lobewise's own channel names, which can be read in bands",
+            got="one of another renderer",
+            action="use read_frame, denoise and write_result",
+        )
 
 
 @dataclass(frozen=True)
@@ -202,7 +208,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
     bad_count = 0
     for number, band in enumerate(bands):
         top, bottom = widen(band, FIREFLY_REACH if guided else 0, height)
-        frame = reader.read_frame(top, bottom)
+        frame = bound_albedos(reader.read_frame(top, bottom))
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame)[core])
@@ -232,15 +238,19 @@ def _filter(
     levels: Sequence[float] | None,
     bands: Bands,
     tell: Progress,
+    unusable: list[Unusable],
 ) -> int:
-    """Filter band after band and hand what is finished to the writer; return how many pixels were bad."""
+    """Filter band after band and hand what is finished to the writer; return how many pixels were bad.
+
+    What is wrong with the guides of each band is added to ``unusable``.
+    """
     height, _ = reader.shape
     reach, bad_count = find_reach(settings), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
-        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core)
+        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core, unusable)
         finisher.add(images, holes)
         bad_count += bad
         del images, holes
@@ -259,9 +269,12 @@ def _filter_band(
     levels: Sequence[float] | None,
     rows: tuple[int, int],
     core: slice,
+    unusable: list[Unusable],
 ) -> tuple[dict[str, FloatArray], NDArray[np.bool_], int]:
     """Return the images of the rows of ``core`` by their fields, where the total is none, and how many were bad."""
     frame = reader.read_frame(*rows)
+    unusable += find_unusable(frame, core)
+    frame = bound_albedos(frame)
     if forgets(settings):
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), levels)

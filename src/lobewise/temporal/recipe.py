@@ -14,11 +14,12 @@ from lobewise.denoising.automatic import estimate_spp, expect_noise, require_ful
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
 from lobewise.denoising.recipe import compose, keep_unfiltered
-from lobewise.errors import require_choice
+from lobewise.errors import require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.guides.usable import bound_albedos, find_unusable
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -136,6 +137,9 @@ class TemporalFilter:
             As `lobewise.denoise` and `lobewise.upsample`; the history is then as it was.
         """
         start = time.perf_counter()
+        require_kind("frame", frame, Frame, SparseFrame)
+        notes = tuple(map(str, find_unusable(frame)))
+        frame = bound_albedos(frame)
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
@@ -152,7 +156,7 @@ class TemporalFilter:
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
         kept = {name: output.sums for name, output in outputs.items()}
         self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
-        return replace(result, seconds=time.perf_counter() - start)
+        return replace(result, seconds=time.perf_counter() - start, notes=notes)
 
     def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
         sparse = isinstance(frame, SparseFrame)

@@ -1,0 +1,62 @@
+"""Which images of a frame a recipe looks at, by its quality and what it compares."""
+
+from __future__ import annotations
+
+from lobewise.frame import Frame
+from lobewise.settings import DenoiseSettings, ResolvedSettings
+
+Images = frozenset[tuple[str, str]]
+"""Owner and field of images of a frame."""
+
+_PARTS = ("color", "diffuse", "specular")
+_SURFACE = (
+    "depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diffuse_albedo", "specular_albedo",
+    "material",
+)  # fmt: skip
+_GUIDED = ("hit_normal", "hit_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "coverage")
+_LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
+
+
+def list_images(settings: DenoiseSettings) -> Images:
+    """Return which images of any frame `denoise` may look at; ``settings`` have their quality chosen."""
+    found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
+    if settings.hit_distance is not False:
+        found.add(("gbuffer", "hit_distance"))
+    if settings.quality == "fast":
+        found.add(("variance", "color"))
+    else:
+        found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
+        found |= {("gbuffer", name) for name in _GUIDED}
+    return frozenset(found)
+
+
+def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
+    """Return which images of a frame change nothing with these settings, by the names that users gave them.
+
+    Motion is used by `lobewise.TemporalFilter` alone; the direct and the indirect part of the light only tell what the
+    total holds.
+    """
+    used = {name for owner, name in list_images(settings) if owner == "gbuffer"}
+    if settings.similarity == "normal" and settings.band_limit is None:
+        # The network of the quality "high" sees roughness.
+        used -= set(_LOBES) - ({"alpha_u", "alpha_v"} if settings.quality == "high" else set())
+    elif settings.similarity not in ("ggx", "asg"):
+        used -= {"tangent"}
+    if settings.similarity != "sg_mixture":
+        used -= {"material"}
+    if not settings.hit_distance:
+        used -= {"hit_distance"}
+    apart = frame.radiance.parts is not None
+    if not apart:
+        used -= set(_GUIDED)
+    if settings.with_oidn:
+        used |= {"mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"}
+    unused = [name for name in frame.gbuffer.names if name not in used]
+    unused += [f"radiance.{name}" for name in ("direct", "indirect") if getattr(frame.radiance, name) is not None]
+    if not apart:
+        unused += [f"radiance.{name}" for name in ("diffuse", "specular") if getattr(frame.radiance, name) is not None]
+    if settings.quality == "fast":
+        unused += [name for name in ("half_a", "half_b") if getattr(frame, name) is not None]
+    elif frame.variance is not None:
+        unused.append("variance")
+    return tuple(unused)

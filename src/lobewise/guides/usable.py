@@ -1,0 +1,137 @@
+"""Guides whose values no surface can have: counted and named, and where they would do harm, bounded.
+
+Most of them do none: a pixel whose normal, depth or position is no number counts as one without a surface and passes as
+it is. Albedos are different. Light is divided by them before it is filtered and multiplied afterwards, so that one
+pixel with an albedo of 50 among albedos of 0.5 would shine a hundred times too bright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import FloatArray, Frame
+from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.sparse_frame import AnyFrame
+
+MAX_ALBEDO = 1.1
+"""An albedo above is none: nothing reflects more light than it gets. Directional albedos that were measured by samples,
+or stored as 16-bit floats, exceed 1 by a few per cent."""
+MIN_ALBEDO = -1e-3
+"""An albedo below is none; rounding and filters with negative lobes go a little below 0."""
+ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
+ALPHAS = ("alpha_u", "alpha_v")
+
+FrameT = TypeVar("FrameT", bound=AnyFrame)
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """Values of one image that no surface can have.
+
+    Parameters
+    ----------
+    name : str
+        The image.
+    what : str
+        What its values are.
+    count : int
+        At how many pixels.
+    fate : str
+        What becomes of these pixels.
+    """
+
+    name: str
+    what: str
+    count: int
+    fate: str
+
+    def __str__(self) -> str:
+        return f"{self.name} is {self.what} at {self.count} pixel{'s' if self.count > 1 else ''}: {self.fate}."
+
+
+def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
+    """Return what is wrong with the guides of a frame in some of its rows."""
+    return [each for each in _list_unusable(frame, rows) if each.count]
+
+
+def join_unusable(found: Sequence[Unusable]) -> list[Unusable]:
+    """Return what was found in bands of an image as what was found in the whole of it."""
+    sums: dict[tuple[str, str], Unusable] = {}
+    for each in found:
+        key = each.name, each.what
+        sums[key] = replace(each, count=each.count + (sums[key].count if key in sums else 0))
+    return list(sums.values())
+
+
+def bound_albedos(frame: FrameT) -> FrameT:
+    """Return a frame whose albedos lie in [0, 1] wherever they were out of [`MIN_ALBEDO`, `MAX_ALBEDO`]."""
+    guides = {name: _bound(getattr(frame.gbuffer, name)) for name in ALBEDOS if _is_out(getattr(frame.gbuffer, name))}
+    changes: dict[str, Any] = {"gbuffer": replace(frame.gbuffer, **guides)} if guides else {}
+    if isinstance(frame, Frame) and any(_is_out(layer.albedo) for layer in frame.layers):
+        changes["layers"] = tuple(replace(each, albedo=_bound(each.albedo)) for each in frame.layers)
+    return replace(frame, **changes) if changes else frame
+
+
+def _bound(albedo: FloatArray | None) -> FloatArray | None:
+    """Return an albedo in which values out of range lie in [0, 1]; what is no number stays."""
+    if albedo is None:
+        return None
+    with np.errstate(invalid="ignore"):
+        out = (albedo > MAX_ALBEDO) | (albedo < MIN_ALBEDO)
+        return np.where(out, np.clip(albedo, np.float32(0.0), np.float32(1.0)), albedo)
+
+
+def _is_out(albedo: FloatArray | None) -> bool:
+    # NaN passes both reductions on to their results, which then compare as False.
+    return albedo is not None and not (float(albedo.max()) <= MAX_ALBEDO and float(albedo.min()) >= MIN_ALBEDO)
+
+
+def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
+    guides = frame.gbuffer
+    albedos = [(name, getattr(guides, name)) for name in ALBEDOS]
+    if isinstance(frame, Frame):
+        albedos += [(f"the albedo of the layer {layer.name!r}", layer.albedo) for layer in frame.layers]
+    for name, albedo in albedos:
+        if _is_out(albedo):
+            part = albedo[rows]
+            with np.errstate(invalid="ignore"):
+                above, below = (part > MAX_ALBEDO).any(axis=-1), (part < MIN_ALBEDO).any(axis=-1)
+            yield Unusable(name, "above 1", _count(above), "it counts as 1 there")
+            yield Unusable(name, "below 0", _count(below), "it counts as 0 there")
+            yield Unusable(name, "no number", _count(np.isnan(part).any(axis=-1)), "they are not compared with others")
+    for name in ALPHAS:
+        alpha = getattr(guides, name)
+        if alpha is not None and not (float(alpha.max()) <= 1.0 and float(alpha.min()) >= 0.0):
+            part = alpha[rows]
+            fate = "it is bounded there"
+            yield Unusable(name, "out of [0, 1]", _count((part < 0.0) | (part > 1.0)), fate)
+            yield Unusable(name, "no number", _count(np.isnan(part)), "they are not compared with others")
+    if guides.depth is not None and not float(guides.depth.min()) >= 0.0:
+        part = guides.depth[rows]
+        yield Unusable("depth", "below 0", _count(part < 0.0), "they pass as they are")
+        yield Unusable("depth", "no number", _count(np.isnan(part)), "they pass as they are")
+    yield from _list_without_normal(frame, rows)
+
+
+def _list_without_normal(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
+    """Count the pixels that have a depth but no normal: a surface without one passes as it is."""
+    guides = frame.gbuffer
+    if guides.normal is None or guides.depth is None:
+        return
+    with np.errstate(invalid="ignore"):
+        there = (guides.depth[rows] > 0.0) & (guides.depth[rows] < np.inf)
+    lost = there & ~find_surface_pixels(guides, frame.shape)[rows]
+    if lost.any():
+        length = np.abs(guides.normal[rows]).max(axis=-1)
+        yield Unusable("normal", "of length 0 on a surface", _count(lost & (length == 0.0)), "they pass as they are")
+        odd = lost & ~np.isfinite(length)
+        yield Unusable("normal", "no number", _count(odd), "they pass as they are")
+
+
+def _count(mask: NDArray[np.bool_]) -> int:
+    return int(np.count_nonzero(mask))
