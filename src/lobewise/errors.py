@@ -8,6 +8,10 @@ from numbers import Integral
 from typing import Any
 
 
+MAX_GOT_LETTERS = 300
+"""Length of what a message shows of a wrong value."""
+
+
 class LobewiseError(Exception):
     """Root of every error that a user can mend; the command line turns it into exit code 2.
 
@@ -64,7 +68,13 @@ def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
     >>> describe_problem("radius", expected="an integer from 0 to 64", got="-3", action="pass radius=8")
     'radius: expected an integer from 0 to 64, got -3; pass radius=8.'
     """
-    return f"{what}: expected {expected}, got {got}; {action}{'' if action.endswith('?') else '.'}"
+    return f"{what}: expected {expected}, got {_shorten(got)}; {action}{'' if action.endswith('?') else '.'}"
+
+
+def _shorten(got: str) -> str:
+    """Return what came on one line: an array would fill the screen."""
+    line = " ".join(got.split()) if "\n" in got else got
+    return line if len(line) <= MAX_GOT_LETTERS else f"{line[: MAX_GOT_LETTERS - 3]}..."
 
 
 def require_kind(what: str, got: Any, *kinds: type) -> None:
@@ -89,6 +99,10 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         If ``got`` is not one of ``valid``.
     """
     options = list(valid)
+    if not isinstance(got, str):
+        raise InputError(
+            what, expected="one of " + ", ".join(options), got=f"a {type(got).__name__}", action="name one of them"
+        )
     if got in options:
         return got
     near = difflib.get_close_matches(got, options, n=1, cutoff=0.0)

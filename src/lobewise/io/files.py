@@ -8,12 +8,28 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from lobewise.errors import FileError, InputError
 from lobewise.io.replacing import Replacement
 
 PathLike = str | os.PathLike[str]
+
+
+def as_path(path: Any, what: str) -> Path:
+    """Return a path as one of text.
+
+    Raises
+    ------
+    InputError
+        If it is something else than a text, bytes or a path.
+    """
+    try:
+        return Path(os.fsdecode(path))
+    except TypeError:
+        raise InputError(
+            what, expected="a path", got=f"a {type(path).__name__}", action="pass a text or a pathlib.Path"
+        ) from None
 
 
 @contextmanager
@@ -30,7 +46,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "an im
 
     Raises FileError if it does not exist, is a directory or a device, is empty, or may not be read.
     """
-    file = Path(path)
+    file = as_path(path, what)
     try:
         mode = file.stat()
         if stat.S_ISDIR(mode.st_mode):
@@ -68,8 +84,9 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
 
     Raises FileError if it is a directory or a device, its folder does not exist, or may not be written to.
     """
+    named = as_path(path, what)
     try:
-        target = Path(os.path.realpath(path))
+        target = Path(os.path.realpath(named))
         folder = target.parent
         expected = "a path that can be written"
         if target.is_dir():
@@ -98,7 +115,7 @@ EXR_NAMES = (".exr", ".sxr", ".mxr", "")
 
 def require_exr_name(path: PathLike) -> None:
     """Raise InputError if the name of an output says that it is a file of another kind than EXR."""
-    kind = Path(path).suffix
+    kind = as_path(path, "output").suffix
     if kind.lower() not in EXR_NAMES and not kind[1:].isdecimal():
         raise InputError(
             "output",
@@ -113,7 +130,7 @@ def make_folder(path: PathLike, *, what: str = "output") -> Path:
 
     Raises FileError if it cannot be made, or may not be written to.
     """
-    folder = Path(path)
+    folder = as_path(path, what)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as problem:
