@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError
 
+MAX_COORDINATE = float(np.finfo(np.float32).max)
+"""Images hold positions in single precision."""
+
 
 def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(name, expected="three finite numbers", got=str(value), action="pass (x, y, z)")
+    if vector.shape != (3,) or not (np.abs(vector) <= MAX_COORDINATE).all():
+        expected = f"three finite numbers, of which none is beyond {MAX_COORDINATE:.2g}"
+        raise InputError(name, expected=expected, got=str(value), action="pass (x, y, z)")
     vector = vector.copy()
     vector.flags.writeable = False
     return vector
@@ -44,8 +48,8 @@ class Camera:
     Raises
     ------
     InputError
-        If a vector is not three finite numbers, is zero, or ``up`` is parallel to ``forward``, or an angle or the shift
-        is out of range.
+        If a vector is not three finite numbers within `MAX_COORDINATE`, is zero, or ``up`` is parallel to ``forward``,
+        or an angle or the shift is out of range.
     """
 
     position: NDArray[np.float64]
@@ -78,7 +82,7 @@ class Camera:
             raise InputError(
                 "camera up",
                 expected="a vector that is not parallel to forward",
-                got=str(tuple(up)),
+                got=str(tuple(map(float, up))),
                 action="pass another up",
             )
         for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):

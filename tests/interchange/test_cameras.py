@@ -234,22 +234,60 @@ def test_camera_of_a_mitsuba_scene_is_that_of_mitsuba(axis: str, more: str, film
     require_same_view(read_camera_file(path), get_camera(scene), get_image_size(scene))
 
 
+SENSOR = (
+    "<scene>"
+    # Each parameter is ten of the next: in all a text of 10^10 letters.
+    + "".join(f'<default name="p{number}" value="{10 * f"$p{number - 1}"}"/>' for number in range(9, 0, -1))
+    + '<default name="p0" value="x"/><sensor type="perspective">{}</sensor></scene>'
+)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
         ("camera.txt", "", "a name that ends in .json"),
-        ("camera.json", "{", "expected a camera"),
+        ("camera.json", "{", "expected JSON"),
+        ("camera.json", "[]", "expected an object, got a list"),
+        (
+            "camera.json",
+            '{"position": [0, 0, 0], "forward": [0, 0, 1], "target": [1, 1, 1]}',
+            "either forward or target",
+        ),
+        (
+            "camera.json",
+            '{"position": ["0", 0, 0], "forward": [0, 0, 1]}',
+            "position: expected a list of three numbers",
+        ),
+        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_y": true}', "fov_y: .* got true"),
+        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_y": 1%s}' % (400 * "0"), "401 digits"),
+        ("camera.json", "[" * 200_000, "more than 64 deep"),
         ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1]}', "fov_y or fov_x"),
         ("camera.json", '{"position": [0, 0, 0], "look": [0, 0, 1]}', "'look'"),
         ("camera.gltf", '{"nodes": []}', "a node with a camera"),
+        ("camera.gltf", "[]", "got a list around it"),
+        ("camera.gltf", '{"nodes": [{"camera": 0, "children": [0]}], "cameras": [LENS]}', "node 0 inside itself"),
+        ("camera.gltf", '{"nodes": [{"camera": 0}, {"children": [9]}], "cameras": [LENS]}', "child of node 1"),
+        ("camera.gltf", '{"nodes": [{"camera": -1}], "cameras": [LENS]}', "from 0 to 0, got -1"),
+        ("camera.gltf", '{"nodes": [{"camera": 0, "rotation": [1e300, 1e300, 0, 0]}], "cameras": [LENS]}', "finite"),
+        ("camera.glb", "glTF" + 16 * "x", "a .glb that begins with"),
         ("camera.xml", "<scene/>", "a sensor"),
+        ("camera.xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><scene/>", "a document type"),
+        ("camera.xml", "<a>" * 1000, "more than 64 deep"),
+        ("camera.xml", '<?xml version="1.0" encoding="foo"?><scene/>', "unknown encoding"),
+        ("camera.xml", SENSOR.format('<float name="fov" value="180"/>'), "fov: expected a number between 0 and 180"),
+        ("camera.xml", SENSOR.format('<float name="focal_length" value="0mm"/>'), "focal_length: .* above 0"),
+        ("camera.xml", SENSOR.format('<film><integer name="width" value="0"/></film>'), "width: .* above 0"),
+        ("camera.xml", SENSOR.format("<transform><rotate x='0' angle='5'/></transform>"), "finite"),
+        ("camera.xml", SENSOR.format('<float name="fov" value="$p9"/>'), "values of at most 4096 letters"),
         ("camera.xml", '<scene><sensor type="orthographic"/></scene>', "orthographic"),
     ],
 )
 def test_what_is_no_camera_is_refused_in_a_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises((FileError, InputError), match=words):
+    lens = '{"type": "perspective", "perspective": {"yfov": 0.7}}'
+    (tmp_path / name).write_text(text.replace("LENS", lens))
+    with pytest.raises((FileError, InputError), match=words) as caught:
         read_camera_file(tmp_path / name)
+    assert str(tmp_path / name) in str(caught.value)
 
 
 def test_a_given_camera_turns_normals_of_camera_space(tmp_path: Path) -> None:

@@ -63,10 +63,10 @@ class TestLobeFiles:
         ("text", "words"),
         [
             ("", "empty file"),
-            ("not JSON", "something else"),
-            ("[1, 2]", "something else"),
-            ("[" * 100_000, "something else"),
-            ('{"format": "gltf", "version": 1}', "something else"),
+            ("not JSON", "no JSON"),
+            ("[1, 2]", "got a list"),
+            ("[" * 200_000, "more than 64 deep"),
+            ('{"format": "gltf", "version": 1}', "another format"),
             ('{"format": "lobewise lobes", "version": 2}', "expected version 1, got version 2"),
             ('{"format": "lobewise lobes", "version": 1, "name": "x"}', "got no kind"),
         ],
@@ -80,14 +80,23 @@ class TestLobeFiles:
 
     def test_binary_files_are_refused(self, tmp_path):
         (tmp_path / "x.lobes").write_bytes(b"\xff\x00\x80" * 100)
-        with pytest.raises(FileError, match="something else"):
+        with pytest.raises(FileError, match="not UTF-8: byte 1 is 0xff"):
             read_lobe_table(tmp_path / "x.lobes")
 
     @pytest.mark.parametrize(
         ("name", "value"),
         [
             ("twist", [1.0]),
+            ("twist", [[[True]]]),
             ("kind", "round"),
+            ("kind", 5),
+            ("kind", ["sg"]),
+            ("kind", None),
+            ("version", True),
+            ("version", 1.0),
+            ("comment", "mine"),
+            ("cosine", [10**300, 1]),
+            ("cosine", ["x" * 1000, ""]),
             ("name", 3),
             ("albedo", None),
             ("axis", "east"),
@@ -101,9 +110,10 @@ class TestLobeFiles:
             read_lobe_table(tmp_path / "x.lobes")
 
     def test_numbers_that_are_none_are_refused(self, table):
-        text = lobe_table_to_json(table).replace("0.33333334", "NaN", 1)
-        with pytest.raises(FileError, match="cosine"):
-            lobe_table_from_json(text)
+        text = lobe_table_to_json(table)
+        for word, told in (("NaN", "got NaN"), ("1e999", "cosine"), ("1" + 400 * "0", "401 digits")):
+            with pytest.raises(FileError, match=told):
+                lobe_table_from_json(text.replace("0.33333334", word, 1))
 
     def test_missing_file(self, tmp_path):
         with pytest.raises(FileError, match="no such file"):

@@ -144,10 +144,9 @@ class TestFile:
     @pytest.mark.parametrize(
         ("content", "message"),
         [
-            ("[{", "no JSON"),
-            ("{}", "expected a JSON list of cameras.*got a dict"),
+            ("{}", "expected a JSON list of cameras.*got an object"),
             ("[]", "an empty list"),
-            ("[3]", "entry 1: expected an object, got a int"),
+            ("[3]", "entry 1: expected an object, got a number"),
             ([{"position": [0, 0, 0]}], "entry 1: expected position, and either target or forward"),
             ([{"position": [0, 0, 0], "target": [1, 0, 0], "forward": [1, 0, 0]}], "either target or forward"),
             ([{"position": [0, 0], "target": [1, 0, 0]}], "position: expected a list of three numbers"),
@@ -163,6 +162,25 @@ class TestFile:
             read(content)
         assert "\n" not in str(caught.value)
         assert "path.json" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("content", "message"),
+        [
+            ("[{", "no JSON"),
+            ('[{"position": [1%s, 0, 0], "target": [0, 0, 0]}]' % (400 * "0"), "401 digits"),
+            ("[" * 200_000, "more than 64 deep"),
+            ('[{"position": [0, 0, 0], "position": [1, 0, 0]}]', "'position' twice"),
+        ],
+        ids=["no end", "number", "brackets", "twice"],
+    )
+    def test_what_is_no_json_is_one_sentence(self, read: Any, content: str, message: str) -> None:
+        with pytest.raises(FileError, match=message):
+            read(content)
+
+    def test_numbers_beyond_single_precision_are_refused(self, read: Any) -> None:
+        for far in (1e308, 1e200, 4e38):
+            with pytest.raises(InputError, match="three finite numbers"):
+                read([{"position": [far, 0, 0], "target": [-far, 0, 0]}])
 
     def test_a_missing_file_is_a_file_error(self, mi: Any, tmp_path: Path) -> None:
         from lobewise.render import read_camera_path

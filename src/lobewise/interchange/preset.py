@@ -7,7 +7,6 @@ use are those of `ROLES`, `CONVERSIONS` and the fields of `Preset`; any other is
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -15,13 +14,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lobewise.errors import FileError, InputError, require_choice
-from lobewise.io.files import PathLike, require_readable
+from lobewise.errors import InputError, require_choice
+from lobewise.io.documents import describe_kind, parse_toml, read_document
+from lobewise.io.files import PathLike
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+MAX_BYTES = 1 << 16
+"""Of a preset's file; the largest of this package has a twentieth of it."""
 
 ROLES = {
     "color": "total radiance",
@@ -130,7 +128,7 @@ def load_presets() -> dict[str, Preset]:
     found = {}
     for item in sorted(folder.iterdir(), key=lambda one: (one.name == "generic.toml", one.name)):
         if item.name.endswith(".toml"):
-            preset = _parse(item.read_text("utf-8"), item.name)
+            preset = _parse(item.read_bytes(), item.name)
             found[preset.name] = preset
     return found
 
@@ -146,24 +144,19 @@ def find_preset(name: PathLike) -> Preset:
         If the file cannot be read.
     """
     if str(name).endswith(".toml"):
-        path = require_readable(name)
-        try:
-            return _parse(path.read_text("utf-8"), str(path))
-        except UnicodeDecodeError:
-            raise FileError(f"preset {str(path)!r}", expected="text", got="bytes", action="write it as UTF-8") from None
+        data = read_document(name, MAX_BYTES, what="preset", holds="a preset in TOML")
+        return _parse(data, str(name))
     require_choice("preset", str(name), load_presets())
     return load_presets()[str(name)]
 
 
-def _parse(text: str, where: str) -> Preset:
-    try:
-        given = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise FileError(f"preset {where!r}", expected="TOML", got=str(problem), action="mend that line") from None
+def _parse(data: bytes, where: str) -> Preset:
     what = f"preset {where!r}"
+    given = parse_toml(data, what=what)
     for key in given:
         require_choice(f"{what}, key", key, [*ATTRIBUTES, *ROLES])
     name = _take(given, "name", str, what, Path(where).stem)
+    advice = _take(given, "advice", dict, what, {})
     return Preset(
         name=name,
         title=_take(given, "title", str, what, name),
@@ -181,8 +174,10 @@ def _parse(text: str, where: str) -> Preset:
         files=_take_texts(given, "files", what),
         notes=_take_texts(given, "notes", what),
         advice={
-            require_choice(f"{what}, advice", role, [*ROLES, "camera", "layers", "cryptomatte"]): str(told)
-            for role, told in _take(given, "advice", dict, what, {}).items()
+            require_choice(f"{what}, advice", role, [*ROLES, "camera", "layers", "cryptomatte"]): _take(
+                advice, role, str, f"{what}, advice"
+            )
+            for role in advice
         },
     )
 
@@ -204,13 +199,18 @@ def _parse_layer(given: Any, what: str) -> LayerRule:
     name = _take(given, "name", str, what)
     lobe = require_choice(f"{what}, lobe", _take(given, "lobe", str, what), LOBES)
     albedo = _take(given, "albedo", str, what, None)
-    return LayerRule(name, lobe, _take_texts(given, "light", what), albedo, bool(given.get("times_albedo", False)))
+    return LayerRule(
+        name, lobe, _take_texts(given, "light", what), albedo, _take(given, "times_albedo", bool, what, False)
+    )
 
 
 def _require_table(given: Any, what: str) -> dict[str, Any]:
     if not isinstance(given, dict):
-        raise InputError(what, expected="a table", got=repr(given), action='write { pass = "..." }')
+        raise InputError(what, expected="a table", got=describe_kind(given), action='write { pass = "..." }')
     return given
+
+
+_KINDS = {str: "a text", list: "a list", dict: "a table", bool: "true or false"}
 
 
 def _take(given: Mapping[str, Any], key: str, kind: type, what: str, *default: Any) -> Any:
@@ -218,12 +218,14 @@ def _take(given: Mapping[str, Any], key: str, kind: type, what: str, *default: A
         return default[0]
     value = given.get(key)
     if not isinstance(value, kind):
-        raise InputError(f"{what}, {key}", expected=f"a {kind.__name__}", got=repr(value), action="see presets/*.toml")
+        raise InputError(f"{what}, {key}", expected=_KINDS[kind], got=describe_kind(value), action="see presets/*.toml")
     return value
 
 
 def _take_texts(given: Mapping[str, Any], key: str, what: str) -> tuple[str, ...]:
     texts = _take(given, key, list, what, [])
     if not all(isinstance(text, str) for text in texts):
-        raise InputError(f"{what}, {key}", expected="a list of texts", got=repr(texts), action="quote each of them")
+        raise InputError(
+            f"{what}, {key}", expected="a list of texts", got="something else in it", action="quote each of them"
+        )
     return tuple(texts)

@@ -13,6 +13,7 @@ from typing import Any
 
 from lobewise.errors import FileError, InputError
 from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
+from lobewise.io.documents import describe_kind, parse_json, read_document, require_arrays, show_value
 from lobewise.io.files import PathLike, open_atomic, read_bytes, write_text
 from lobewise.lobe_table import LobeTable
 
@@ -59,12 +60,8 @@ def read_lobe_table(path: PathLike) -> LobeTable:
     FileError
         If it cannot be read, is no lobe file, is of another version, or holds values that no table can have.
     """
-    data = read_bytes(path, _MAX_BYTES, holds="a lobe table")
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        text = ""
-    return lobe_table_from_json(text, what=f"lobe file {str(path)!r}")
+    data = read_document(path, _MAX_BYTES, what="lobe file", holds="a lobe table")
+    return lobe_table_from_json(data, what=f"lobe file {str(path)!r}")
 
 
 def write_lobe_table(path: PathLike, table: LobeTable) -> None:
@@ -88,27 +85,25 @@ def lobe_table_to_json(table: LobeTable) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def lobe_table_from_json(text: str, *, what: str = "lobe table") -> LobeTable:
+def lobe_table_from_json(text: str | bytes, *, what: str = "lobe table") -> LobeTable:
     """Return the table that `lobe_table_to_json` wrote; ``what`` stands in errors: where the text is from.
 
     Raises FileError if it is no lobe table, is of another version, or holds values that no table can have.
     """
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError):
-        values = None
+    values = parse_json(text, what=what, action="pass a file that `lobewise fit` wrote")
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise FileError(
             what,
             expected=f"JSON with the format {FORMAT!r}",
-            got="something else",
+            got="another format" if isinstance(values, dict) else describe_kind(values),
             action="pass a file that `lobewise fit` wrote",
         )
-    if values.get("version") != VERSION:
+    version = values.get("version")
+    if version != VERSION or type(version) is not int:
         raise FileError(
             what,
             expected=f"version {VERSION}",
-            got=f"version {values.get('version')!r}",
+            got="none" if version is None else f"version {show_value(version)}",
             action="update lobewise or fit the material again",
         )
     lost = [name for name in _FIELDS if name not in values]
@@ -116,7 +111,18 @@ def lobe_table_from_json(text: str, *, what: str = "lobe table") -> LobeTable:
         raise FileError(
             what, expected=f"all of {', '.join(_FIELDS)}", got=f"no {lost[0]}", action="fit the material again"
         )
+    unknown = [name for name in values if name not in ("format", "version", *_FIELDS)]
+    if unknown:
+        raise FileError(
+            what, expected=f"no fields but {', '.join(_FIELDS)}", got=repr(unknown[0][:40]), action="leave it out"
+        )
+    for name in ("name", "kind"):
+        if not isinstance(values[name], str):
+            got = describe_kind(values[name])
+            raise FileError(f"{what}, {name}", expected="a text", got=got, action="fit the material again")
     try:
+        arrays = [name for name in _FIELDS if name not in ("name", "kind")]
+        require_arrays("lobe table", values, arrays, action="fit the material again")
         return LobeTable(**{name: values[name] for name in _FIELDS})
     except InputError as problem:
         raise FileError(f"{what}: {problem}") from None

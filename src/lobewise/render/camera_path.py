@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice
-from lobewise.io.files import PathLike, require_readable
+from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
+from lobewise.io.files import PathLike
 from lobewise.render.bridge import mi
 from lobewise.render.camera import get_camera
 
@@ -21,6 +20,8 @@ Vector = NDArray[np.float64]
 SLOW_ORBIT = 0.25
 """Degrees a frame: in the built-in scenes at 512x512 no surface moves by more than 2.3 pixels."""
 
+_MAX_BYTES = 16 << 20
+"""Of a camera path: a hundred thousand frames."""
 _KEYS = ("position", "target", "forward", "up", "fov_y")
 
 
@@ -90,19 +91,15 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
     Raises
     ------
     FileError
-        If the file cannot be read.
+        If the file cannot be read, or is no JSON.
     InputError
         If it is not such a list, or an entry is no camera.
     """
-    file = require_readable(path, what="camera path")
     name = f"camera path {str(path)!r}"
-    try:
-        entries = json.loads(Path(file).read_text(encoding="utf-8"))
-    except ValueError as problem:
-        got = f"no JSON: {problem}"
-        raise InputError(name, expected="a JSON list of cameras", got=got, action="mend the file") from None
+    data = read_document(path, _MAX_BYTES, what="camera path", holds="a JSON list of cameras")
+    entries = parse_json(data, what=name)
     if not isinstance(entries, list) or not entries:
-        got = "an empty list" if entries == [] else f"a {type(entries).__name__}"
+        got = "an empty list" if entries == [] else describe_kind(entries)
         action = 'write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]'
         raise InputError(name, expected="a JSON list of cameras, one for each frame", got=got, action=action)
     return [_make_camera(f"{name}, entry {number}", entry, camera) for number, entry in enumerate(entries, start=1)]
@@ -110,37 +107,28 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
 
 def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
     if not isinstance(entry, dict):
-        got = f"a {type(entry).__name__}"
-        raise InputError(name, expected="an object", got=got, action="write position and target")
+        raise InputError(name, expected="an object", got=describe_kind(entry), action="write position and target")
     for key in entry:
         require_choice(f"{name}, key", key, _KEYS)
     if "position" not in entry or ("target" in entry) == ("forward" in entry):
         expected = "position, and either target or forward"
         got = ", ".join(entry) or "nothing"
         raise InputError(name, expected=expected, got=got, action="say where the camera is and where it looks")
-    position = _read_vector(name, entry, "position")
+    position = require_numbers(f"{name}, position", entry["position"], 3)
     aim = "target" if "target" in entry else "forward"
-    forward = _read_vector(name, entry, aim) - (position if aim == "target" else 0.0)
+    with np.errstate(over="ignore"):  # the camera refuses what is not finite
+        forward = require_numbers(f"{name}, {aim}", entry[aim], 3) - (position if aim == "target" else 0.0)
     if not forward.any():
         raise InputError(name, expected="a direction of view", got="a length of 0", action="look at another point")
-    up = _read_vector(name, entry, "up") if "up" in entry else np.array([0.0, 1.0, 0.0])
+    up = require_numbers(f"{name}, up", entry["up"], 3) if "up" in entry else np.array([0.0, 1.0, 0.0])
     fov_y = default.fov_y
     if "fov_y" in entry:
-        angle = entry["fov_y"]
-        if isinstance(angle, bool) or not isinstance(angle, (int, float)) or not 0.0 < angle < 180.0:
-            known = "degrees between 0 and 180"
+        known = "degrees between 0 and 180"
+        angle = require_number(f"{name}, fov_y", entry["fov_y"], expected=known, action="40 is usual")
+        if not 0.0 < angle < 180.0:
             raise InputError(f"{name}, fov_y", expected=known, got=repr(angle), action="40 is usual")
         fov_y = float(np.deg2rad(angle))
     try:
         return Camera(position, forward, up, fov_y)
     except InputError as problem:
         raise InputError(f"{name}: {problem}") from None
-
-
-def _read_vector(name: str, entry: dict[str, Any], key: str) -> Vector:
-    value = entry[key]
-    numbers = isinstance(value, list) and len(value) == 3
-    if not numbers or any(isinstance(each, bool) or not isinstance(each, (int, float)) for each in value):
-        got = json.dumps(value)
-        raise InputError(f"{name}, {key}", expected="a list of three numbers", got=got, action="write [x, y, z]")
-    return np.array(value, dtype=np.float64)

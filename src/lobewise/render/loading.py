@@ -24,6 +24,9 @@ DEFAULT_SIZE = 512
 
 LARGEST_SIZE = 32768
 
+_RESERVED = ("path", "parallel", "optimize")
+"""Names that Mitsuba's loader takes for its own arguments."""
+
 _OF_A_MESH = {
     "vertex_positions": "vertices",
     "vertex_normals": "normals",
@@ -188,6 +191,10 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
     if not path.is_file():
         got = "a folder" if path.is_dir() else "nothing there"
         raise FileError(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
+    for name in parameters:
+        if name in _RESERVED:
+            expected = f"a name other than {', '.join(_RESERVED)}, which Mitsuba's loader takes for itself"
+            raise InputError("parameter", expected=expected, got=repr(name), action="rename it in the scene's file")
     mi = load_mitsuba()
     try:
         scene = mi.load_file(str(path), **parameters)

@@ -10,6 +10,7 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError, MissingDependencyError
+from lobewise.io.files import require_readable
 
 
 def read_usd_camera(path: Path) -> Camera:
@@ -31,6 +32,7 @@ def read_usd_camera(path: Path) -> Camera:
             "Cameras of USD files need OpenUSD: pip install 'lobewise[usd]', or write the camera as JSON."
         ) from problem
     what = f"camera {str(path)!r}"
+    require_readable(path, what="camera", holds="a USD stage")
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as problem:
