@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_kind, require_number
 
 MAX_COORDINATE = float(np.finfo(np.float32).max)
 """Images hold positions in single precision."""
 
 
 def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    vector = np.asarray(value, dtype=np.float64)
+    try:
+        # Strings of digits and the real part of complex numbers would pass.
+        vector = np.asarray(value)
+        vector = vector.astype(np.float64) if vector.dtype.kind in "fiu" else np.empty(0)
+    except (TypeError, ValueError, OverflowError):
+        vector = np.empty(0)
     if vector.shape != (3,) or not (np.abs(vector) <= MAX_COORDINATE).all():
         expected = f"three finite numbers, of which none is beyond {MAX_COORDINATE:.2g}"
         raise InputError(name, expected=expected, got=str(value), action="pass (x, y, z)")
@@ -86,11 +91,12 @@ class Camera:
                 action="pass another up",
             )
         for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):
-            if angle is not None and not 0.0 < angle < np.pi:
+            if angle is not None and not 0.0 < require_number(f"camera {name}", angle) < np.pi:
                 raise InputError(
                     f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
                 )
-        shift = tuple(float(part) for part in self.shift)
+        require_kind("camera shift", self.shift, tuple, list, np.ndarray)
+        shift = tuple(require_number("camera shift", part) for part in self.shift)
         if len(shift) != 2 or not np.isfinite(shift).all():
             raise InputError("camera shift", expected="two finite numbers", got=str(self.shift), action="pass (x, y)")
         object.__setattr__(self, "shift", shift)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
-
+MAX_SHOWN_LETTERS = 40
+"""Length of a value that a message shows instead of naming its type."""
 MAX_GOT_LETTERS = 300
 """Length of what a message shows of a wrong value."""
 
@@ -90,6 +91,28 @@ def require_kind(what: str, got: Any, *kinds: type) -> None:
         raise InputError(what, expected=expected, got=f"a {type(got).__name__}", action="pass another")
 
 
+def require_number(what: str, got: Any) -> float:
+    """Return ``got`` as a float if it is one real number, which may be infinite or NaN; truth values are none.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    try:
+        if isinstance(got, Real) and not isinstance(got, bool):
+            return float(got)
+    except OverflowError:
+        pass
+    raise InputError(what, expected="a number", got=name_value(got), action="pass another")
+
+
+def name_value(got: Any) -> str:
+    """Return a short value as it is written, and of a long one its type."""
+    shown = repr(got)
+    return shown if len(shown) <= MAX_SHOWN_LETTERS and "\n" not in shown else f"a {type(got).__name__}"
+
+
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
     """Return ``got`` if it is one of ``valid``; otherwise raise an error that names the nearest valid one.
 
@@ -125,5 +148,5 @@ def require_integer(what: str, got: Any, lowest: int, highest: int) -> int:
     whole = isinstance(got, Integral) and not isinstance(got, bool)
     if not whole or not lowest <= got <= highest:
         expected = f"an integer from {lowest} to {highest}"
-        raise InputError(what, expected=expected, got=repr(got), action="pass another")
+        raise InputError(what, expected=expected, got=name_value(got), action="pass another")
     return int(got)

@@ -12,12 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, MissingChannelError
+from lobewise.errors import InputError, MissingChannelError, require_kind, require_number
 from lobewise.images import ABSENT, Images, MaybeImage, as_images, refuse_size, say_size
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import Radiance as Radiance
 from lobewise.radiance import RadianceLayer as RadianceLayer
+
+
+def require_spp(spp: Any) -> None:
+    """Raise InputError unless a count of samples per pixel is None or a number of at least 1."""
+    if spp is not None and not require_number("spp", spp) >= 1:
+        raise InputError("spp", expected="at least 1", got=str(spp), action="leave it out if unknown")
 
 
 class LobeKind(IntEnum):
@@ -229,13 +235,17 @@ class Frame(Guided):
     noise_is_shared: bool = False
 
     def __post_init__(self) -> None:
+        require_kind("radiance", self.radiance, Radiance)
+        require_kind("gbuffer", self.gbuffer, GBuffer)
+        require_kind("camera", self.camera, Camera, type(None))
+        for name in ("half_a", "half_b", "variance"):
+            require_kind(name, getattr(self, name), Radiance, type(None))
         for name in ("gbuffer", "half_a", "half_b", "variance"):
             part: Images | None = getattr(self, name)
             shape = part.shape if part is not None else None
             if shape is not None and shape != self.shape:
                 raise refuse_size(name, "the radiance", self.shape, shape)
-        if self.spp is not None and self.spp < 1:
-            raise InputError("spp", expected="at least 1", got=str(self.spp), action="leave it out if unknown")
+        require_spp(self.spp)
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
         self._check_layers()
         material = self.gbuffer.material

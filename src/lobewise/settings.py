@@ -13,7 +13,7 @@ from functools import cache
 from textwrap import fill
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
-from lobewise.errors import InputError, require_choice
+from lobewise.errors import InputError, name_value, require_choice
 
 Auto = Literal["auto"]
 Quality = Literal["fast", "balanced", "high"]
@@ -88,19 +88,22 @@ class Knob:
             if self.choices:
                 require_choice(self.name, value, self.choices)
         elif not (value is None and self.optional) and not self._takes(value):
-            raise InputError(self.name, expected=self.expected, got=repr(value), action=self.usual)
+            raise InputError(self.name, expected=self.expected, got=name_value(value), action=self.usual)
 
     def _takes(self, value: Any) -> bool:
         if isinstance(value, str):
             return value in self.choices
+        if getattr(value, "shape", ()) != () or isinstance(value, bytes):
+            # Arrays compare element by element, and bytes can be made a number.
+            return False
         if self.kind is bool:
             return value in (True, False)
         if self.kind is int and (isinstance(value, bool) or not isinstance(value, int)):
             return False
         try:
             # Written so that NaN fails.
-            return bool(self.low <= value <= self.high if self.high < math.inf else self.low < value < math.inf)
-        except TypeError:
+            return bool(self.low <= value <= self.high if self.high < math.inf else self.low < float(value) < math.inf)
+        except (TypeError, OverflowError):
             return False
 
 

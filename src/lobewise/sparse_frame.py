@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Integral
+
+import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError
+from lobewise.errors import InputError, name_value, require_kind
 from lobewise.frame import Frame, GBuffer, Guided, Radiance, describe_content
 from lobewise.lobe_table import LobeTable
 
@@ -18,11 +21,14 @@ def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> 
         raise InputError(
             "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=repr(scale), action="2 or 4 is usual"
         )
-    if not (0 <= place[0] < min(scale, size[0]) and 0 <= place[1] < min(scale, size[1])):
+    require_kind("place", place, tuple, list, np.ndarray)
+    pair = [index for index in place if isinstance(index, Integral) and not isinstance(index, bool)]
+    is_pair = len(place) == len(pair) == 2
+    if not (is_pair and all(0 <= index < min(scale, length) for index, length in zip(pair, size, strict=True))):
         raise InputError(
             "place",
             expected=f"row and column from 0 to {scale - 1}",
-            got=repr(place),
+            got=name_value(place),
             action="say which pixel of each block was shaded",
         )
 
@@ -67,6 +73,9 @@ class SparseFrame(Guided):
     lobe_tables: tuple[LobeTable, ...] = ()
 
     def __post_init__(self) -> None:
+        require_kind("radiance", self.radiance, Radiance)
+        require_kind("gbuffer", self.gbuffer, GBuffer)
+        require_kind("camera", self.camera, Camera, type(None))
         size = self.gbuffer.shape
         if size is None:
             raise InputError(
@@ -143,6 +152,7 @@ def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> Sp
 
     Its radiance counts as shaded; guides stay whole. Raises as `SparseFrame`.
     """
+    require_kind("frame", frame, Frame)
     _check_blocks(frame.shape, scale, place)
     shaded = slice(place[0], None, scale), slice(place[1], None, scale)
 

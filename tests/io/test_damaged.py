@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 
 import numpy as np
@@ -170,3 +171,97 @@ def test_the_damaged_files_of_the_openexr_project(exr_folder, capfd):
                 read(path)
             assert_one_sentence(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+def find_table(data: bytes, count: int) -> tuple[int, list[int]]:
+    """Return where the chunk table of a single-part file begins, and the places of its chunks."""
+    start = read_attributes(data)[1]
+    return start, list(struct.unpack_from(f"<{count}Q", data, start))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda table: table[:1] * 9, "a damaged chunk 2 of 9: it is that of another place in the image"),
+        (lambda table: [table[1], table[0], *table[2:]], "a damaged chunk 1 of 9: it is that of another place"),
+    ],
+)
+def test_chunks_must_be_where_the_table_says(whole, change, words):
+    data, path = whole
+    start, table = find_table(data, 9)
+    path.write_bytes(data[:start] + struct.pack("<9Q", *change(table)) + data[start + 72 :])
+    with pytest.raises(FileError, match=words) as caught:
+        read_frame(path)
+    assert_one_sentence(caught.value)
+
+
+def test_chunks_lie_apart(whole):
+    data, path = whole
+    at = find_table(data, 9)[1][0]
+    # The first chunk says that it is long, and so holds the second.
+    (size,) = struct.unpack_from("<i", data, at + 4)
+    path.write_bytes(data[: at + 4] + struct.pack("<i", size + 1) + data[at + 8 :])
+    with pytest.raises(FileError, match="chunk 2 of 9 lies over chunk 1 of 9"):
+        read_frame(path)
+    # A chunk of one byte less than there is has a gap behind it, which is no damage to the table.
+    path.write_bytes(data[: at + 4] + struct.pack("<i", size - 1) + data[at + 8 :])
+    with pytest.raises(FileError, match="damaged pixels"):
+        read_frame(path)
+
+
+def test_chunks_lie_behind_the_table(whole):
+    data, path = whole
+    fake = struct.pack("<ii", 0, 400) + bytes(400)
+    inject_attributes(path, [(b"fake", b"blob", fake)])
+    data = path.read_bytes()
+    start = read_attributes(data)[1]
+    path.write_bytes(data[:start] + struct.pack("<Q", data.index(fake)) + data[start + 8 :])
+    with pytest.raises(FileError, match="chunk 1 of 9 lies over the header or the table of chunks"):
+        read_frame(path)
+
+
+def test_chunks_of_several_parts_lie_apart(rng, tmp_path):
+    path = tmp_path / "a.exr"
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.NO_COMPRESSION}
+    image = rng.random((2, 4)).astype("f")
+    parts = [OpenEXR.Part(dict(header), dict.fromkeys(names, image), names) for names in ("RGB", "XYZ")]
+    OpenEXR.File(parts).write(str(path))
+    data = bytearray(path.read_bytes())
+    first = struct.pack("<iii", 0, 0, 48)
+    at = data.index(first)
+    assert read_image(path).shape == (2, 4, 3)
+    struct.pack_into("<i", data, at + 8, 49 + 60)
+    path.write_bytes(data)
+    with pytest.raises(FileError, match="lies over chunk 1 of 2"):
+        read_image(path)
+
+
+def make_constant(compression: str, *, tiled: bool, width: int) -> bytes:
+    """Return a file of one value: nothing compresses better."""
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    if tiled:
+        header |= {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+        header["tiles"].xSize = header["tiles"].ySize = 512
+    out = io.BytesIO()
+    OpenEXR.File(header, {name: np.zeros((300, width), np.float32) for name in "RGB"}).write(out)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("compression", ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"])
+def test_no_chunk_claims_more_than_its_bytes_can_hold(compression, tiled, tmp_path):
+    data = make_constant(compression, tiled=tiled, width=1500)
+    path = tmp_path / "a.exr"
+    path.write_bytes(data)
+    assert not read_image(path).any()
+    at = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 12
+    far = bytearray(data)
+    struct.pack_into("<i", far, at, 2**19 - 1)
+    if tiled:
+        at = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
+        # As many tiles as before.
+        struct.pack_into("<I", far, at, -(-(2**19) // 3))
+    path.write_bytes(far)
+    with pytest.raises(FileError, match=r"a damaged chunk 1 of \d+: \d+ bytes where its pixels take \d+") as caught:
+        read_image(path)
+    assert_one_sentence(caught.value)

@@ -430,11 +430,14 @@ class TestResult:
         OpenEXR.File(header, {name: rng.random((16, 16)).astype("f") for name in "RGB"}).write(str(path))
         data = path.read_bytes()
         start = read_attributes(data)[1]
-        # A 16x16 image has five levels: change the mode, and let the table point at the one tile five times.
+        # A 16x16 image has five levels: change the mode, and put the others' tiles behind, uncompressed.
         at = data.index(b"tiledesc\0") + len(b"tiledesc\0") + 4 + 8
         data = data[:at] + b"\1" + data[at + 1 :]
         (first,) = struct.unpack_from("<Q", data, start)
-        path.write_bytes(data[:start] + struct.pack("<5Q", *[first + 32] * 5) + data[first:])
+        sizes = {level: 3 * 4 * (16 >> level) ** 2 for level in (1, 2, 3, 4)}
+        tiles = [struct.pack("<5i", 0, 0, level, level, size) + bytes(size) for level, size in sizes.items()]
+        offsets = np.cumsum([first + 32, len(data) - first, *map(len, tiles[:-1])])
+        path.write_bytes(data[:start] + struct.pack("<5Q", *offsets) + data[first:] + b"".join(tiles))
         with pytest.raises(FileError, match="resolution levels"):
             write_result(tmp_path / "b.exr", make_result(rng, 16, 16), source=path)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, is_dataclass
 from enum import Enum
@@ -28,6 +27,7 @@ from lobewise.backend.objects import compile_object
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_modules
+from lobewise.chunks import make_fork_lock
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
     "int32": ctypes.c_int32,
@@ -107,7 +107,7 @@ class Kernel:
 
 
 _kernels: dict[tuple[str, Hashable], Kernel] = {}
-_kernels_lock = threading.Lock()
+_kernels_lock = make_fork_lock()
 
 
 def count_compiled_kernels() -> int:

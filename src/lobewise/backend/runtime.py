@@ -17,6 +17,7 @@ import llvmlite.binding as llvm
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
+from lobewise.chunks import ForkGate, make_fork_lock
 from lobewise.errors import DeviceError
 
 _CONSTRUCTORS = {
@@ -57,6 +58,7 @@ class Runtime:
         set_handler = ctypes.CFUNCTYPE(ctypes.c_void_p, _Told)
         for name, handler in zip(("halide_set_error_handler", "halide_set_custom_print"), self._handlers, strict=True):
             set_handler(self.find(name))(handler)
+        self._gate = ForkGate(self.get("void", "halide_shutdown_thread_pool"))
 
     def _keep_problem(self, _: object, text: bytes) -> None:
         self._problems.text = text.decode("utf-8", "replace").strip()
@@ -93,7 +95,8 @@ class Runtime:
             If it does not, or told a problem.
         """
         self._problems.text = ""
-        code = function(*arguments)
+        with self._gate.enter():
+            code = function(*arguments)
         if code != 0 or self._problems.text:
             raise DeviceError(
                 "device",
@@ -120,7 +123,7 @@ def _find_function(engine: Any, name: str) -> int:
     return address
 
 
-_runtime_lock = threading.Lock()
+_runtime_lock = make_fork_lock()
 
 
 def get_runtime(device: str) -> Runtime:

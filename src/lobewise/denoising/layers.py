@@ -226,7 +226,7 @@ def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Seque
     if parts is None:
         return []
     with np.errstate(invalid="ignore", over="ignore"):
-        rest = color - parts[0] - parts[1]
+        rest = color - np.maximum(parts[0], np.float32(0.0)) - np.maximum(parts[1], np.float32(0.0))
     # Rounding leaves a little of a scattered sample behind.
     rest = np.where(rest > 1e-4 * color, rest, np.float32(0.0))
     if not (rest > 0.0).any():

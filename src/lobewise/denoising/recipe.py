@@ -233,9 +233,10 @@ def compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
         return parts[0]
     noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
     with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
-        rest = frame.radiance.color - noisy[0]
+        # A negative part is no light: subtracting it would add light that is not in the total.
+        rest = frame.radiance.color - np.maximum(noisy[0], np.float32(0.0))
         for part in noisy[1:]:
-            rest = rest - part
+            rest = rest - np.maximum(part, np.float32(0.0))
     rest = np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
     total = parts[0]
     for part in parts[1:]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_kind
 from lobewise.frame import FloatArray, Result
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.reading import import_file
@@ -72,6 +72,7 @@ def write_result(
     InputError
         If the result does not have the size of the image in ``source``, or a channel that is added exists.
     """
+    require_kind("result", result, Result)
     found = source if isinstance(source, Imported) else import_file(source)
     container = found.container
     if found.map is None:

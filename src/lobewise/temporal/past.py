@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import InputError, LobewiseError, require_kind
 from lobewise.filters.history.reprojection import AGREEMENT, run_reprojection
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
@@ -171,6 +171,7 @@ def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
     InputError
         If something is missing or does not fit.
     """
+    require_kind("state", packed, Mapping)
     parts: dict[str, dict[str, Any]] = {}
     for name, value in packed.items():
         prefix, _, key = name.partition("/")

@@ -102,6 +102,7 @@ class TemporalFilter:
         InputError
             If ``state`` is not what `get_state` gives.
         """
+        require_kind("state", state, Mapping)
         self._past = unpack_past(state) if state else None
 
     @property

@@ -102,6 +102,11 @@ class Part:
         return columns, rows
 
     @property
+    def tile_mode(self) -> int:
+        """How many resolution levels there are and how sizes are rounded, as the attribute ``tiles`` has it."""
+        return self._require("tiles")[8]
+
+    @property
     def line_order(self) -> int:
         """Whether chunks lie from top to bottom (0), from bottom to top (1) or anyhow (2)."""
         return self._require("lineOrder")[0]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import require_choice
+from lobewise.errors import require_choice, require_kind
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.header import describe_camera, read_camera, read_lobe_tables, read_spp
@@ -118,6 +118,7 @@ def write_frame(
     InputError
         If the compression is unknown.
     """
+    require_kind("frame", frame, Frame)
     require_choice("compression", compression, ("none", "rle", "zips", "zip", "piz", "zstd"))
     require_writable(path)
     pixels: dict[str, Pixels] = {}

@@ -10,13 +10,16 @@ Source: "OpenEXR File Layout" and "Technical Introduction to OpenEXR", openexr.c
 from __future__ import annotations
 
 import io
+import math
 import os
 import struct
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 from lobewise.errors import FileError
+from lobewise.io.exr.chunk_grid import MAX_EXPANSION, Place, list_levels, list_rows, list_tiles
 from lobewise.io.exr.container import (
     COMPRESSIONS,
     DEEP,
@@ -128,10 +131,12 @@ def _parse(path: Path, stream: BinaryIO) -> Container:
     tables = []
     for _, count in parts:
         tables.append(struct.unpack(f"<{count}Q", reader.take(8 * count, "the table of chunks")))
+    first = reader.stream.tell()
     done = tuple(
         replace(part, chunks=_locate_chunks(reader, part, table, multipart=bool(version & MULTIPART)))
         for (part, _), table in zip(parts, tables, strict=True)
     )
+    _require_apart(done, first, multipart=bool(version & MULTIPART))
     return Container(path=path, version=version, parts=done)
 
 
@@ -189,7 +194,7 @@ def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: in
             0 < width * height <= max(MAX_TILE, 4 * data.width * data.height) and mode & 0xF <= 2 and mode >> 4 <= 1
         ):
             raise _Damaged("a damaged attribute 'tiles'")
-        grid = _list_levels(data, mode)
+        _, grid = list_levels(data, mode)
         levels = len(grid)
         count = sum(-(-x // width) * -(-y // height) for x, y in grid)
     else:
@@ -201,29 +206,6 @@ def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: in
     channels = _parse_channels(value("channels", "chlist", None))
     part = Part(index, attributes, tiled, deep, channels, COMPRESSIONS[number][0], data, display, levels, ())
     return part, count
-
-
-def _list_levels(data: Window, mode: int) -> list[tuple[int, int]]:
-    """Return the size of every resolution level."""
-
-    def sizes(full: int) -> list[int]:
-        out = [full]
-        while out[-1] > 1:
-            out.append((out[-1] + 1) // 2 if mode >> 4 else out[-1] // 2)
-        if mode >> 4:
-            # Rounding up goes by the original size, not by the level before; both agree for halving.
-            out = [max(1, -(-full // 2**level)) for level in range(len(out))]
-        return out
-
-    if mode & 0xF == 0:
-        return [(data.width, data.height)]
-    across, down = sizes(data.width), sizes(data.height)
-    if mode & 0xF == 1:
-        count = max(len(across), len(down))
-        across += [1] * (count - len(across))
-        down += [1] * (count - len(down))
-        return list(zip(across, down, strict=True))
-    return [(x, y) for y in down for x in across]
 
 
 def _parse_channels(data: bytes) -> tuple[Channel, ...]:
@@ -254,24 +236,51 @@ def _locate_chunks(reader: _Reader, part: Part, table: tuple[int, ...], *, multi
     if missing:
         raise _Damaged(f"an unfinished file: {missing} of {len(table)} chunks of pixels are missing")
     chunks = []
-    coordinates = 16 if part.tiled else 4
-    for index, offset in enumerate(table):
-        start = offset + (4 if multipart else 0)
-        leader = coordinates + (24 if part.deep else 4)
+    coordinates = "<4i" if part.tiled else "<i"
+    for place, (index, offset) in zip(_list_places(part), enumerate(table), strict=True):
+        start, which = offset + (4 if multipart else 0), f"chunk {index + 1} of {len(table)}"
+        leader = struct.calcsize(coordinates) + (24 if part.deep else 4)
         if offset < 8 or start + leader > reader.size:
-            raise _Damaged(f"a truncated file of {reader.size} bytes: chunk {index + 1} of {len(table)} is outside")
+            raise _Damaged(f"a truncated file of {reader.size} bytes: {which} is outside")
         reader.stream.seek(offset)
         head = reader.stream.read(start + leader - offset)
         if multipart and struct.unpack_from("<i", head)[0] != part.index:
-            raise _Damaged(f"a damaged chunk {index + 1} of {len(table)}")
+            raise _Damaged(f"a damaged {which}")
         if part.deep:
-            size = sum(struct.unpack_from("<QQ", head, start - offset + coordinates))
+            size = sum(struct.unpack_from("<QQ", head, len(head) - 24))
         else:
-            size = struct.unpack_from("<i", head, start - offset + coordinates)[0]
+            size = struct.unpack_from("<i", head, len(head) - 4)[0]
         if size < 0 or start + leader + size > reader.size:
-            raise _Damaged(f"a truncated file of {reader.size} bytes: chunk {index + 1} of {len(table)} is cut off")
+            raise _Damaged(f"a truncated file of {reader.size} bytes: {which} is cut off")
+        if struct.unpack_from(coordinates, head, start - offset) != place.coordinates:
+            raise _Damaged(f"a damaged {which}: it is that of another place in the image")
+        # The codecs set aside memory for all pixels before they look at the bytes.
+        least = 0 if part.deep else place.count_bytes(part.channels)
+        if least > size * MAX_EXPANSION.get(part.compression, math.inf):
+            raise _Damaged(f"a damaged {which}: {size} bytes where its pixels take {least} and compress to more")
         chunks.append(Chunk(index, start, leader + size))
     return tuple(chunks)
+
+
+def _list_places(part: Part) -> Iterator[Place]:
+    """Yield the place of every chunk of a part, in the order of its table."""
+    if part.tiled:
+        return list_tiles(part.data_window, part.tile_mode, *part.tile_size)
+    return list_rows(part.data_window, part.rows_per_chunk)
+
+
+def _require_apart(parts: tuple[Part, ...], first: int, *, multipart: bool) -> None:
+    """Refuse chunks that lie over each other, or over what ends at ``first``: the headers and the tables."""
+    leader = 4 if multipart else 0
+    end, before = first, "the header or the table of chunks"
+    for offset, size, what in sorted(
+        (chunk.offset - leader, chunk.size + leader, f"chunk {chunk.index + 1} of {len(part.chunks)}")
+        for part in parts
+        for chunk in part.chunks
+    ):
+        if offset < end:
+            raise _Damaged(f"a damaged table of chunks: {what} lies over {before}")
+        end, before = offset + size, what
 
 
 def _say(name: str) -> str:

@@ -9,13 +9,12 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import count_cores
+from lobewise.chunks import ForkGate, count_cores
 from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, show_name
 from lobewise.io.exr.parsing import parse_bytes
@@ -24,7 +23,6 @@ from lobewise.io.exr.splice import pack_part
 Pixels = NDArray[Any]
 
 _DTYPES = {"uint": np.dtype(np.uint32), "half": np.dtype(np.float16), "float": np.dtype(np.float32)}
-_quiet = threading.Lock()
 
 
 def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
@@ -64,8 +62,9 @@ def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
 
 def decode_bytes(data: bytes) -> dict[str, Pixels]:
     """Return every channel of a file with one part; those that cannot be decoded are left out, or raise anything."""
-    OpenEXR = _load_library()
-    with _hush_library():
+    import OpenEXR
+
+    with _enter_library():
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
         # The library leaves the pixels out, with a printed warning, where it cannot decode them.
         return {key: np.asarray(channel.pixels) for key, channel in channels.items()}
@@ -113,7 +112,8 @@ def encode_file(
 
     Raises FileError if the library cannot encode the pixels.
     """
-    OpenEXR = _load_library()
+    import OpenEXR
+
     numbers = {name: number for number, (name, _) in COMPRESSIONS.items()}
     full: dict[str, Any] = dict(header)
     full["compression"] = OpenEXR.Compression(numbers[part.compression if part else compression])
@@ -131,7 +131,7 @@ def encode_file(
     }
     out = io.BytesIO()
     try:
-        with _hush_library():
+        with _enter_library():
             OpenEXR.File(full, channels).write(out)
     except (RuntimeError, ValueError, TypeError, OSError, MemoryError) as problem:
         raise FileError(
@@ -140,19 +140,47 @@ def encode_file(
     return out.getvalue()
 
 
-@lru_cache(maxsize=1)
-def _load_library() -> Any:
-    """Return the library, told to use every core: by itself it uses one, and its older releases know no other way."""
-    import OpenEXR
+class _Threads:
+    """The library's threads, one for every core: by itself it uses one, and older releases know no other way."""
 
-    if hasattr(OpenEXR, "set_global_thread_count"):
+    def __init__(self) -> None:
+        self._count = 0
+
+    def start(self) -> None:
+        """Have a thread for every core, where there is more than one."""
         cores = count_cores()
-        OpenEXR.set_global_thread_count(cores if cores > 1 else 0)
-    return OpenEXR
+        self._set(cores if cores > 1 else 0)
+
+    def end(self) -> None:
+        """Wait for all threads to end; the library then does its work in the thread that calls it."""
+        self._set(0)
+
+    def _set(self, count: int) -> None:
+        if count == self._count:
+            return
+        import OpenEXR
+
+        if hasattr(OpenEXR, "set_global_thread_count"):
+            OpenEXR.set_global_thread_count(count)
+        self._count = count
+
+
+_threads = _Threads()
+_gate = ForkGate(_threads.end)
+_quiet = threading.Lock()
 
 
 def _pair(window: Window) -> tuple[Pixels, Pixels]:
     return np.array([window.x_min, window.y_min], np.int32), np.array([window.x_max, window.y_max], np.int32)
+
+
+@contextmanager
+def _enter_library() -> Iterator[None]:
+    """Let one thread at a time call the library, with its threads started and its own lines off the terminal."""
+    with _gate.enter(), _quiet:
+        _threads.start()
+        with _hush_library():
+            yield
 
 
 @contextmanager
@@ -161,7 +189,7 @@ def _hush_library() -> Iterator[None]:
 
     Its C core writes to file descriptor 2 and leaves no way to ask for silence.
     """
-    with _quiet, tempfile.TemporaryFile() as caught:
+    with tempfile.TemporaryFile() as caught:
         try:
             saved = os.dup(2)
         except OSError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_kind
 from lobewise.frame import Frame, Radiance
 from lobewise.io.exr.frames import read_whole, write_frame
 from lobewise.io.exr.layout import name_file, require_beauty
@@ -54,6 +54,8 @@ def write_sparse_frame(path: PathLike, frame: SparseFrame, *, half: bool = True,
 
     Parameters and errors are those of `write_frame`.
     """
+
+    require_kind("frame", frame, SparseFrame)
 
     def spread(part: Radiance | None) -> Radiance | None:
         if part is None:
