@@ -195,9 +195,9 @@ def test_rows_are_kept_until_they_are_forgotten(tmp_path: Path, monkeypatch: pyt
     decoded: list[tuple[int, int]] = []
     from lobewise.io.exr import bands
 
-    def decode(container: Any, part: Any) -> Any:
+    def decode(container: Any, part: Any, names: Any) -> Any:
         decoded.append((part.data_window.y_min - 5, part.data_window.height))
-        return original(container, part)
+        return original(container, part, names)
 
     original = bands.decode_part
     monkeypatch.setattr(bands, "decode_part", decode)
