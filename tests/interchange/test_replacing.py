@@ -184,3 +184,46 @@ def test_sizes_must_match(tmp_path: Path) -> None:
     write(other, written)
     with pytest.raises(InputError, match="expected the size of"):
         write_result(tmp_path / "b.exr", result, source=other)
+
+
+@pytest.mark.parametrize("part_each", [False, True])
+def test_the_result_goes_where_people_look(part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Blender's denoiser was on: Combined is its image, which viewers show, and Noisy Image is what was rendered."""
+    source, output = tmp_path / "a.exr", tmp_path / "b.exr"
+    written = WRITERS["cycles"](make_scene())
+    layer, smooth = "View Layer.001", {}
+    for letter in "RGB":
+        noisy = written.channels[f"{layer}.Combined.{letter}"]
+        written.channels[f"{layer}.Noisy Image.{letter}"] = noisy
+        smooth[letter] = np.full_like(noisy, noisy.mean())
+        written.channels[f"{layer}.Combined.{letter}"] = smooth[letter]
+    write(source, written, part_each=part_each)
+    assert run(["denoise", str(source), "-o", str(output), "--quality", "fast"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "goes into View Layer.001.Combined.R/G/B" in told
+    kept = "before" if part_each else f"{layer}.Combined_before"
+    assert f"kept as {kept}.R/G/B" in told
+
+    def read(path: Path) -> dict[str, np.ndarray]:
+        found = {}
+        for part in OpenEXR.File(str(path), separate_channels=True).parts:
+            for name, channel in part.channels.items():
+                plain = part_each and name in "RGBXYZ"
+                found[f"{part.name()}.{name}" if plain else name] = channel.pixels
+        return found
+
+    before, after = read(source), read(output)
+    result = lobewise.denoise(lobewise.read_frame(source), quality="fast").image
+    for k, letter in enumerate("RGB"):
+        np.testing.assert_allclose(after[f"{layer}.Combined.{letter}"], result[..., k], rtol=1e-6)
+        np.testing.assert_array_equal(after[f"{kept}.{letter}"], smooth[letter])
+        np.testing.assert_array_equal(after[f"{layer}.Noisy Image.{letter}"], before[f"{layer}.Noisy Image.{letter}"])
+    assert np.array_equal(lobewise.interchange.read_image(output), result)
+    # `compare` names the pass that it measures.
+    assert run(["compare", str(output), "--reference", str(source)]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.count("which viewers show, is measured") == 2
+    # A second time the renderer's own image is not replaced by lobewise's.
+    again = tmp_path / "c.exr"
+    assert run(["denoise", str(output), "-o", str(again), "--quality", "fast"]) == 0
+    np.testing.assert_array_equal(read(again)[f"{kept}.R"], smooth["R"])

@@ -95,9 +95,14 @@ def compare(
 
 
 def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> dict[str, Any]:
-    from lobewise.interchange import read_image
+    from lobewise.cli.output import print_note
+    from lobewise.interchange import find_noisy_pass, read_image
     from lobewise.metrics import EPSILON, evaluate
 
+    for path in (*images, reference):
+        two = find_noisy_pass(path)
+        if two is not None:
+            print_note(f"{path}: {two[0]}, which viewers show, is measured; {two[1]}, the noisy image, is not.")
     target = read_image(reference)
     rows = [
         {"path": str(path), **_blame(path, reference, lambda image: evaluate(image, target, metrics=metrics))}

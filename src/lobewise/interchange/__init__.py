@@ -2,7 +2,15 @@
 
 from lobewise.interchange.describing import describe_file
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.reading import import_file, read_frame, read_image
+from lobewise.interchange.reading import find_noisy_pass, import_file, read_frame, read_image
 from lobewise.interchange.replacing import write_result
 
-__all__ = ["Imported", "describe_file", "import_file", "read_frame", "read_image", "write_result"]
+__all__ = [
+    "Imported",
+    "describe_file",
+    "find_noisy_pass",
+    "import_file",
+    "read_frame",
+    "read_image",
+    "write_result",
+]

@@ -63,6 +63,8 @@ class Pass:
 
     def get_prefix(self, pattern: str) -> str:
         """Return what stands before the pass in its path, the last dot with it."""
+        if not self.path:
+            return ""
         words = pattern.count(".") + 1
         kept = self.path.split(".")[:-words] if pattern else self.path.split(".")
         return "".join(f"{word}." for word in kept)

@@ -37,6 +37,8 @@ class Imported:
         Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
     findings : tuple of Finding
         What was measured to be another convention than the file was taken for; the notes have their sentences.
+    shown : array, shape (height, width, 3), or None
+        The image that viewers show, where the renderer denoised it and kept the noisy one in another pass.
     """
 
     frame: Frame
@@ -45,6 +47,7 @@ class Imported:
     notes: tuple[str, ...] = ()
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    shown: FloatArray | None = None
 
     @property
     def preset(self) -> str:

@@ -131,4 +131,5 @@ def join_halves(first: Imported, second: Imported) -> Imported:
         (*first.notes, "Two renders were joined as halves of the samples.", *told),
         first.outputs,
         (*first.findings, *further),
+        first.shown,
     )

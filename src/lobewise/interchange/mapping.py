@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from lobewise.errors import InputError, MissingChannelError, require_choice
-from lobewise.interchange.channels import COLOR, PLANE, VECTOR, Pass, keep_beside, list_passes
+from lobewise.interchange.channels import COLOR, COMPONENTS, PLANE, VECTOR, Pass, keep_beside, list_passes
 from lobewise.interchange.preset import CONVERSIONS, ROLES, SINGLES, LayerRule, Preset, Rule, find_preset, load_presets
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.layout import find_beauty
@@ -37,10 +37,12 @@ class Found:
 
     @property
     def label(self) -> str:
-        """The channels in short: ``ViewLayer.DiffCol.R/G/B``."""
+        """The channels in short: ``ViewLayer.DiffCol.R/G/B``, whether the pass is a part of its own or not."""
         head = self.channels[0].rpartition(".")[0]
         if all(name.rpartition(".")[0] == head for name in self.channels):
             words = "/".join(name.rpartition(".")[2] for name in self.channels)
+            if words.lower().split("/")[0] in COMPONENTS:
+                head = head or self.source.path
             return show_name(f"{head}.{words}" if head else words)
         return show_name(", ".join(self.channels))
 
@@ -74,6 +76,8 @@ class ChannelMap:
         What stands before the passes that were taken: the view layer.
     others : tuple of str
         Prefixes of further images of the same kind.
+    shown : Found or None
+        The image that people look at, where it is another pass than the noisy image: the renderer denoised it.
     """
 
     preset: Preset
@@ -83,6 +87,12 @@ class ChannelMap:
     cryptomatte: tuple[tuple[Found, ...], ...]
     prefix: str = ""
     others: tuple[str, ...] = ()
+    shown: Found | None = None
+
+    @property
+    def target(self) -> Found:
+        """The image that people look at, into which results are written."""
+        return self.roles["color"] if self.shown is None else self.shown
 
 
 def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike | None = None) -> tuple[Preset, str]:
@@ -141,7 +151,8 @@ def map_channels(
         if layer is not None:
             layers.setdefault(rule.name, layer)
     mattes = [_find_matte(name, beside, prefix) for name in chosen.cryptomatte]
-    return ChannelMap(chosen, reason, roles, tuple(layers.values()), tuple(filter(None, mattes)), prefix, others)
+    shown = None if "color" in own else _find_shown(chosen, color, beside, prefix)
+    return ChannelMap(chosen, reason, roles, tuple(layers.values()), tuple(filter(None, mattes)), prefix, others, shown)
 
 
 def parse_mapping(role: str, text: str, passes: Sequence[Pass]) -> Found:
@@ -205,6 +216,16 @@ def _find_color(
         got="only " + ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else ""),
         action="say which it is with --map color=PASS",
     )
+
+
+def _find_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: str) -> Found | None:
+    """Return the image that people look at, if it is another pass than the noisy image."""
+    for pattern in preset.shown:
+        for one in passes:
+            channels = one.pick(COLOR) if one.matches(pattern) and one.get_prefix(pattern) == prefix else None
+            if channels:
+                return None if channels == color.channels and one.part == color.source.part else Found(one, channels)
+    return None
 
 
 def _find_pass(pattern: str, passes: Sequence[Pass], prefix: str) -> list[Pass]:

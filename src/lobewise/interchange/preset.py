@@ -57,7 +57,7 @@ LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "e
 passes as it is."""
 ATTRIBUTES = (
     *("name", "title", "attributes", "passes", "files", "samples", "samples_squared"),
-    *("notes", "advice", "layer", "cryptomatte"),
+    *("notes", "advice", "layer", "cryptomatte", "shown"),
 )
 
 
@@ -93,6 +93,9 @@ class Preset:
         Patterns of header attributes, any of which tells the renderer, and of passes, all of which do together.
     roles : mapping of str to tuple of Rule
         For each role the ways to find it, the best first.
+    shown : tuple of str
+        Passes that people look at where the renderer denoised them and kept the noisy image in another pass, the best
+        first. Results are written there.
     layers : tuple of LayerRule
         Alternatives of one name: the first whose passes are all there.
     cryptomatte : tuple of str
@@ -112,6 +115,7 @@ class Preset:
     attributes: tuple[str, ...] = ()
     passes: tuple[str, ...] = ()
     roles: Mapping[str, tuple[Rule, ...]] = field(default_factory=dict)
+    shown: tuple[str, ...] = ()
     layers: tuple[LayerRule, ...] = ()
     cryptomatte: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
@@ -167,6 +171,7 @@ def _parse(data: bytes, where: str) -> Preset:
             for role in ROLES
             if role in given
         },
+        shown=_take_texts(given, "shown", what),
         layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(given, "layer", list, what, [])),
         cryptomatte=_take_texts(given, "cryptomatte", what),
         samples=_take_texts(given, "samples", what),

@@ -106,7 +106,10 @@ def read_frame(
 
 
 def read_image(path: PathLike) -> FloatArray:
-    """Return only the image of any EXR file: float32, shape (height, width, 3).
+    """Return only the image of any EXR file, as viewers show it: float32, shape (height, width, 3).
+
+    Where the renderer denoised its image and kept the noisy one in another pass, the denoised image is returned;
+    `find_noisy_pass` names the other.
 
     Raises
     ------
@@ -119,7 +122,24 @@ def read_image(path: PathLike) -> FloatArray:
     if is_own(container):
         return read_own_image(path)
     family = find_family(container)
-    return ImageReader(family.decode)(map_channels(family.container).roles["color"])
+    return ImageReader(family.decode)(map_channels(family.container).target)
+
+
+def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
+    """Return the labels of the image that viewers show and of the noisy pass beside it; None where there is one image.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, unreadable, damaged, truncated or of zero size.
+    MissingChannelError
+        If there is no image.
+    """
+    container = read_container(path)
+    if is_own(container):
+        return None
+    channels = map_channels(find_family(container).container)
+    return None if channels.shown is None else (channels.shown.label, channels.roles["color"].label)
 
 
 def import_file(
@@ -231,6 +251,11 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     color = images["color"]
     beauty = channels.roles["color"].source.part
     notes = [*channels.preset.notes]
+    if channels.shown is not None:
+        notes.append(
+            f"{channels.shown.label} was denoised by the renderer: the noisy image, {channels.roles['color'].label}, "
+            f"is filtered, and the result goes into {channels.shown.label}."
+        )
     if channels.others:
         notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
     guides = check_guides(images, channels, read)
@@ -278,12 +303,13 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     findings += noise
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
     frame = keep_lamps(frame, notes)
-    outputs = {"color": PartOutput(channels.roles["color"]), **light.outputs}
+    outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
     if any(one.found.source.part.index >= FIRST_INDEX for one in outputs.values()):
         notes.append("Passes in files of their own stay as they are there: only the image is written.")
         outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
-    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings))
+    shown = None if channels.shown is None else read(channels.shown)
+    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings), shown)
 
 
 def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:

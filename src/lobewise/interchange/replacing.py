@@ -9,14 +9,19 @@ import numpy as np
 
 from lobewise.errors import InputError, require_kind
 from lobewise.frame import FloatArray, Result
+from lobewise.interchange.channels import list_passes
 from lobewise.interchange.imported import Imported
+from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
+from lobewise.io.exr.container import show_name
 from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
 
 CONFIDENCE = "lobewise."
 """Before the names of the channels that tell how far to trust the result."""
+BEFORE = "_before"
+"""Behind the name of a pass: the image that the renderer had denoised, which the result replaced."""
 SMALLEST_FACTOR = 1e-6
 
 Planes = dict[int, dict[str, FloatArray]]
@@ -34,10 +39,12 @@ def write_result(
 ) -> tuple[str, ...]:
     """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
 
-    Replaced is the image where it came from, whatever it is called there, and where both the file and the result have
-    them the layers of light, each in its own channels. Everything else stays: the other parts byte for byte, the other
-    channels in their pixel types, every attribute, the windows and the compression (but a lossy one, where it would
-    change channels that are not touched). A channel stored as 16-bit float stays one, and values beyond its range
+    The image is replaced where it came from, whatever it is called there. Where the renderer denoised its image and
+    kept the noisy one in another pass, the result replaces the image that viewers show; the renderer's image is kept
+    in a pass whose name ends in ``_before``, and the noisy pass stays. Layers of light are replaced, each in its own
+    channels, where both the file and the result have them. Everything else stays: the other parts byte for byte, the
+    other channels in their pixel types, every attribute, the windows and the compression (but a lossy one, where it
+    would change channels that are not touched). A channel stored as 16-bit float stays one, and values beyond its range
     become 65504. One attribute is added, ``lobewise/denoised``, with the settings as JSON.
 
     Parameters
@@ -79,11 +86,13 @@ def write_result(
         beauty = require_beauty(container)
         planes = _plan_own(found, result)
     else:
-        beauty = found.map.roles["color"].source.part
+        beauty = found.map.target.source.part
         planes = _plan_foreign(found, result)
     notes = _note_noisy(found, result)
+    kept, told = ({}, []) if suffix or only else _keep_shown(found)
+    notes += told
     changed: Planes = {} if suffix else planes
-    added: Planes = {}
+    added: Planes = kept
     if suffix:
         added = {
             index: {_add_suffix(name, suffix): plane for name, plane in each.items()} for index, each in planes.items()
@@ -133,6 +142,25 @@ def _list_images(result: Result) -> Mapping[str, FloatArray]:
     images: dict[str, Any] = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
     whole = {name: image for name, image in images.items() if image is not None}
     return {**whole, **result.layers, **result.also}
+
+
+def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
+    """Return the channels that keep the image which the renderer denoised, and a sentence that names them.
+
+    A file that lobewise wrote has them already: they stay as they are.
+    """
+    shown = None if found.map is None else found.map.shown
+    if shown is None or found.shown is None:
+        return {}, []
+    names = [_add_suffix(name, BEFORE) for name in shown.channels]
+    label = Found(shown.source, tuple(names)).label
+    if found.container.multipart and shown.source.part.name:
+        label += f" of the part {show_name(shown.source.part.name)!r}"
+    there = {name for one in list_passes(found.container) for name in one.channels.values()}
+    if there.intersection(names):
+        return {}, [f"{label} holds an earlier image of {shown.label} and stays."]
+    planes = {name: found.shown[..., k] for k, name in enumerate(names)}
+    return {shown.source.part.index: planes}, [f"The renderer's own denoised image is kept as {label}."]
 
 
 def _note_noisy(found: Imported, result: Result) -> list[str]:
