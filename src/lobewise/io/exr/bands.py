@@ -28,22 +28,23 @@ from lobewise.io.exr.layout import (
     require_shaded,
 )
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.pixels import Pixels, decode_part, encode_part, require_encodable
+from lobewise.io.exr.pixels import DTYPES, Pixels, count_fitting_rows, decode_part
 from lobewise.io.exr.schema import Slot
-from lobewise.io.exr.splice import shift_tiles, write_container
+from lobewise.io.exr.splice import write_container
+from lobewise.io.exr.spool import ChunkSpool
 from lobewise.io.files import PathLike, open_atomic
 from lobewise.lobe_table import LobeTable
 
 SLAB_ROWS = 64
 """About so many rows are decoded or encoded at once: enough work for all cores."""
-DECREASING = 1
-"""Line order of a file whose chunks lie from the bottom of the image to its top."""
+MAX_KEPT_BYTES = 200
+"""Bytes of a pixel in channels that are only copied, up to which they are kept rather than decoded again."""
 
 
 def count_slab_rows(part: Part) -> int:
     """Return how many rows of a part are decoded, or encoded, at a time."""
     rows = part.rows_per_chunk
-    return rows * max(SLAB_ROWS // rows, 1)
+    return min(rows * max(SLAB_ROWS // rows, 1), count_fitting_rows(part))
 
 
 class BandReader:
@@ -95,14 +96,18 @@ class BandReader:
 
     def count_bytes(self) -> tuple[int, int]:
         """Return the bytes of a pixel as it is stored, all channels that are kept, and as it is in a frame."""
-        sizes = {"half": 2}
         stored = sum(
-            sizes.get(channel.pixel_type, 4)
+            DTYPES[channel.pixel_type].itemsize
             for index, names in self._kept.items()
             for channel in self.container.parts[index].channels
             if channel.name in names
         )
         return stored, sum(4 * len(slot.channels) for _, slots in self._plan for slot in slots)
+
+    def count_more(self, part: Part) -> int:
+        """Return the bytes of a pixel in the channels of a part that are not kept."""
+        kept = self._kept.get(part.index, set())
+        return sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels if channel.name not in kept)
 
     def keep(self, part: Part, names: Collection[str]) -> None:
         """Keep these channels of a part as well; rows that were read without them are read again."""
@@ -129,8 +134,14 @@ class BandReader:
             return build_frame(images, camera, self.spp, self.lobe_tables)
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
-        """Return rows of every channel of a part that is kept, in the types that they were stored in."""
-        return self._read(part, sorted(self._kept[part.index]), first, stop)
+        """Return rows of every channel of a part, in the types that they were stored in.
+
+        If some of its channels are not kept, all are decoded again; the rows are then those of whole chunks.
+        """
+        names = sorted(channel.name for channel in part.channels)
+        if self._kept.get(part.index, set()).issuperset(names):
+            return self._read(part, names, first, stop)
+        return decode_part(self.container, crop_part(part, first, stop))
 
     def forget(self, row: int) -> None:
         """Let go of what lies above ``row``."""
@@ -144,8 +155,8 @@ class BandReader:
         for top in range(first // step * step, stop, step):
             if (part.index, top) not in self._slabs:
                 bottom = min(top + step, part.data_window.height)
-                pixels = decode_part(self.container, crop_part(part, top, bottom))
-                self._slabs[part.index, top] = {name: pixels[name] for name in self._kept[part.index]}
+                cropped = crop_part(part, top, bottom)
+                self._slabs[part.index, top] = decode_part(self.container, cropped, self._kept[part.index])
             for name in names:
                 pieces[name].append(self._slabs[part.index, top][name][max(first - top, 0) : stop - top])
         return {name: np.concatenate(each) if len(each) > 1 else each[0] for name, each in pieces.items()}
@@ -163,13 +174,12 @@ class BandReader:
 
 @dataclass
 class _Written:
-    """How far a part is written, and where in the spool its chunks lie."""
+    """How far a part is written, and where its chunks wait."""
 
     part: Part
     slots: list[Slot]
     row: int
-    batches: list[list[tuple[int, int, int]]]
-    """Of every band: index in the chunk table, place in the spool and size of each chunk, in the file's order."""
+    spool: ChunkSpool
 
 
 class BandWriter:
@@ -177,19 +187,23 @@ class BandWriter:
 
     What becomes of the file is what `lobewise.io.exr.write_result` says.
 
-    The reader has not read any row yet; it then keeps what is copied. ``fields`` are the images that are going to be
-    given, of ``color``, ``diffuse`` and ``specular``. Chunks lie in ``spool``, a binary file, until all are there.
+    The reader has not read any row yet; it then keeps what is copied, unless that is much (`MAX_KEPT_BYTES`).
+    ``fields`` are the images that are going to be given, of ``color``, ``diffuse`` and ``specular``. Chunks lie in
+    ``spool``, a binary file, until all are there.
 
     Raises FileError if the part of an image is of a kind that cannot be written.
     """
 
     def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
-        self._reader, self._spool = reader, spool
+        self._reader = reader
         container = reader.container
-        self._written = [_Written(part, slots, 0, []) for part, slots in plan_writing(container, reader.beauty, fields)]
+        self._written = [
+            _Written(part, slots, 0, ChunkSpool(container, part, spool))
+            for part, slots in plan_writing(container, reader.beauty, fields)
+        ]
         for each in self._written:
-            require_encodable(container, each.part)
-            reader.keep(each.part, {channel.name for channel in each.part.channels})
+            if reader.count_more(each.part) <= MAX_KEPT_BYTES:
+                reader.keep(each.part, {channel.name for channel in each.part.channels})
         self._pending: dict[str, FloatArray] = {}
         self._top = self._bottom = 0
 
@@ -229,20 +243,8 @@ class BandWriter:
         part, first = each.part, each.row
         rows = slice(first - self._top, stop - self._top)
         images = {field: image[rows] for field, image in self._pending.items()}
-        cropped = crop_part(part, first, stop)
-        pixels = put_images(each.slots, images, self._reader.read_part(part, first, stop))
-        above = len(part.chunks) - len(crop_part(part, first, part.data_window.height).chunks)
-        batch = []
-        for index, data in encode_part(self._reader.container, cropped, pixels):
-            place = self._spool.seek(0, 2)
-            self._spool.write(shift_tiles(data, cropped.tiles_above))
-            batch.append((above + index, place, len(data)))
-        each.batches.append(batch)
+        each.spool.add(first, stop, put_images(each.slots, images, self._reader.read_part(part, first, stop)))
         each.row = stop
 
     def _list_chunks(self, each: _Written) -> Iterator[tuple[int, bytes]]:
-        falling = each.part.line_order == DECREASING
-        for batch in reversed(each.batches) if falling else each.batches:
-            for index, place, size in batch:
-                self._spool.seek(place)
-                yield index, self._spool.read(size)
+        return each.spool.read()

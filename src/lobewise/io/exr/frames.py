@@ -65,7 +65,7 @@ def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeT
     beauty = require_beauty(container)
     images: dict[tuple[str, str], FloatArray] = {}
     for part, slots in plan_reading(container, beauty):
-        images |= make_images(slots, decode_part(container, part))
+        images |= make_images(slots, decode_part(container, part, {name for slot in slots for name in slot.channels}))
     with name_file(path):
         tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
         return build_frame(images, read_camera(beauty), read_spp(beauty), tables)
@@ -82,7 +82,7 @@ def read_image(path: PathLike) -> FloatArray:
         If there is no R, G and B.
     """
     container = read_container(path)
-    pixels = decode_part(container, require_beauty(container))
+    pixels = decode_part(container, require_beauty(container), BEAUTY.channels)
     return join_planes([pixels[name] for name in BEAUTY.channels])
 
 

@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
@@ -16,43 +16,88 @@ from numpy.typing import NDArray
 
 from lobewise.chunks import ForkGate, count_cores
 from lobewise.errors import FileError
-from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, show_name
+from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, crop_part, show_name
 from lobewise.io.exr.parsing import parse_bytes
 from lobewise.io.exr.splice import pack_part
 
 Pixels = NDArray[Any]
 
-_DTYPES = {"uint": np.dtype(np.uint32), "half": np.dtype(np.float16), "float": np.dtype(np.float32)}
+DTYPES: dict[str, np.dtype[Any]] = {
+    "uint": np.dtype(np.uint32),
+    "half": np.dtype(np.float16),
+    "float": np.dtype(np.float32),
+}
 
 
-def decode_part(container: Container, part: Part) -> dict[str, Pixels]:
-    """Return every channel of a part, each (height, width) in its own type: uint32, float16 or float32.
+MAX_SLAB_BYTES = 2**28
+"""Bytes of pixels that are decoded or encoded at once, if more than one row of chunks fits."""
+
+
+def count_fitting_rows(part: Part) -> int:
+    """Return how many rows of a part fit `MAX_SLAB_BYTES`: whole rows of chunks, at least one."""
+    rows = part.rows_per_chunk
+    size = part.data_window.width * sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels)
+    return rows * max(MAX_SLAB_BYTES // (size * rows), 1)
+
+
+def decode_part(container: Container, part: Part, names: Collection[str] | None = None) -> dict[str, Pixels]:
+    """Return channels of a part, each (height, width) in its own type: uint32, float16 or float32.
+
+    ``names`` are those that are wanted, by default all. Only some rows of the others are in memory at a time, unless
+    the part has subsampled channels.
 
     Raises FileError if the pixels are damaged, or the part holds deep samples.
     """
-    name = f"input {str(container.path)!r}"
     if part.deep:
         raise FileError(
-            name, expected="an image with one value per pixel", got="deep samples", action="flatten it first"
+            f"input {str(container.path)!r}",
+            expected="an image with one value per pixel",
+            got="deep samples",
+            action="flatten it first",
         )
+    wanted = [channel for channel in part.channels if names is None or channel.name in names]
+    window, step = part.data_window, count_fitting_rows(part)
+    plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in part.channels)
+    if step >= window.height or not plain:
+        pixels = _decode_rows(container, part)
+        return {channel.name: pixels[channel.name] for channel in wanted}
+    try:
+        whole = {each.name: np.empty((window.height, window.width), DTYPES[each.pixel_type]) for each in wanted}
+    except MemoryError as problem:
+        raise _refuse_pixels(container, "not enough memory") from problem
+    for first in range(0, window.height, step):
+        stop = min(first + step, window.height)
+        pixels = _decode_rows(container, crop_part(part, first, stop))
+        for name, plane in whole.items():
+            plane[first:stop] = pixels[name]
+    return whole
+
+
+def _refuse_pixels(container: Container, got: str) -> FileError:
+    return FileError(
+        f"input {str(container.path)!r}",
+        expected="pixels that can be decoded",
+        got=got,
+        action="render or copy it again",
+    )
+
+
+def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
+    """Return every channel of a part that is decoded at once."""
     try:
         with container.path.open("rb") as stream:
             data = pack_part(container, part, stream)
         pixels = decode_bytes(data)
     except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
-        raise FileError(
-            name,
-            expected="pixels that can be decoded",
-            got="not enough memory" if isinstance(problem, MemoryError) else "damaged pixels",
-            action="render or copy it again",
-        ) from problem
+        told = "not enough memory" if isinstance(problem, MemoryError) else "damaged pixels"
+        raise _refuse_pixels(container, told) from problem
     for channel in part.channels:
         shape = (part.data_window.height // channel.y_sampling, part.data_window.width // channel.x_sampling)
         found = pixels.get(channel.name)
         plain = channel.x_sampling == channel.y_sampling == 1
-        if found is None or found.dtype != _DTYPES[channel.pixel_type] or (plain and found.shape != shape):
+        if found is None or found.dtype != DTYPES[channel.pixel_type] or (plain and found.shape != shape):
             raise FileError(
-                name,
+                f"input {str(container.path)!r}",
                 expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",
                 got="damaged pixels",
                 action="render or copy it again",

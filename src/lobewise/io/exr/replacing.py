@@ -5,19 +5,19 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.io.exr.container import LONG_NAMES, Attribute, Channel, Container, Part, show_name
+from lobewise.io.exr.container import LONG_NAMES, Attribute, Channel, Container, Part, crop_part, show_name
 from lobewise.io.exr.header import make_headers
 from lobewise.io.exr.layout import convert_plane
-from lobewise.io.exr.parsing import parse_bytes
-from lobewise.io.exr.pixels import Pixels, decode_bytes, decode_part, encode_whole, list_chunks, require_encodable
+from lobewise.io.exr.pixels import DTYPES, Pixels, count_fitting_rows, decode_bytes, decode_part
 from lobewise.io.exr.splice import write_container
-from lobewise.io.files import PathLike, open_atomic, require_writable
+from lobewise.io.exr.spool import ChunkSpool
+from lobewise.io.files import PathLike, open_atomic, open_spool, require_writable
 
 LOSSLESS = ("none", "rle", "zips", "zip", "piz", "zstd", "htj2k256", "htj2k32")
 """Compressions that give back what they took, of every type."""
@@ -62,27 +62,59 @@ def write_copy(
     require_writable(path)
     more = added or {}
     headers = make_headers(container, beauty, settings)
-    chunks: dict[int, list[tuple[int, bytes]]] = {}
+    spools: dict[int, ChunkSpool] = {}
     told: list[str] = []
     version, parts = container.version, list(container.parts)
-    for index in sorted({*changed, *more}):
-        part = container.parts[index]
-        _check_planes(container, part, changed.get(index, {}), more.get(index, {}))
-        pixels, part = _change_pixels(container, part, changed.get(index, {}), more.get(index, {}), only=only)
-        chunks[index], made, note = _encode(container, part, pixels, set(changed.get(index, {})))
-        told += [note] if note else []
-        headers[index] = [_take_over(item, made) for item in headers[index]]
-        parts[index] = replace(container.parts[index], chunks=made.chunks)
-        version |= LONG_NAMES if any(len(name.encode()) > SHORT_NAME for name in pixels) else 0
-    whole = replace(container, version=version, parts=tuple(parts))
-    if only:
-        kept = sorted(chunks)
-        whole = replace(whole, parts=tuple(replace(parts[index], index=k) for k, index in enumerate(kept)))
-        headers = [headers[index] for index in kept]
-        chunks = {k: chunks[index] for k, index in enumerate(kept)}
-    with container.path.open("rb") as stream, open_atomic(path) as out:
-        write_container(out, whole, stream, headers, chunks)
+    with open_spool(path) as stream:
+        for index in sorted({*changed, *more}):
+            part = container.parts[index]
+            planes = _Planes(part, changed.get(index, {}), more.get(index, {}), only=only)
+            planes.check(container)
+            spools[index], note = _encode(container, planes, stream)
+            told += [note] if note else []
+            headers[index] = [_take_over(item, spools[index]) for item in headers[index]]
+            parts[index] = replace(part, chunks=spools[index].chunks)
+            names = [channel.name for channel in planes.part.channels]
+            version |= LONG_NAMES if any(len(name.encode()) > SHORT_NAME for name in names) else 0
+        whole = replace(container, version=version, parts=tuple(parts))
+        chunks = {index: spool.read() for index, spool in spools.items()}
+        if only:
+            kept = sorted(chunks)
+            whole = replace(whole, parts=tuple(replace(parts[index], index=k) for k, index in enumerate(kept)))
+            headers = [headers[index] for index in kept]
+            chunks = {k: chunks[index] for k, index in enumerate(kept)}
+        with container.path.open("rb") as source, open_atomic(path) as out:
+            write_container(out, whole, source, headers, chunks)
     return tuple(told)
+
+
+class _Planes:
+    """The channels of a part as they shall be.
+
+    ``changed`` replace channels that the part has, ``added`` are more; ``only`` leaves out all others. ``part`` is the
+    part with exactly these channels, ``kept`` are the names of those that stay as they are.
+    """
+
+    def __init__(self, part: Part, changed: Planes, added: Planes, *, only: bool) -> None:
+        self._before, self._changed, self._added = part, changed, added
+        kept = [channel for channel in part.channels if not only or channel.name in changed]
+        more = [Channel(name, "float", False, 1, 1) for name in added]
+        self.part = replace(part, channels=(*kept, *more))
+        self.kept = [channel.name for channel in kept if channel.name not in changed]
+
+    def check(self, container: Container) -> None:
+        """Raise InputError if a plane has another size than the part, or a channel that is added is there."""
+        _check_planes(container, self._before, self._changed, self._added)
+
+    def read(self, container: Container, first: int, stop: int) -> dict[str, Pixels]:
+        """Return the rows from ``first`` to before ``stop``, in the types of the channels."""
+        pixels = decode_part(container, crop_part(self._before, first, stop), self.kept) if self.kept else {}
+        types = {channel.name: DTYPES[channel.pixel_type] for channel in self._before.channels}
+        for name, plane in self._changed.items():
+            pixels[name] = convert_plane(plane[first:stop], types[name])
+        for name, plane in self._added.items():
+            pixels[name] = np.asarray(plane[first:stop], np.float32)
+        return pixels
 
 
 def _check_planes(container: Container, part: Part, changed: Planes, added: Planes) -> None:
@@ -106,34 +138,31 @@ def _check_planes(container: Container, part: Part, changed: Planes, added: Plan
             )
 
 
-def _change_pixels(
-    container: Container, part: Part, changed: Planes, added: Planes, *, only: bool
-) -> tuple[dict[str, Pixels], Part]:
-    """Return the channels of a part as they shall be, and the part with the channels that are more."""
-    before = decode_part(container, part)
-    pixels = {name: plane for name, plane in before.items() if not only or name in changed}
-    pixels |= {name: convert_plane(plane, before[name].dtype) for name, plane in changed.items()}
-    pixels |= {name: np.asarray(plane, np.float32) for name, plane in added.items()}
-    channels = (*part.channels, *(Channel(name, "float", False, 1, 1) for name in added))
-    return pixels, replace(part, channels=tuple(channel for channel in channels if channel.name in pixels))
+def _encode(container: Container, planes: _Planes, stream: BinaryIO) -> tuple[ChunkSpool, str]:
+    """Return the chunks, and what had to change: never the values of an untouched channel."""
+    part = planes.part
+    lossy = part.compression not in LOSSLESS and bool(planes.kept)
+    spool = ChunkSpool(container, part, stream)
+    if _fill(spool, container, planes, checked=lossy):
+        return spool, ""
+    spool = ChunkSpool(container, replace(part, compression="zip"), stream)
+    _fill(spool, container, planes, checked=False)
+    return spool, (
+        f"Part {show_name(part.name) or part.index!r} is compressed with loss ({part.compression}); so that "
+        "channels which are not touched stay as they are, the copy is compressed without (zip)."
+    )
 
 
-def _encode(
-    container: Container, part: Part, pixels: Mapping[str, Pixels], changed: set[str]
-) -> tuple[list[tuple[int, bytes]], Part, str]:
-    """Return chunks, how the part was written, and what had to change: never the values of an untouched channel."""
-    require_encodable(container, part)
-    data = encode_whole(part, pixels)
-    made, told = parse_bytes(data).parts[0], ""
-    kept = [name for name in pixels if name not in changed]
-    if part.compression not in LOSSLESS and kept and not _keeps(data, pixels, kept):
-        told = (
-            f"Part {show_name(part.name) or part.index!r} is compressed with loss ({part.compression}); so that "
-            "channels which are not touched stay as they are, the copy is compressed without (zip)."
-        )
-        data = encode_whole(replace(part, compression="zip"), pixels)
-        made = parse_bytes(data).parts[0]
-    return list_chunks(made, data), made, told
+def _fill(spool: ChunkSpool, container: Container, planes: _Planes, *, checked: bool) -> bool:
+    """Encode all rows, and return whether untouched channels came through; only ``checked`` ones may not."""
+    height, step = planes.part.data_window.height, count_fitting_rows(planes.part)
+    for first in range(0, height, step):
+        stop = min(first + step, height)
+        pixels = planes.read(container, first, stop)
+        data = spool.add(first, stop, pixels)
+        if checked and not _keeps(data, pixels, planes.kept):
+            return False
+    return True
 
 
 def _keeps(data: bytes, pixels: Mapping[str, Pixels], names: list[str]) -> bool:
@@ -141,9 +170,9 @@ def _keeps(data: bytes, pixels: Mapping[str, Pixels], names: list[str]) -> bool:
     return all(np.array_equal(made[name], pixels[name], equal_nan=True) for name in names)
 
 
-def _take_over(item: Attribute, made: Part) -> Attribute:
+def _take_over(item: Attribute, spool: ChunkSpool) -> Attribute:
     """Return an attribute as it was, but channels, compression and the count of chunks as they were written."""
     if item.name == "chunkCount":
-        return replace(item, value=struct.pack("<i", len(made.chunks)))
-    written = made.get(item.name) if item.name in ("channels", "compression") else None
+        return replace(item, value=struct.pack("<i", len(spool.chunks)))
+    written = spool.find_made(item.name) if item.name in ("channels", "compression") else None
     return item if written is None else written
