@@ -73,6 +73,9 @@ cannot be otherwise.
   were cut. A filter's own output tells none of it, or it would have to run twice.
 - **Holes that no filter reaches** are filled from up to 186 pixels away; finished rows wait until what follows is there. What has nothing
   so near becomes the mean of the frame's samples.
+- **Channels that are only copied are not kept.** Rows of all channels are in memory while they are decoded or encoded, at most 256 MiB of pixels at a time where
+  a row of chunks has less. Beyond that only the channels that are filtered are held, and others of up to 200 bytes a pixel; further ones are decoded again
+  for the copy. What `--bands auto` decides by counts the same channels. Whole frames are read and written in the same way.
 - **Files are cut and put together by their chunks**, which are coded independently. They wait in a file without a name beside the output, and are copied in the order of
   the original when all are there: the disk needs room for the output twice.
 """

@@ -292,3 +292,26 @@ def test_cuts_are_whole_and_even() -> None:
             assert all(one[1] == other[0] for one, other in pairwise(bands))
     assert widen((30, 40), 7, 100) == (22, 47)
     assert widen((5, 40), 7, 44) == (0, 44)
+
+
+def test_many_channels_that_are_only_copied_are_decoded_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_file(tmp_path / "in.exr")
+    from lobewise.io.exr import bands
+
+    def copy(name: str) -> tuple[bytes, int]:
+        reader = BandReader(tmp_path / "in.exr", wanted={("radiance", "color")})
+        height = reader.shape[0]
+        with (tmp_path / "spool").open("w+b") as spool:
+            writer = bands.BandWriter(reader, ["color"], spool)
+            stored, _ = reader.count_bytes()
+            for first in range(0, height, 10):
+                color = reader.read_frame(first, min(first + 10, height)).radiance.color
+                writer.add({"color": 0.5 * color})
+            writer.finish(tmp_path / name, {})
+        return (tmp_path / name).read_bytes(), stored
+
+    kept, stored = copy("kept.exr")
+    monkeypatch.setattr(bands, "MAX_KEPT_BYTES", 0)
+    again, least = copy("again.exr")
+    assert kept == again
+    assert least < stored
