@@ -120,6 +120,13 @@ def make_product():
     set_focus(2.9, 0.5)
 
 
+def make_closeup():
+    """The products through a lens that is wide open: a third of the pixels see several things."""
+    make_product()
+    add_camera((0.15, -1.9, 0.5), (0.02, 0.0, 0.32), 44.0)
+    set_focus(1.55, 0.16)
+
+
 def make_interior():
     """A room that the sun lights through a window with a pane: varnished boards, a table, a vase, a mirror, a lamp."""
     wall = make_material("wall", (0.78, 0.75, 0.7), Roughness=0.9)
@@ -213,4 +220,10 @@ def make_blurred():
     scene.frame_set(FRAMES // 2)
 
 
-SHOTS = {"product": make_product, "interior": make_interior, "moving": make_moving, "blurred": make_blurred}
+SHOTS = {
+    "product": make_product,
+    "closeup": make_closeup,
+    "interior": make_interior,
+    "moving": make_moving,
+    "blurred": make_blurred,
+}

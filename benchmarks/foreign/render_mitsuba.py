@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
 Item = dict[str, Any]
 AOVS = "albedo:albedo,normals:sh_normal,position:position,depth:depth"
-SAMPLES_PER_PASS = 64
-"""Of one kernel launch: more take memory."""
+MAX_SAMPLES_AT_ONCE = 64
+"""Per pixel: more of them take gigabytes of memory."""
 place = mi.ScalarTransform4f
 
 
@@ -120,12 +121,18 @@ def render(scene: Any, path: Path, spp: int, seed: int) -> None:
     if path.exists():
         return
     start = time.process_time()
-    several = {"samples_per_pass": SAMPLES_PER_PASS} if spp % SAMPLES_PER_PASS == 0 else {}
-    nested = {"type": "path", "max_depth": 16}
-    integrator = mi.load_dict({"type": "aov", "aovs": AOVS, "nested": nested, **several})
-    mi.render(scene, spp=spp, seed=seed, integrator=integrator)
+    integrator = mi.load_dict({"type": "aov", "aovs": AOVS, "nested": {"type": "path", "max_depth": 16}})
+    film, sums = scene.sensors()[0].film(), 0.0
+    turns = range(0, spp, MAX_SAMPLES_AT_ONCE)
+    for first in turns:
+        mi.render(scene, spp=min(MAX_SAMPLES_AT_ONCE, spp - first), seed=1000 * seed + first, integrator=integrator)
+        sums = sums + np.array(film.bitmap()) * (min(MAX_SAMPLES_AT_ONCE, spp - first) / spp)
+    bitmap = film.bitmap()
+    if len(turns) > 1:
+        names = [field.name for field in bitmap.struct_()]
+        bitmap = mi.Bitmap(np.asarray(sums, dtype=np.float32), mi.Bitmap.PixelFormat.MultiChannel, names)
     temporary = path.with_name(f".{path.name}")
-    scene.sensors()[0].film().bitmap().write(str(temporary))
+    bitmap.write(str(temporary))
     temporary.rename(path)
     print(f"wrote {path}, {time.process_time() - start:.1f} s of CPU", flush=True)
 
