@@ -1,287 +1,137 @@
-"""Frames of Blender Cycles with every pass on, from scenes made in code. Runs where `bpy` is, without lobewise.
+"""Frames of Blender Cycles from scenes made in code. Runs where `bpy` is, without lobewise.
 
     python render_blender.py FOLDER [--scenes a,b] [--spp 8,32,128] [--seeds 1,2] [--reference 4096] [--size 256x192]
-                                    [--multipart]
+                                    [--passes every|artist] [--multipart] [--denoise] [--codec ZIP] [--frames 6]
+                                    [--threads 1]
 
 Filters and settings are Blender's defaults, but for adaptive sampling and denoising, which are off: a frame shall have
-the samples that its name says. Files are named ``SCENE_SPP_SEED.exr``; the reference comes in two halves of different
-seeds, ``SCENE_reference_1.exr`` and ``SCENE_reference_2.exr``, so that its own noise is known. All passes lie in one
-part, as Blender writes them up to 4.5; from 5.0 on its default is a part for each, which ``--multipart`` keeps.
+the samples that its name says. ``--denoise`` switches Blender's own denoiser on, as it is by default: the pass Combined
+is then its result, and Noisy Image is what was rendered. ``--passes artist`` has the passes of Blender's menus alone
+and no shader AOV of the roughness, which only a material's author can make.
+
+Files are named ``SCENE_SPP_SEED.exr``; the reference comes in two halves of different seeds,
+``SCENE_reference_1.exr`` and ``SCENE_reference_2.exr``, so that its own noise is known, and never denoised.
+``--frames N`` renders frames 1 to N of a scene that moves, ``SCENE_SPP_SEED.0001.exr`` and on, each with a seed of its
+own. All passes lie in one part, as Blender writes them up to 4.5; from 5.0 on its default is a part for each, which
+``--multipart`` keeps.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
+import time
 from pathlib import Path
 
 import bpy
+from blender_parts import clear
+from blender_scenes import SCENES
+from blender_shots import SHOTS
 
-PASSES = (
-    "combined", "z", "position", "normal", "vector", "object_index", "diffuse_direct", "diffuse_indirect",
-    "diffuse_color", "glossy_direct", "glossy_indirect", "glossy_color", "transmission_direct",
-    "transmission_indirect", "transmission_color", "subsurface_direct", "subsurface_indirect", "subsurface_color",
-    "emit", "environment", "cryptomatte_object",
+LIGHT = (
+    "combined", "diffuse_direct", "diffuse_indirect", "diffuse_color", "glossy_direct", "glossy_indirect",
+    "glossy_color", "transmission_direct", "transmission_indirect", "transmission_color", "emit", "environment",
 )  # fmt: skip
+PASSES = {
+    "every": (
+        *LIGHT, "z", "position", "normal", "vector", "object_index", "subsurface_direct", "subsurface_indirect",
+        "subsurface_color", "cryptomatte_object",
+    ),
+    "artist": (
+        *LIGHT, "z", "mist", "position", "normal", "vector", "ambient_occlusion", "cryptomatte_object",
+        "cryptomatte_material",
+    ),
+}  # fmt: skip
+EVERY = "every"
+KINDS = {**SCENES, **SHOTS}
 
 
-def clear() -> None:
-    """Begin with nothing."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-
-
-def make_material(name, color=(0.8, 0.8, 0.8), **inputs):
-    """Return a Principled material whose roughness goes to the AOV as well; inputs by their names in Blender."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    nodes = material.node_tree.nodes
-    shader = nodes["Principled BSDF"]
-    shader.inputs["Base Color"].default_value = (*color, 1.0)
-    for key, value in inputs.items():
-        shader.inputs[key.replace("_", " ")].default_value = value
-    output = nodes.new("ShaderNodeOutputAOV")
-    output.aov_name = "Roughness"
-    output.inputs["Value"].default_value = shader.inputs["Roughness"].default_value
-    return material
-
-
-def put_texture(material, kind, to, *, scale, low=0.0, high=1.0, colors=None, bump=0.0):
-    """Drive an input of a material by a procedural texture; roughness drives the AOV too."""
-    tree = material.node_tree
-    nodes, links = tree.nodes, tree.links
-    place = nodes.new("ShaderNodeTexCoord")
-    texture = nodes.new(f"ShaderNodeTex{kind}")
-    texture.inputs["Scale"].default_value = scale
-    links.new(place.outputs["Object"], texture.inputs["Vector"])
-    shader = nodes["Principled BSDF"]
-    value = texture.outputs["Fac"] if "Fac" in texture.outputs else texture.outputs["Distance"]
-    if colors is not None:
-        mix = nodes.new("ShaderNodeMix")
-        mix.data_type = "RGBA"
-        mix.inputs[6].default_value, mix.inputs[7].default_value = (*colors[0], 1.0), (*colors[1], 1.0)
-        links.new(value, mix.inputs[0])
-        links.new(mix.outputs[2], shader.inputs[to])
-    elif bump:
-        node = nodes.new("ShaderNodeBump")
-        node.inputs["Strength"].default_value = bump
-        links.new(value, node.inputs["Height"])
-        links.new(node.outputs["Normal"], shader.inputs["Normal"])
-    else:
-        ramp = nodes.new("ShaderNodeMapRange")
-        ramp.inputs["To Min"].default_value, ramp.inputs["To Max"].default_value = low, high
-        links.new(value, ramp.inputs["Value"])
-        links.new(ramp.outputs["Result"], shader.inputs[to])
-        if to == "Roughness":
-            aov = next(node for node in nodes if node.bl_idname == "ShaderNodeOutputAOV")
-            links.new(ramp.outputs["Result"], aov.inputs["Value"])
-    return material
-
-
-def add(kind, material, **options):
-    """Add a primitive with a material, smooth where it is round."""
-    getattr(bpy.ops.mesh, f"primitive_{kind}_add")(**options)
-    thing = bpy.context.object
-    thing.data.materials.append(material)
-    if kind in ("uv_sphere", "torus", "monkey", "cylinder"):
-        for polygon in thing.data.polygons:
-            polygon.use_smooth = len(polygon.vertices) <= 4
-    return thing
-
-
-def add_area(location, rotation, size, power, color=(1.0, 1.0, 1.0)):
-    """Add a rectangular lamp."""
-    bpy.ops.object.light_add(type="AREA", location=location, rotation=rotation)
-    light = bpy.context.object.data
-    light.size, light.energy, light.color = size, power, color
-
-
-def set_world(color, strength):
-    """Put one color all around."""
-    world = bpy.data.worlds.new("World")
-    world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs[0].default_value = (*color, 1.0)
-    world.node_tree.nodes["Background"].inputs[1].default_value = strength
-    bpy.context.scene.world = world
-
-
-def add_camera(location, target, angle):
-    """Add a camera that looks at a point; its angle is the horizontal one, degrees."""
-    from mathutils import Vector
-
-    bpy.ops.object.camera_add(location=location)
-    camera = bpy.context.object
-    camera.rotation_euler = (Vector(target) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
-    camera.data.angle = math.radians(angle)
-    bpy.context.scene.camera = camera
-
-
-def make_gloss():
-    """Balls and a block of metals and plastics, from mirror to rough, on a chequered floor of varnish."""
-    floor = make_material("floor", Roughness=0.25)
-    put_texture(floor, "Checker", "Base Color", scale=1.5, colors=((0.6, 0.55, 0.5), (0.12, 0.1, 0.1)))
-    add("plane", floor, size=20)
-    for number, rough in enumerate((0.02, 0.15, 0.35, 0.6)):
-        metal = make_material(f"metal{number}", (0.9, 0.75 - 0.1 * number, 0.45), Roughness=rough, Metallic=1.0)
-        add("uv_sphere", metal, radius=0.7, location=(-2.4 + 1.6 * number, 1.2, 0.7), segments=48, ring_count=24)
-        plastic = make_material(f"plastic{number}", (0.1 + 0.2 * number, 0.3, 0.7 - 0.2 * number), Roughness=rough)
-        add("uv_sphere", plastic, radius=0.45, location=(-2.0 + 1.35 * number, -0.7, 0.45), segments=48, ring_count=24)
-    brushed = make_material("brushed", (0.8, 0.8, 0.85), Roughness=0.3, Metallic=1.0)
-    block = add("cube", brushed, size=1.6, location=(0.4, 3.4, 0.8))
-    block.rotation_euler[2] = 0.5
-    add_area((-4.0, -3.0, 5.0), (0.6, -0.6, 0.0), 1.5, 500.0)
-    add_area((4.0, 2.0, 4.0), (0.0, 0.9, 0.3), 0.6, 200.0, (1.0, 0.7, 0.4))
-    set_world((0.5, 0.6, 0.8), 0.3)
-    add_camera((0.0, -7.5, 3.2), (0.0, 0.8, 0.5), 42.0)
-
-
-def make_textured():
-    """Textured albedo, roughness and bumps."""
-    floor = make_material("tiles", Roughness=0.3)
-    put_texture(floor, "Noise", "Base Color", scale=6.0, colors=((0.7, 0.5, 0.3), (0.2, 0.1, 0.05)))
-    put_texture(floor, "Checker", "Roughness", scale=3.0, low=0.1, high=0.5)
-    add("plane", floor, size=20)
-    wall = make_material("wall", Roughness=0.6)
-    put_texture(wall, "Voronoi", "Base Color", scale=5.0, colors=((0.1, 0.3, 0.4), (0.8, 0.8, 0.7)))
-    back = add("plane", wall, size=12, location=(0.0, 3.5, 3.0))
-    back.rotation_euler[0] = math.pi / 2
-    bumped = make_material("bumped", (0.7, 0.2, 0.15), Roughness=0.25)
-    put_texture(bumped, "Noise", "Normal", scale=12.0, bump=0.4)
-    add("uv_sphere", bumped, radius=0.9, location=(-1.6, 0.3, 0.9), segments=64, ring_count=32)
-    worn = make_material("worn", (0.85, 0.8, 0.7), Metallic=1.0)
-    put_texture(worn, "Noise", "Roughness", scale=5.0, low=0.0, high=0.7)
-    add("monkey", worn, size=2.0, location=(1.2, 0.2, 1.0))
-    paint = make_material("paint", Roughness=0.15, Coat_Weight=1.0)
-    put_texture(paint, "Wave", "Base Color", scale=2.0, colors=((0.8, 0.1, 0.1), (0.9, 0.9, 0.9)))
-    add("cube", paint, size=0.9, location=(-0.1, -1.3, 0.45))
-    add_area((-3.0, -4.0, 5.0), (0.7, -0.4, 0.0), 2.0, 600.0)
-    set_world((0.8, 0.85, 1.0), 0.25)
-    add_camera((0.0, -6.5, 2.6), (0.0, 0.5, 0.9), 45.0)
-
-
-def make_glass():
-    """Smooth and rough glass, liquid colors, before stripes."""
-    floor = make_material("floor", Roughness=0.5)
-    put_texture(floor, "Wave", "Base Color", scale=1.0, colors=((0.75, 0.7, 0.6), (0.25, 0.3, 0.35)))
-    add("plane", floor, size=20)
-    for number, rough in enumerate((0.0, 0.1, 0.3)):
-        glass = make_material(
-            f"glass{number}", (1.0 - 0.1 * number, 0.98, 0.9), Roughness=rough, Transmission_Weight=1.0, IOR=1.45
-        )
-        add("uv_sphere", glass, radius=0.7, location=(-1.8 + 1.8 * number, 0.0, 0.7), segments=64, ring_count=32)
-    cup = make_material("cup", (0.6, 0.9, 0.7), Roughness=0.05, Transmission_Weight=1.0, IOR=1.33)
-    add("cylinder", cup, radius=0.4, depth=0.9, location=(0.9, -1.4, 0.46), vertices=64)
-    ring = make_material("ring", (0.95, 0.7, 0.3), Roughness=0.2, Metallic=1.0)
-    add("torus", ring, major_radius=0.55, minor_radius=0.15, location=(-1.0, -1.5, 0.16))
-    wax = make_material("wax", (0.9, 0.6, 0.4), Roughness=0.4, Subsurface_Weight=1.0)
-    add("cube", wax, size=1.0, location=(2.9, 1.5, 0.5))
-    add_area((3.0, 3.0, 5.0), (-0.6, 0.6, 0.0), 1.0, 500.0)
-    set_world((0.7, 0.8, 1.0), 0.5)
-    add_camera((0.0, -6.5, 2.8), (0.2, 0.0, 0.5), 42.0)
-
-
-def make_room():
-    """A closed room with a lamp that glows, a window to the sky, a varnished table and a mirror."""
-    wall = make_material("wall", (0.75, 0.72, 0.68), Roughness=0.9)
-    wood = make_material("wood", Roughness=0.25)
-    put_texture(wood, "Wave", "Base Color", scale=1.2, colors=((0.45, 0.25, 0.12), (0.2, 0.1, 0.05)))
-
-    def panel(material, size, location, turn=(0.0, 0.0, 0.0)):
-        thing = add("plane", material, size=1.0, location=location, rotation=turn)
-        thing.scale = (*size, 1.0)
-        return thing
-
-    right = math.pi / 2
-    panel(wood, (6.0, 6.0), (0.0, 0.0, 0.0))
-    panel(wall, (6.0, 6.0), (0.0, 0.0, 3.0))
-    panel(wall, (6.0, 3.0), (0.0, 3.0, 1.5), (right, 0.0, 0.0))
-    panel(wall, (6.0, 3.0), (0.0, -3.0, 1.5), (right, 0.0, 0.0))
-    red = make_material("red", (0.6, 0.15, 0.1), Roughness=0.8)
-    panel(red, (3.0, 6.0), (3.0, 0.0, 1.5), (0.0, right, 0.0))
-    # The left wall leaves a window of 1.6 x 1.4.
-    panel(wall, (0.9, 6.0), (-3.0, 0.0, 0.45), (0.0, right, 0.0))
-    panel(wall, (0.7, 6.0), (-3.0, 0.0, 2.65), (0.0, right, 0.0))
-    panel(wall, (1.4, 2.6), (-3.0, -1.7, 1.6), (0.0, right, 0.0))
-    panel(wall, (1.4, 1.4), (-3.0, 2.3, 1.6), (0.0, right, 0.0))
-    table = make_material("table", (0.5, 0.5, 0.55), Roughness=0.12)
-    top = add("cube", table, size=1.0, location=(0.2, 0.9, 0.75))
-    top.scale = (1.8, 1.0, 0.06)
-    for x in (-0.6, 1.0):
-        leg = add("cube", wood, size=1.0, location=(x, 0.9, 0.36))
-        leg.scale = (0.08, 0.8, 0.72)
-    pot = make_material("pot", (0.9, 0.85, 0.8), Roughness=0.1, Metallic=1.0)
-    add("uv_sphere", pot, radius=0.28, location=(-0.2, 0.8, 1.06), segments=48, ring_count=24)
-    vase = make_material("vase", (0.2, 0.4, 0.6), Roughness=0.3)
-    add("cylinder", vase, radius=0.15, depth=0.5, location=(0.7, 1.0, 1.03), vertices=48)
-    mirror = make_material("mirror", (0.95, 0.95, 0.95), Roughness=0.0, Metallic=1.0)
-    panel(mirror, (1.4, 1.1), (1.2, 2.98, 1.7), (right, 0.0, 0.0))
-    glow = make_material("glow", (0.0, 0.0, 0.0), Emission_Color=(1.0, 0.85, 0.6, 1.0), Emission_Strength=12.0)
-    panel(glow, (0.9, 0.5), (0.5, 0.5, 2.98), (math.pi, 0.0, 0.0))
-    set_world((0.6, 0.75, 1.0), 3.0)
-    add_camera((0.2, -2.8, 1.5), (-0.1, 1.4, 1.5), 80.0)
-
-
-SCENES = {"gloss": make_gloss, "textured": make_textured, "glass": make_glass, "room": make_room}
-
-
-def set_up(width: int, height: int, *, multipart: bool) -> None:
-    """Choose Cycles, every pass, and the output."""
+def set_up(width: int, height: int, passes: str) -> None:
+    """Choose Cycles and the passes; the samples that are asked for are all taken."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.use_adaptive_sampling = False
-    scene.cycles.use_denoising = False
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = width, height, 100
     layer = bpy.context.view_layer
-    for name in PASSES:
+    for name in PASSES[passes]:
         setattr(layer, f"use_pass_{name}", True)
-    for name in ("use_pass_volume_direct", "use_pass_volume_indirect", "denoising_store_passes"):
-        setattr(layer.cycles, name, True)
-    aov = layer.aovs.add()
-    aov.name, aov.type = "Roughness", "VALUE"
-    output = scene.render.image_settings
+    layer.cycles.denoising_store_passes = True
+    if passes == EVERY:
+        layer.cycles.use_pass_volume_direct = layer.cycles.use_pass_volume_indirect = True
+        aov = layer.aovs.add()
+        aov.name, aov.type = "Roughness", "VALUE"
+
+
+def set_output(codec: str, *, multipart: bool) -> None:
+    """Choose a multilayer EXR file."""
+    output = bpy.context.scene.render.image_settings
     if hasattr(output, "media_type"):
         output.media_type = "MULTI_LAYER_IMAGE"
         output.use_exr_interleave = not multipart
     elif multipart:
         sys.exit(f"Blender {bpy.app.version_string} writes one part only: use 5.0 or later, or leave out --multipart")
     output.file_format = "OPEN_EXR_MULTILAYER"
+    output.exr_codec = codec
 
 
-def render(path: Path, spp: int, seed: int, *, depth: str = "16") -> None:
+def render(path: Path, spp: int, seed: int, *, depth: str = "16", denoise: bool = False) -> None:
     """Render the scene into a file, unless it is there."""
     if path.exists():
         return
+    start = time.process_time()
     scene = bpy.context.scene
-    scene.cycles.samples, scene.cycles.seed = spp, seed
+    scene.cycles.samples, scene.cycles.seed, scene.cycles.use_denoising = spp, seed, denoise
     scene.render.image_settings.color_depth = depth
     temporary = path.with_name(f".{path.name}")
     scene.render.filepath = str(temporary)
     bpy.ops.render.render(write_still=True)
     temporary.rename(path)
-    print(f"wrote {path}", flush=True)
+    print(f"wrote {path}, {time.process_time() - start:.1f} s of CPU", flush=True)
+
+
+def render_frames(path: Path, spp: int, seed: int, count: int, *, denoise: bool) -> None:
+    """Render frames 1 to ``count`` beside a path, with seeds of their own; leave the scene where it was."""
+    scene = bpy.context.scene
+    before = scene.frame_current
+    for frame in range(1, count + 1):
+        scene.frame_set(frame)
+        render(path.with_name(f"{path.stem}.{frame:04d}.exr"), spp, 100 * seed + frame, denoise=denoise)
+    scene.frame_set(before)
 
 
 def main() -> None:
     """Render what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--scenes", default=",".join(SCENES), help=f"of {', '.join(KINDS)}")
     parser.add_argument("--spp", default="8,32,128")
     parser.add_argument("--seeds", default="1,2")
     parser.add_argument("--reference", type=int, default=4096)
     parser.add_argument("--size", default="256x192")
+    parser.add_argument("--passes", choices=PASSES, default=EVERY)
     parser.add_argument("--multipart", action="store_true", help="a part for each pass")
+    parser.add_argument("--denoise", action="store_true", help="with Blender's own denoiser; not the reference")
+    parser.add_argument("--codec", default="ZIP", help="compression of the files, such as ZIP, DWAA, PIZ")
+    parser.add_argument("--frames", type=int, default=0, help="a sequence of so many frames instead of one")
+    parser.add_argument("--threads", type=int, default=0, help="0 for all")
     asked = parser.parse_args(sys.argv[1:])
     asked.folder.mkdir(parents=True, exist_ok=True)
     width, height = map(int, asked.size.split("x"))
     for name in asked.scenes.split(","):
         clear()
-        SCENES[name]()
-        set_up(width, height, multipart=asked.multipart)
+        KINDS[name]()
+        set_up(width, height, asked.passes)
+        set_output(asked.codec, multipart=asked.multipart)
+        if asked.threads:
+            bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", asked.threads
         for spp in filter(None, asked.spp.split(",")):
             for seed in asked.seeds.split(","):
-                render(asked.folder / f"{name}_{spp}_{seed}.exr", int(spp), int(seed))
+                path = asked.folder / f"{name}_{spp}_{seed}.exr"
+                if asked.frames:
+                    render_frames(path, int(spp), int(seed), asked.frames, denoise=asked.denoise)
+                else:
+                    render(path, int(spp), int(seed), denoise=asked.denoise)
         if asked.reference:
             for half in (1, 2):
                 render(asked.folder / f"{name}_reference_{half}.exr", asked.reference // 2, 7776 + half, depth="32")

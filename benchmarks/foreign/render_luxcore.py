@@ -1,12 +1,14 @@
 """Frames of LuxCoreRender with every film output on, from scenes made in code. Runs where `pyluxcore` is.
 
     python render_luxcore.py FOLDER [--scenes a,b] [--spp 8,32,128] [--seeds 1,2] [--reference 4096] [--size 256x192]
+                                    [--without SHADING_NORMAL,...] [--threads 1]
 
 Filter, sampler and light paths are LuxCore's defaults. A frame is a folder with a file for every output, as LuxCore
 writes them: ``SCENE_SPP_SEED/RGB.exr``, ``.../DEPTH.exr`` and so on. The reference comes in two halves of different
 seeds, ``SCENE_reference_1`` and ``SCENE_reference_2``, so that its own noise is known. LuxCore looks at the clock for
 whether it has its samples, so a frame may have a few more than its name says: SAMPLECOUNT tells. The outputs
-MATERIAL_ID and OBJECT_ID are left out: LuxCore refuses to write them as EXR.
+MATERIAL_ID and OBJECT_ID are left out: LuxCore refuses to write them as EXR. ``--without`` leaves out others, as a
+person does who switches on only what a page names.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyluxcore
@@ -241,28 +244,67 @@ def make_room() -> pyluxcore.Scene:
     return maker.finish("1.8 2.25 3.0", (0.2, -2.8, 1.5), (-0.1, 1.4, 1.5), 80.0)
 
 
+def make_sparks() -> pyluxcore.Scene:
+    """Small lamps inside glass: only paths that hit one by chance find its light, so that few pixels outshine all."""
+    maker = Maker()
+    maker.add_texture("checks", "checkerboard3d", 1.5, "texture1 = 0.6 0.55 0.5\ntexture2 = 0.2 0.22 0.25")
+    maker.add_matte("tiles", "checks")
+    add_floor(maker, "tiles")
+    maker.add_matte("wall", "0.7 0.68 0.65")
+    maker.add_sheet("wall", "wall", (-6.0, 3.0, 0.0), (12.0, 0.0, 0.0), (0.0, 0.0, 6.0))
+    maker.put(
+        "materials.glass.type = glass\nmaterials.glass.interiorior = 1.5\n"
+        "materials.glass.kr = 1 1 1\nmaterials.glass.kt = 1 1 1\n"
+        "materials.spark.type = matte\nmaterials.spark.kd = 0 0 0\n"
+        "materials.spark.emission = 1600 1200 720\nmaterials.spark.emission.gain = 1 1 1"
+    )
+    for number, x in enumerate((-1.7, 1.5)):
+        maker.add_ball(f"globe{number}", "glass", 0.55, (x, 0.6, 0.55), 64)
+        maker.add_ball(f"spark{number}", "spark", 0.04, (x + 0.1, 0.5, 0.6), 16)
+    maker.add_disney("plastic", "0.2 0.4 0.7", "0.3")
+    maker.add_ball("plastic", "plastic", 0.6, (0.0, 1.4, 0.6))
+    maker.add_disney("gold", "0.95 0.7 0.3", "0.25", "metallic = 1")
+    maker.add_box("gold", "gold", (0.1, -0.9, 0.35), (0.7, 0.7, 0.7), 0.6)
+    maker.add_lamp("lamp", (-4.0, -4.0, 5.0), (0.0, 1.5, 0.5), (1.5, 0.0, -0.6), "14 14 14")
+    return maker.finish("0.05 0.06 0.08", (0.0, -6.0, 2.4), (0.0, 0.3, 0.6), 44.0)
+
+
 SCENES: dict[str, Callable[[], pyluxcore.Scene]] = {
     "gloss": make_gloss,
     "textured": make_textured,
     "glass": make_glass,
     "room": make_room,
+    "sparks": make_sparks,
 }
+DEFAULT = "gloss,textured,glass,room"
 
 
-def render(scene: pyluxcore.Scene, folder: Path, size: tuple[int, int], spp: int, seed: int) -> None:
+@dataclass(frozen=True)
+class Settings:
+    """What all frames have in common: (width, height), the film outputs, threads or 0 for all."""
+
+    size: tuple[int, int]
+    outputs: tuple[str, ...]
+    threads: int
+
+
+def render(scene: pyluxcore.Scene, folder: Path, settings: Settings, spp: int, seed: int) -> None:
     """Render a scene into a folder, unless it is there."""
     if folder.exists():
         return
+    start = time.process_time()
     temporary = folder.with_name(f".{folder.name}")
     temporary.mkdir(exist_ok=True)
     lines = [
         "renderengine.type = PATHCPU",
         f"renderengine.seed = {seed}",
-        f"film.width = {size[0]}",
-        f"film.height = {size[1]}",
+        f"film.width = {settings.size[0]}",
+        f"film.height = {settings.size[1]}",
         f"batch.haltspp = {spp}",
     ]
-    for number, name in enumerate(OUTPUTS):
+    if settings.threads:
+        lines.append(f"native.threads.count = {settings.threads}")
+    for number, name in enumerate(settings.outputs):
         lines += [f"film.outputs.{number}.type = {name}", f"film.outputs.{number}.filename = {temporary}/{name}.exr"]
     properties = pyluxcore.Properties()
     properties.SetFromString("\n".join(lines) + "\n")
@@ -275,31 +317,38 @@ def render(scene: pyluxcore.Scene, folder: Path, size: tuple[int, int], spp: int
     session.Stop()
     session.GetFilm().SaveOutputs()
     temporary.rename(folder)
-    print(f"wrote {folder}", flush=True)
+    print(f"wrote {folder}, {time.process_time() - start:.1f} s of CPU", flush=True)
 
 
 def main() -> None:
     """Render what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--scenes", default=DEFAULT, help=f"of {', '.join(SCENES)}")
     parser.add_argument("--spp", default="8,32,128")
     parser.add_argument("--seeds", default="1,2")
     parser.add_argument("--reference", type=int, default=4096)
     parser.add_argument("--size", default="256x192")
+    parser.add_argument("--without", default="", help="film outputs that are not written, such as SHADING_NORMAL")
+    parser.add_argument("--threads", type=int, default=0, help="0 for all")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     width, height = map(int, asked.size.split("x"))
+    without = set(filter(None, asked.without.split(",")))
+    if not without <= set(OUTPUTS):
+        parser.error(f"--without: expected names of {', '.join(OUTPUTS)}, got {', '.join(sorted(without))}")
+    outputs = tuple(name for name in OUTPUTS if name not in without)
+    settings = Settings((width, height), outputs, asked.threads)
     pyluxcore.Init()
     for name in asked.scenes.split(","):
         scene = SCENES[name]()
         for spp in filter(None, asked.spp.split(",")):
             for seed in asked.seeds.split(","):
-                render(scene, asked.folder / f"{name}_{spp}_{seed}", (width, height), int(spp), int(seed))
+                render(scene, asked.folder / f"{name}_{spp}_{seed}", settings, int(spp), int(seed))
         if asked.reference:
             for half in (1, 2):
                 folder = asked.folder / f"{name}_reference_{half}"
-                render(scene, folder, (width, height), asked.reference // 2, 7776 + half)
+                render(scene, folder, settings, asked.reference // 2, 7776 + half)
 
 
 if __name__ == "__main__":

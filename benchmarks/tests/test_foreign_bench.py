@@ -43,9 +43,9 @@ def find_python(module: str) -> str:
     return os.environ[variable]
 
 
-def render(module: str, script: str, folder: Path, size: str) -> None:
-    command = [find_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", "room"]
-    options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size]
+def render(module: str, script: str, folder: Path, size: str, *more: str, scene: str = "room") -> None:
+    command = [find_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", scene]
+    options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size, *more]
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     subprocess.run([*command, *options], check=True, env=clean, capture_output=True, timeout=300)
 
@@ -153,6 +153,46 @@ def test_luxcore_still_writes_what_is_kept(tmp_path: Path) -> None:
             rtol=0.1,
             atol=0.02,
         )
+
+
+def test_an_artist_has_the_noisy_image_beside_the_picture_of_blender(tmp_path: Path) -> None:
+    render("bpy", "render_blender.py", tmp_path, "64x36", "--passes", "artist", "--denoise", scene="product")
+    path = tmp_path / "product_8_1.exr"
+    clean, noisy = (files.read_pass(path, name, "RGB") for name in ("Combined", "Noisy Image"))
+    rough = [np.median(np.abs(np.diff(image, n=2, axis=1))) for image in (clean, noisy)]
+    assert rough[0] < 0.7 * rough[1]
+    assert files.read_pass(path, "CryptoMaterial00", "rgba").shape == (36, 64, 4)
+    with pytest.raises(KeyError):
+        files.read_pass(path, "Roughness", "X")
+
+
+def test_frames_of_a_sequence_know_their_motion(tmp_path: Path) -> None:
+    render("bpy", "render_blender.py", tmp_path, "64x36", "--frames", "2", scene="moving")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["moving_8_1.0001.exr", "moving_8_1.0002.exr"]
+    first, second = (files.read_pass(path, "Combined", "RGB") for path in sorted(tmp_path.iterdir()))
+    assert np.abs(first - second).mean() > 0.01
+    # The ball flies several pixels a frame, the floor only as the camera moves.
+    motion = np.abs(files.read_pass(tmp_path / "moving_8_1.0002.exr", "Vector", "XY"))
+    assert motion.max() > 2.0
+    assert np.median(motion) < 1.0
+
+
+def test_luxcore_leaves_out_what_is_not_asked_for(tmp_path: Path) -> None:
+    render("pyluxcore", "render_luxcore.py", tmp_path, "48x36", "--without", "SHADING_NORMAL,ALPHA", scene="sparks")
+    written = {path.stem for path in (tmp_path / "sparks_8_1").iterdir()}
+    assert "AVG_SHADING_NORMAL" in written
+    assert not written & {"SHADING_NORMAL", "ALPHA"}
+    image = files.read_pass(tmp_path / "sparks_8_1" / "RGB.exr", "", "RGB").mean(axis=-1)
+    # Light of small lamps through glass is found by chance alone.
+    assert image.max() > 300.0 * np.median(image)
+
+
+def test_mitsuba_s_files_hold_what_a_person_writes(tmp_path: Path) -> None:
+    render("mitsuba", "render_mitsuba.py", tmp_path, "64x36", scene="principled")
+    path = tmp_path / "principled_8_1.exr"
+    assert files.read_pass(path, "", "RGB").shape == (36, 64, 3)
+    lengths = np.linalg.norm(files.read_pass(path, "normals", "XYZ"), axis=-1)
+    assert 0.9 < np.median(lengths) < 1.01
 
 
 def test_the_command_and_its_steps_are_timed_in_turn(tmp_path: Path) -> None:
