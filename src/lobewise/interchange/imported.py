@@ -55,13 +55,26 @@ class Imported:
         return OWN if self.map is None else self.map.preset.name
 
 
-class ImageReader:
-    """Images of a file, each part decoded once."""
+Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]
+"""Returns some channels of a part, each (height, width), by their names."""
 
-    def __init__(self, decode: Callable[[Part], Mapping[str, Pixels]]) -> None:
+
+class ImageReader:
+    """Images of a file. The channels that a map names are decoded at once for each part, any other when it is asked."""
+
+    def __init__(self, decode: Decode) -> None:
         self._decode = decode
-        self._pixels: dict[int, Mapping[str, Pixels]] = {}
+        self._wanted: dict[int, set[str]] = {}
+        self._pixels: dict[int, dict[str, Pixels]] = {}
         self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
+
+    def expect(self, channels: ChannelMap) -> None:
+        """Take note of the images that will be read, so that each part is decoded once and no other channel stays."""
+        layers = [one for layer in channels.layers for one in (*layer.light, layer.albedo)]
+        mattes = [one for matte in channels.cryptomatte for one in matte]
+        for one in (*channels.roles.values(), *layers, *mattes, channels.shown):
+            if one is not None:
+                self._wanted.setdefault(one.source.part.index, set()).update(one.channels)
 
     def __call__(self, found: Found) -> FloatArray:
         """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
@@ -74,6 +87,8 @@ class ImageReader:
     def read_planes(self, found: Found) -> list[Pixels]:
         """Return the channels of an image one by one, (height, width) each, in their types."""
         part = found.source.part
-        if part.index not in self._pixels:
-            self._pixels[part.index] = self._decode(part)
-        return [self._pixels[part.index][name] for name in found.channels]
+        there = self._pixels.setdefault(part.index, {})
+        if not there.keys() >= set(found.channels):
+            wanted = self._wanted.get(part.index, set()).union(found.channels)
+            there.update(self._decode(part, frozenset(wanted - there.keys())))
+        return [there[name] for name in found.channels]

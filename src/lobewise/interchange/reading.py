@@ -229,7 +229,7 @@ def import_planes(
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
 
-    read = ImageReader(lambda part: planes)
+    read = ImageReader(lambda part, names: planes)
     return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
 
 
@@ -247,6 +247,7 @@ def _leave_passes(found: Imported) -> Imported:
 
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+    read.expect(channels)
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part

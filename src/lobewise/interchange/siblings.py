@@ -31,9 +31,9 @@ class Family:
     container: Container
     homes: Mapping[int, tuple[Container, Part]] = field(default_factory=dict)
 
-    def decode(self, part: Part) -> dict[str, Pixels]:
-        """Return every channel of a part, wherever it lies; see `lobewise.io.exr.pixels.decode_part`."""
-        return decode_part(*self.homes.get(part.index, (self.container, part)))
+    def decode(self, part: Part, names: frozenset[str]) -> dict[str, Pixels]:
+        """Return some channels of a part, wherever it lies; see `lobewise.io.exr.pixels.decode_part`."""
+        return decode_part(*self.homes.get(part.index, (self.container, part)), names)
 
 
 def find_family(container: Container) -> Family:
