@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from numbers import Integral
 from typing import Any
 
+LONGEST_NAME = 100
+"""Letters of a name that sentences show."""
+
 
 class LobewiseError(Exception):
     """Root of every error that a user can mend; the command line turns it into exit code 2.
@@ -70,11 +73,13 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
     options = list(valid)
     if got in options:
         return got
-    near = difflib.get_close_matches(got, options, n=1, cutoff=0.0)
+    # A name from a file may be as long as the file.
+    short = got if len(got) <= LONGEST_NAME else f"{got[:LONGEST_NAME]}..."
+    near = difflib.get_close_matches(short, options, n=1, cutoff=0.0)
     raise InputError(
         what,
         expected="one of " + ", ".join(options),
-        got=repr(got),
+        got=repr(short),
         action=f"did you mean {near[0]!r}?" if near else "choose one of them",
     )
 
