@@ -11,6 +11,8 @@ MAX_SHOWN_LETTERS = 40
 """Length of a value that a message shows instead of naming its type."""
 MAX_GOT_LETTERS = 300
 """Length of what a message shows of a wrong value."""
+MAX_NAME_LETTERS = 100
+"""Letters of a name that sentences show."""
 
 
 class LobewiseError(Exception):
@@ -128,11 +130,13 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         )
     if got in options:
         return got
-    near = difflib.get_close_matches(got, options, n=1, cutoff=0.0)
+    # A name from a file may be as long as the file.
+    short = got if len(got) <= MAX_NAME_LETTERS else f"{got[:MAX_NAME_LETTERS]}..."
+    near = difflib.get_close_matches(short, options, n=1, cutoff=0.0)
     raise InputError(
         what,
         expected="one of " + ", ".join(options),
-        got=repr(got),
+        got=repr(short),
         action=f"did you mean {near[0]!r}?" if near else "choose one of them",
     )
 

@@ -202,13 +202,19 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
         _refuse_unused(path, parameters, str(error))
         expected = "a scene that Mitsuba understands"
         action = "mend the file"
-        raise InputError(str(path), expected=expected, got=" ".join(str(error).split()), action=action) from error
+        raise InputError(str(path), expected=expected, got=_say_in_a_line(error), action=action) from error
     if not isinstance(scene, mi.Scene):
         got = f"a {type(scene).__name__}"
         raise InputError(str(path), expected="a <scene>", got=got, action="pass the file of a scene")
     if (width or height) and scene.sensors():
         _resize(mi, scene, width, height)
     return scene
+
+
+def _say_in_a_line(error: Exception) -> str:
+    """Return what Mitsuba has to say, which quotes the file, as one line of printable letters."""
+    text = " ".join(str(error).split())
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> None:
@@ -223,7 +229,7 @@ def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> N
         expected=f"one of {', '.join(known)}, which {str(path)!r} uses"
         if known
         else f"none, as {str(path)!r} uses none",
-        got=f"{unused[0]}={parameters[unused[0]]}",
+        got=f"{unused[0]}={parameters[unused[0]]!r}",
         action=f"did you mean {near[0]!r}?" if near else "leave it out",
     )
 

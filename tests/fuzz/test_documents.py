@@ -1,0 +1,14 @@
+"""Documents made at random are read or refused in a sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.fuzz.fuzzing import check_kind
+
+
+@pytest.mark.parametrize(
+    "kind", ["lobes", "camera_path", "camera_json", "camera_xml", "camera_gltf", "preset", "map", "definitions"]
+)
+def test_documents(kind: str) -> None:
+    check_kind(kind)
