@@ -102,6 +102,8 @@ def _add_passes(
     return parts, total
 
 
+# Pixels that are not finite are left out, but NumPy looks at them all the same.
+@np.errstate(invalid="ignore", over="ignore")
 def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, known: FloatArray) -> Light:
     """Return layers that add up to the image together with what they leave of it, or none."""
     good = np.isfinite(color) & np.isfinite(known)

@@ -22,6 +22,9 @@ from lobewise.io.exr.container import Attribute, Part, Window
 
 Matrix = NDArray[np.float64]
 
+MAX_DIGITS = 9
+"""Of a sample count: no renderer takes as many."""
+
 
 @dataclass(frozen=True)
 class Located:
@@ -148,6 +151,6 @@ def read_sample_count(parts: Iterable[Part], preset: Preset) -> int | None:
 def _read_count(item: Attribute) -> int | None:
     if item.type == "string":
         text = item.value.decode("ascii", "replace").strip()
-        return int(text) if text.isdecimal() and int(text) > 0 else None
+        return int(text) if text.isdecimal() and len(text) <= MAX_DIGITS and int(text) > 0 else None
     numbers: Any = _read(item, {"int": "i", "float": "f", "double": "d"}.get(item.type, "i"))
-    return int(numbers[0]) if numbers and numbers[0] >= 1 else None
+    return int(numbers[0]) if numbers and 1 <= numbers[0] < 10**MAX_DIGITS else None

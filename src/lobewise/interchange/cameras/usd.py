@@ -35,15 +35,16 @@ def read_usd_camera(path: Path) -> Camera:
     require_readable(path, what="camera", holds="a USD stage")
     try:
         stage = Usd.Stage.Open(str(path))
+        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
+        if not prims:
+            raise InputError(what, expected="a camera", got="none", action="export cameras as well")
+        # Values are read, and what is wrong with them found, only when they are asked for.
+        time = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
+        found: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
     except Tf.ErrorException as problem:
         raise FileError(
             what, expected="a USD stage", got="none that can be read", action="export it again"
         ) from problem
-    prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
-    if not prims:
-        raise InputError(what, expected="a camera", got="none", action="export cameras as well")
-    time = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
-    found: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
     if found.projection != Gf.Camera.Perspective:
         raise InputError(what, expected="a perspective camera", got="an orthographic one", action="render with one")
     frustum = found.frustum

@@ -21,6 +21,7 @@ from typing import BinaryIO
 from lobewise.errors import FileError
 from lobewise.io.exr.chunk_grid import MAX_EXPANSION, Place, list_levels, list_rows, list_tiles
 from lobewise.io.exr.container import (
+    ATTRIBUTE_BYTES,
     COMPRESSIONS,
     DEEP,
     LONG_NAMES,
@@ -147,6 +148,10 @@ def _parse_header(reader: _Reader) -> tuple[Attribute, ...]:
         size = struct.unpack("<i", reader.take(4, "an attribute's size"))[0]
         if not kind or name in attributes or len(attributes) >= MAX_ATTRIBUTES:
             raise _Damaged("a damaged header")
+        if ATTRIBUTE_BYTES.get(kind, size) != size:
+            raise _Damaged(
+                f"an attribute {_say(name)} of {size} bytes, where its type {kind} has {ATTRIBUTE_BYTES[kind]}"
+            )
         attributes[name] = Attribute(name, kind, reader.take(size, f"the attribute {_say(name)}"))
     return tuple(attributes.values())
 

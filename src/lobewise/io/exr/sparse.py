@@ -13,6 +13,9 @@ from lobewise.io.exr.schema import SPARSE
 from lobewise.io.files import PathLike
 from lobewise.sparse_frame import SparseFrame, make_sparse
 
+MAX_DIGITS = 9
+"""Of a row or column: no image is as large."""
+
 
 def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[int, int] | None = None) -> SparseFrame:
     """Return a sparsely shaded frame, as `write_sparse_frame` and ``lobewise render --scale`` write it.
@@ -35,7 +38,7 @@ def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[
     container = read_container(path)
     item = require_beauty(container).get(SPARSE)
     words = [] if item is None or item.type != "string" else item.value.decode("ascii", "replace").split()
-    if scale is None and not (len(words) == 3 and all(word.isdecimal() for word in words)):
+    if scale is None and not (len(words) == 3 and all(word.isdecimal() and len(word) <= MAX_DIGITS for word in words)):
         raise InputError(
             f"input {str(path)!r}",
             expected=f"the attribute {SPARSE} with scale, row and column",
