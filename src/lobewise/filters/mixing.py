@@ -237,7 +237,8 @@ def _define_features(
         relative = [soft[X, k, Y] * unit for k in range(key.squares - 1)]
         values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
         values.append(expressions.log2(hl.max(mean / level, hl.f32(LEAST_LIGHT))))
-    values += [extras[k, X, Y] for k in range(key.extras)]
+    # Vectors are moved inwards at the end of a row, and begin before it where it is narrower than they are.
+    values += [extras[k, hl.max(X, 0), Y] for k in range(key.extras)]
     features = hl.Func("features")
     features[X, C, Y] = hl.mux(C, values)
     return features

@@ -54,7 +54,9 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
         for axis in (0, 1):
             beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
         funcs.rest.compute_with(out, xv)
-        funcs.finish.compute_at(out, xv).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
+        # It reads mask and albedo, which a vector that is moved inwards would leave where a row is narrower than it.
+        finish = funcs.finish.compute_at(out, xv).vectorize(x, lanes, tail)
+        finish.bound_storage(x, lanes).bound_storage(y, 1)
     sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
     across, within = ([xw, y, xv], y) if funcs.key.taps is Taps.VERTICAL else ([xw, xv, y], xv)
     sums.update().split(x, xv, xw, lanes).reorder(*across, funcs.outer.x).vectorize(xw)
