@@ -63,6 +63,10 @@ Direct3D 12, WebGPU and others are targets of [`lobewise export`](export.md).
 A kernel is compiled the first time that a machine needs it and then lies in the user's cache folder (Linux: `~/.cache/lobewise`), from which the next process loads it in
 milliseconds. `LOBEWISE_CACHE` names another folder, or is `off`. Nothing in it is needed: delete it whenever you like. A file that is not whole is made again.
 
+A compiled kernel is code that runs as you. Folder and files are made for you alone (0700, 0600); what others can write or own is not used, as ssh does with keys, and
+one line on standard error (a warning of Python's logger `lobewise.backend.disk`) says which path and why. The same line comes where there is no home folder or nothing can be written: kernels are then compiled in every process.
+Windows has no such modes, and nothing is checked there.
+
 ## One core: how near to its limits
 
 A tap of a vector of {roofline["lanes"]} pixels, full form. Operations and bytes are counted in the machine code of the loops over taps; the peaks are measured by loops of nothing else: {peaks["fused"]:.2f}
