@@ -50,8 +50,9 @@ class Verdict:
 
     @property
     def signature(self) -> str:
-        """What findings of one cause have in common: the outcome, and of an error its type and innermost place."""
-        places = re.findall(r'File "[^"]*?([^/"]+)", line (\d+)', self.told)
+        """What findings of one cause have in common: of an error its type, and its innermost place in lobewise."""
+        ours = re.findall(r'File "[^"]*/src/lobewise/([^"]+)", line (\d+)', self.told)
+        places = ours or re.findall(r'File "[^"]*?([^/"]+)", line (\d+)', self.told)
         kind = self.told.strip().rpartition("\n")[2].partition(":")[0][:60]
         return f"{self.outcome} {kind} {':'.join(places[-1]) if places else ''}".strip()
 
