@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import re
@@ -301,7 +302,9 @@ def change_message(draw: DrawFn, seeds: list[bytes]) -> bytes:
     for _ in range(draw(st.integers(1, 3))):
         places = _list_places(value)
         inside, key = draw(st.sampled_from(places))
-        inside[key] = draw(st.sampled_from(MESSAGE_VALUES) | st.floats() | st.integers(-(2**63), 2**63 - 1))
+        new = draw(st.sampled_from(MESSAGE_VALUES) | st.floats() | st.integers(-(2**63), 2**63 - 1))
+        # A list that is put in may be changed by the next step.
+        inside[key] = copy.deepcopy(new)
     return msgspec.msgpack.encode(value)
 
 
