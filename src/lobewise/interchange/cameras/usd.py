@@ -50,6 +50,10 @@ def read_usd_camera(path: Path) -> Camera:
     frustum = found.frustum
     # The window lies on the plane at distance 1.
     low, high = (np.array(corner) for corner in (frustum.window.min, frustum.window.max))
+    if not np.isfinite([low, high]).all():
+        raise InputError(
+            what, expected="a finite aperture and focal length", got=f"a window from {low} to {high}", action="check it"
+        )
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     return Camera(
         np.array(frustum.position),
