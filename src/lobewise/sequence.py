@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,6 +33,8 @@ CHECKPOINT_ENDING = ".lobewise-history.npz"
 """What the name of a checkpoint ends with."""
 
 _STATE = "state/"
+_MAX_HEAD = 4096
+"""Bytes of the two arrays that tell whose checkpoint it is; the others are read only if it is this run's."""
 
 
 class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
@@ -230,8 +234,9 @@ class _Run:
         fresh = self._proof.copy()
         reason = "it is damaged"
         # NumPy fails in many ways on a damaged file, and a filter on what another one remembered.
-        with suppress(Exception):
-            done, proof, state = _load(path)
+        with suppress(Exception), zipfile.ZipFile(path) as file:
+            kept = _Checkpoint(file, path.stat().st_size)
+            done, proof = int(kept.load("done", most=_MAX_HEAD)), str(kept.load("proof", most=_MAX_HEAD))
             while self._done < min(done, len(self._frames)):
                 self.mark_done()
             if not 0 < self._done == done or proof != self._proof.hexdigest():
@@ -240,13 +245,47 @@ class _Run:
                 reason = "not all of its outputs are there"
             else:
                 active = make_filter()
-                active.set_state(state)
+                active.set_state(kept.load_state())
                 return active, done, ""
         self._proof, self._done = fresh, 0
         return make_filter(), 0, f"The checkpoint {str(path)!r} is not used: {reason}."
 
 
-def _load(path: Path) -> tuple[int, str, State]:
-    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        state = {name.removeprefix(_STATE): file[name] for name in file.files if name.startswith(_STATE)}
-        return int(file["done"]), str(file["proof"]), state
+class _Checkpoint:
+    """A checkpoint of whatever origin: nothing in it is taken for larger than the file itself.
+
+    Arrays are stored as they are, one after another, as `_Run.save` writes them. Raises ValueError where they are
+    packed (megabytes may then hold terabytes), there twice, or of another size than they say.
+    """
+
+    def __init__(self, file: zipfile.ZipFile, size: int) -> None:
+        self._file = file
+        self._members = {item.filename.removesuffix(".npy"): item for item in file.infolist()}
+        stored = all(
+            item.compress_type == zipfile.ZIP_STORED and item.compress_size == item.file_size
+            for item in file.infolist()
+        )
+        total = sum(item.file_size for item in file.infolist())
+        if not stored or total > size or len(self._members) < len(file.infolist()):
+            raise ValueError("arrays that are not stored as they are")
+
+    def load(self, name: str, *, most: int | None = None) -> NDArray[Any]:
+        """Return an array, of at most ``most`` bytes."""
+        item = self._members[name]
+        if most is not None and item.file_size > most:
+            raise ValueError(f"{name} of {item.file_size} bytes")
+        with self._file.open(item) as stream:
+            version = np.lib.format.read_magic(stream)
+            if version != (1, 0):
+                raise ValueError(f"version {version}")
+            shape, _, kind = np.lib.format.read_array_header_1_0(stream)
+            # Before it is made: the size that an array says goes into memory at once.
+            if kind.kind not in "biufU" or math.prod(shape) * kind.itemsize != item.file_size - stream.tell():
+                raise ValueError(f"{name} of another size than it says")
+        with self._file.open(item) as stream:
+            array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+            return array
+
+    def load_state(self) -> State:
+        """Return what the filter remembered."""
+        return {name.removeprefix(_STATE): self.load(name) for name in self._members if name.startswith(_STATE)}

@@ -297,6 +297,14 @@ class TestNotGoingOn:
             np.savez(stream, done=1, proof="", **{"state/total": np.array([print])})
         self.check("it is damaged")
 
+    def test_arrays_that_are_packed(self):
+        """Megabytes of packed arrays may be terabytes in memory; checkpoints are written as they are."""
+        with np.load(KEPT) as file:
+            arrays = dict(file)
+        np.savez_compressed(KEPT, **arrays)
+        self.check("it is damaged")
+        self.check_files()
+
     def test_a_state_that_the_filter_refuses(self):
         class Other(Running):
             def set_state(self, state):

@@ -163,6 +163,9 @@ def pack_past(past: Past) -> dict[str, NDArray[Any]]:
     return packed
 
 
+_PARTS = ("similarity", "sums", "allowance", "gbuffer", "camera")
+
+
 def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
     """Return the past that `pack_past` took apart; its features are made when they are needed.
 
@@ -178,6 +181,9 @@ def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
         array = np.asarray(value)
         parts.setdefault(prefix, {})[key] = array.item() if array.ndim == 0 else array
     try:
+        unknown = [name for name in parts if name not in _PARTS and not name.startswith("table")]
+        if unknown:
+            raise ValueError(f"{unknown[0]}: unknown")
         camera = _unpack_camera(parts["camera"]) if "camera" in parts else None
         tables = [LobeTable(**parts[name]) for name in sorted(parts) if name.startswith("table")]
         guides = Guides(GBuffer(**parts["gbuffer"]), camera, tuple(tables))
