@@ -18,7 +18,7 @@ from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import Frame, Result
-from lobewise.guides.usable import bound_albedos, find_unusable
+from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame
 
@@ -73,7 +73,7 @@ def upsample(
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
     notes = tuple(map(str, find_unusable(frame)))
-    frame = bound_albedos(frame)
+    frame = bound_guides(frame)
     asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
     require_full(asked)
     require_plain(asked, "upsampling")

@@ -216,7 +216,8 @@ def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
     if not known:
         return None
     albedo: FloatArray = np.sum(known, axis=0, dtype=np.float32) if len(known) > 1 else known[0]
-    black = albedo.max(axis=-1, keepdims=True) <= DARKEST_ALBEDO
+    # Written so that an albedo that is no number counts as none.
+    black = ~(albedo.max(axis=-1, keepdims=True) > DARKEST_ALBEDO)
     return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
 
 

@@ -31,7 +31,7 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.guides.usable import bound_albedos, find_unusable
+from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 
@@ -88,7 +88,7 @@ def denoise(
     start = time.perf_counter()
     require_kind("frame", frame, Frame)
     notes = tuple(map(str, find_unusable(frame)))
-    frame = bound_albedos(frame)
+    frame = bound_guides(frame)
     chosen = resolve_all(frame, ask(settings, changes))
     if chosen.with_oidn:
         require_oidn()

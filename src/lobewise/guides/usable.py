@@ -25,6 +25,10 @@ MIN_ALBEDO = -1e-3
 """An albedo below is none; rounding and filters with negative lobes go a little below 0."""
 ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
 ALPHAS = ("alpha_u", "alpha_v")
+MAX_NORMAL_LENGTH = 1.5
+"""A normal that is longer is none of a surface: its products with others would exceed 1. Means are shorter than 1."""
+MAX_NEIGHBOURS_WITHOUT_NORMAL = 2
+"""Of eight: with more, a pixel without a normal is part of a region that has none."""
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
 
@@ -68,9 +72,16 @@ def join_unusable(found: Sequence[Unusable]) -> list[Unusable]:
     return list(sums.values())
 
 
-def bound_albedos(frame: FrameT) -> FrameT:
-    """Return a frame whose albedos lie in [0, 1] wherever they were out of [`MIN_ALBEDO`, `MAX_ALBEDO`]."""
-    guides = {name: _bound(getattr(frame.gbuffer, name)) for name in ALBEDOS if _is_out(getattr(frame.gbuffer, name))}
+def bound_guides(frame: FrameT) -> FrameT:
+    """Return a frame whose albedos lie in [0, 1] wherever they were out of [`MIN_ALBEDO`, `MAX_ALBEDO`].
+
+    Normals that are longer than `MAX_NORMAL_LENGTH` become unit vectors.
+    """
+    guides: dict[str, Any] = {
+        name: _bound(getattr(frame.gbuffer, name)) for name in ALBEDOS if _is_out(getattr(frame.gbuffer, name))
+    }
+    if _is_long(frame.gbuffer.normal):
+        guides["normal"] = _normalise(frame.gbuffer.require("normal", "a frame"))
     changes: dict[str, Any] = {"gbuffer": replace(frame.gbuffer, **guides)} if guides else {}
     if isinstance(frame, Frame) and any(_is_out(layer.albedo) for layer in frame.layers):
         changes["layers"] = tuple(replace(each, albedo=_bound(each.albedo)) for each in frame.layers)
@@ -115,22 +126,56 @@ def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
         part = guides.depth[rows]
         yield Unusable("depth", "below 0", _count(part < 0.0), "they pass as they are")
         yield Unusable("depth", "no number", _count(np.isnan(part)), "they pass as they are")
-    yield from _list_without_normal(frame, rows)
+    yield from _list_odd_normals(frame, rows)
 
 
-def _list_without_normal(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
-    """Count the pixels that have a depth but no normal: a surface without one passes as it is."""
+def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
+    """Count normals that are too long, and pixels that have a depth but no normal although their neighbours have one.
+
+    Regions without normals raise no alarm: lamps and skies have none, and readers take those of lamps away.
+    """
     guides = frame.gbuffer
-    if guides.normal is None or guides.depth is None:
+    if guides.normal is None:
+        return
+    if _is_long(guides.normal):
+        with np.errstate(invalid="ignore", over="ignore"):
+            long = _measure_length(guides.normal[rows]) > MAX_NORMAL_LENGTH
+        yield Unusable("normal", f"longer than {MAX_NORMAL_LENGTH:g}", _count(long), "it is normalised there")
+    if guides.depth is None:
         return
     with np.errstate(invalid="ignore"):
-        there = (guides.depth[rows] > 0.0) & (guides.depth[rows] < np.inf)
-    lost = there & ~find_surface_pixels(guides, frame.shape)[rows]
+        there = (guides.depth > 0.0) & (guides.depth < np.inf)
+    lost = there & ~find_surface_pixels(guides, frame.shape)
     if lost.any():
+        alone = (lost & (_count_neighbours(lost) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
         length = np.abs(guides.normal[rows]).max(axis=-1)
-        yield Unusable("normal", "of length 0 on a surface", _count(lost & (length == 0.0)), "they pass as they are")
-        odd = lost & ~np.isfinite(length)
-        yield Unusable("normal", "no number", _count(odd), "they pass as they are")
+        yield Unusable("normal", "of length 0 on a surface", _count(alone & (length == 0.0)), "they pass as they are")
+        yield Unusable("normal", "no number", _count(lost[rows] & ~np.isfinite(length)), "they pass as they are")
+
+
+def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return how many of the eight neighbours of each pixel are in a mask."""
+    padded = np.pad(mask.astype(np.intp), 1)
+    height, width = mask.shape
+    shifts = [(down, right) for down in range(3) for right in range(3) if (down, right) != (1, 1)]
+    return np.asarray(
+        np.sum([padded[down : down + height, right : right + width] for down, right in shifts], axis=0), np.intp
+    )
+
+
+def _is_long(normal: FloatArray | None) -> bool:
+    return normal is not None and not float(np.abs(normal).max()) <= MAX_NORMAL_LENGTH
+
+
+def _measure_length(normal: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((normal.astype(np.float64) ** 2).sum(axis=-1)), np.float64)
+
+
+def _normalise(normal: FloatArray) -> FloatArray:
+    """Return normals of which those that were too long have unit length."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = _measure_length(normal)[..., None]
+        return np.where(length > MAX_NORMAL_LENGTH, normal / length, normal).astype(np.float32)
 
 
 def _count(mask: NDArray[np.bool_]) -> int:

@@ -29,7 +29,7 @@ from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
-from lobewise.guides.usable import Unusable, bound_albedos, find_unusable, join_unusable
+from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.exr.parsing import read_container
@@ -208,7 +208,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
     bad_count = 0
     for number, band in enumerate(bands):
         top, bottom = widen(band, FIREFLY_REACH if guided else 0, height)
-        frame = bound_albedos(reader.read_frame(top, bottom))
+        frame = bound_guides(reader.read_frame(top, bottom))
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame)[core])
@@ -274,7 +274,7 @@ def _filter_band(
     """Return the images of the rows of ``core`` by their fields, where the total is none, and how many were bad."""
     frame = reader.read_frame(*rows)
     unusable += find_unusable(frame, core)
-    frame = bound_albedos(frame)
+    frame = bound_guides(frame)
     if forgets(settings):
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), levels)

@@ -19,7 +19,7 @@ from lobewise.features import Feature
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.guides.usable import bound_albedos, find_unusable
+from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -140,7 +140,7 @@ class TemporalFilter:
         start = time.perf_counter()
         require_kind("frame", frame, Frame, SparseFrame)
         notes = tuple(map(str, find_unusable(frame)))
-        frame = bound_albedos(frame)
+        frame = bound_guides(frame)
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
