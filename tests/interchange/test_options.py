@@ -161,6 +161,18 @@ def test_files_beside_it_are_its_passes(tmp_path: Path) -> None:
     assert not alone.frame.gbuffer.is_placed
 
 
+@pytest.mark.parametrize("left_out", ["SHADING_NORMAL", "AVG_SHADING_NORMAL"])
+def test_either_normal_of_luxcore_tells_its_files(left_out: str, tmp_path: Path) -> None:
+    """The pages name the averaged normals, and a scene that asks for those alone was not recognised."""
+    folder = tmp_path / "luxcore"
+    shutil.copytree(FOREIGN / "luxcore", folder)
+    (folder / f"{left_out}.exr").unlink()
+    found = import_file(folder / "RGB.exr")
+    assert found.preset == "luxcore"
+    assert found.frame.gbuffer.normal is not None
+    assert found.frame.layers
+
+
 def test_a_damaged_file_beside_it_is_not_its_pass(tmp_path: Path) -> None:
     folder = tmp_path / "luxcore"
     shutil.copytree(FOREIGN / "luxcore", folder)

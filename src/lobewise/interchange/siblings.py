@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from lobewise.errors import LobewiseError
@@ -46,7 +47,7 @@ def find_family(container: Container) -> Family:
     for preset in load_presets().values():
         for word in preset.files:
             found = _find_parts(container, preset, word) if word in container.path.stem else {}
-            if all(name in found for name in preset.passes) and found:
+            if found and all(any(fnmatchcase(name, wanted) for name in found) for wanted in preset.passes):
                 main = _name_part(container.parts[0], 0, word)
                 homes = {FIRST_INDEX + number: home for number, home in enumerate(found.values())}
                 parts = [
