@@ -61,7 +61,7 @@ def make() -> tuple[bytes, dict[str, Any]]:
 
 
 def count_made() -> int:
-    """Return how often the object file is made when it is asked for now."""
+    """Fetch the object file, and return how often this call made it."""
     before = len(_made)
     assert fetch_object("something", make)[0] == make_elf()
     return len(_made) - before
