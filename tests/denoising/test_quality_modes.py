@@ -11,7 +11,8 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.guided import make_noisy_layers, resolve_guided
+from lobewise.denoising.guided import resolve_guided
+from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import composite_light
@@ -378,5 +379,5 @@ def test_light_through_glass_is_compared_by_normals(quality: str) -> None:
         radiance = Radiance(noisy, diffuse=np.zeros_like(noisy), specular=noisy)
         frame = Frame(radiance, guides, camera, spp=16, layers=(layer,))
         errors[lobe] = rel_mse(denoise(frame, quality=quality).image, np.ones_like(noisy))
-    assert errors["transmission"] < 0.2 * errors["glossy"]
+    assert errors["transmission"] < 0.4 * errors["glossy"]
     assert errors["transmission"] < 0.1 * rel_mse(noisy, np.ones_like(noisy))

@@ -19,12 +19,12 @@ from lobewise.denoising.guided import (
     CleanLayer,
     filter_balanced,
     find_balanced_reach,
-    make_noisy_layers,
     resolve_guided,
 )
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
+from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput

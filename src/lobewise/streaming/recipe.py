@@ -21,8 +21,8 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
-from lobewise.denoising.guided import make_bounded_layers, measure_layer
 from lobewise.denoising.inputs import list_images, list_unused
+from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
