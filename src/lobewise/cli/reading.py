@@ -114,7 +114,6 @@ class Reading:
 
     def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
-        from lobewise.cli.output import print_note
         from lobewise.interchange import import_file
         from lobewise.interchange.cameras.files import read_camera_file
 
@@ -133,11 +132,16 @@ class Reading:
             # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
             known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
             for note in (title, *found.notes):
-                key = known.get(note, note)
-                if key not in self._told:
-                    print_note(note)
-                self._told.add(key)
+                self.tell(note, known.get(note, note))
         return found
+
+    def tell(self, note: str, key: str = "") -> None:
+        """Print a note, but none that was printed before; ``key`` stands for it where its figures may differ."""
+        from lobewise.cli.output import print_note
+
+        if (key or note) not in self._told:
+            print_note(note)
+        self._told.add(key or note)
 
 
 def parse_maps(given: list[str]) -> Mapping[str, str]:
