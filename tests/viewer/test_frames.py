@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,6 +143,17 @@ class TestFramesOfOtherRenderers:
         one, other = (target.render(ask(FrameLook(quality="fast")))[0].image for target in looks)
         np.testing.assert_array_equal(other, denoise(read_any(floor_file, camera=camera), quality="fast").image)
         assert not np.array_equal(one, other)
+
+
+def test_they_are_shown_where_mitsuba_is_not_installed(floor_file):
+    code = f"""
+import sys
+sys.modules["mitsuba"] = sys.modules["drjit"] = None
+from lobewise.viewer.frames import FrameTarget
+print(FrameTarget({str(floor_file)!r}).describe().width)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "48\n"), done.stderr
 
 
 class TestSparseFrames:
