@@ -318,11 +318,10 @@ class TestSettings:
         sparse = make_sparse(make_frame((8, 8)), 2)
         with pytest.raises(InputError, match=f"quality: expected 'fast' for upsampling, got '{quality}'"):
             upsample(sparse, quality=quality)
-        for frame in (make_frame((8, 8)), sparse):
-            with pytest.raises(
-                InputError, match=f"quality: expected 'fast' for a filter with history, got '{quality}'"
-            ):
-                TemporalFilter(quality=quality).add(frame)
+        refused = f"quality: expected 'fast' for a filter with history, got '{quality}'"
+        for asked in ({"quality": quality}, {"settings": DenoiseSettings(quality=quality)}):
+            with pytest.raises(InputError, match=refused):
+                TemporalFilter(**asked)
 
     def test_results_tell_what_was_used(self):
         settings = denoise(make_frame(), quality="balanced").settings

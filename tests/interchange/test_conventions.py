@@ -19,7 +19,8 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.checks.normals import Guess, make_bases, turn_normals
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.reading import import_planes, read_image
+from lobewise.interchange.reading import import_planes
+from lobewise.interchange.showing import read_image
 from lobewise.metrics import rel_mse
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"

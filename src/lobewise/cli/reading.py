@@ -112,32 +112,41 @@ class Reading:
         }
         return next((name for name, value in given.items() if value), "")
 
+    def parse(self) -> dict[str, Any]:
+        """Return what the options say of the channels and the camera, as `lobewise.read_frame` takes it."""
+        from lobewise.interchange.cameras.files import read_camera_file
+
+        return {
+            "preset": self.preset,
+            "mapping": parse_maps(self.maps or []),
+            "camera": None if self.camera is None else read_camera_file(self.camera),
+        }
+
     def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
-        from lobewise.cli.output import print_note
         from lobewise.interchange import import_file
-        from lobewise.interchange.cameras.files import read_camera_file
 
         found = import_file(
             path,
-            preset=self.preset,
-            mapping=parse_maps(self.maps or []),
-            camera=None if self.camera is None else read_camera_file(self.camera),
+            **self.parse(),
             half=None if self.half is None else _find_same(self.half, path, source),
             lobe_tables=self.tables,
             also=self.also or (),
             light_passes=light_passes,
         )
-        if found.map is not None:
-            title = f"Read as {found.map.preset.title}, because {found.map.reason}."
-            # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
-            known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
-            for note in (title, *found.notes):
-                key = known.get(note, note)
-                if key not in self._told:
-                    print_note(note)
-                self._told.add(key)
+        # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
+        known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
+        for note in found.remarks:
+            self.tell(note, known.get(note, note))
         return found
+
+    def tell(self, note: str, key: str = "") -> None:
+        """Print a note, but none that was printed before; ``key`` stands for it where its figures may differ."""
+        from lobewise.cli.output import print_note
+
+        if (key or note) not in self._told:
+            print_note(note)
+        self._told.add(key or note)
 
 
 def parse_maps(given: list[str]) -> Mapping[str, str]:

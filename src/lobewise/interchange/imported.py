@@ -54,6 +54,13 @@ class Imported:
         """By which names the file was read."""
         return OWN if self.map is None else self.map.preset.name
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Whose file it was taken for and why, then the notes; nothing of a file in lobewise's own names."""
+        if self.map is None:
+            return ()
+        return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
+
 
 Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]
 """Returns some channels of a part, each (height, width), by their names."""

@@ -38,7 +38,6 @@ from lobewise.interchange.siblings import FIRST_INDEX, find_family
 from lobewise.interchange.silhouettes import take_coverage
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
-from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.frames import read_whole
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
@@ -69,12 +68,18 @@ def read_frame(
     camera: Camera | None = None,
     half: PathLike | None = None,
     lobe_tables: Sequence[LobeTable] | None = None,
+    light_passes: bool = True,
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
     Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
     recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
     that are NaN, infinite or negative come through as they are.
+
+    With `lobewise.denoise` and `lobewise.write_result` it does what the command ``lobewise denoise`` does, to the byte:
+    the passes of light are filtered as well. Two things the command alone does: it prints what was found, and it
+    filters large files in bands, `lobewise.denoise_file`, which gives the same bytes and takes lobewise's own files
+    only; those have no passes of light.
 
     Parameters
     ----------
@@ -91,6 +96,11 @@ def read_frame(
         The same frame rendered again with another seed: then both are halves of the samples.
     lobe_tables : sequence of LobeTable, optional
         What the channel ``material.I`` of a file in lobewise's names counts, in place of the tables in its header.
+    light_passes : bool
+        Whether the passes that make up the layers (direct and indirect light of each) stay in the frame, as parts of
+        its layers, so that `lobewise.denoise` filters them and `lobewise.write_result` writes them back. Without them
+        the frame takes less memory, filtering is quicker, the image is the same to the bit, and the passes in the
+        written file stay noisy.
 
     Raises
     ------
@@ -102,44 +112,15 @@ def read_frame(
         If a preset, role, conversion or channel is unknown, the camera in the header makes no sense, a pixel names a
         lobe table that is not there, the frame was shaded sparsely, or the halves do not fit each other.
     """
-    return import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, lobe_tables=lobe_tables).frame
-
-
-def read_image(path: PathLike) -> FloatArray:
-    """Return only the image of any EXR file, as viewers show it: float32, shape (height, width, 3).
-
-    Where the renderer denoised its image and kept the noisy one in another pass, the denoised image is returned;
-    `find_noisy_pass` names the other.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    MissingChannelError
-        If there is no image.
-    """
-    container = read_container(path)
-    if is_own(container):
-        return read_own_image(path)
-    family = find_family(container)
-    return ImageReader(family.decode)(map_channels(family.container).target)
-
-
-def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
-    """Return the labels of the image that viewers show and of the noisy pass beside it; None where there is one image.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    MissingChannelError
-        If there is no image.
-    """
-    container = read_container(path)
-    if is_own(container):
-        return None
-    channels = map_channels(find_family(container).container)
-    return None if channels.shown is None else (channels.shown.label, channels.roles["color"].label)
+    return import_file(
+        path,
+        preset=preset,
+        mapping=mapping,
+        camera=camera,
+        half=half,
+        lobe_tables=lobe_tables,
+        light_passes=light_passes,
+    ).frame
 
 
 def import_file(
