@@ -183,7 +183,9 @@ def derive_normal(places: Places, shape: tuple[int, int]) -> FloatArray:
         rays = places.camera.make_ray_directions(shape[1], shape[0])
         position = (places.camera.position + places.depth[..., None] * rays).astype(np.float32)
     if position is None or places.camera is None:
-        places.notes.append("Nothing tells surfaces apart but the image itself: there is no normal, position or depth.")
+        places.notes.append(
+            "Nothing tells surfaces apart but the image itself: no normal, position or depth can be used."
+        )
         normal = np.zeros((*shape, 3), np.float32)
         normal[..., 2] = 1.0
         return normal

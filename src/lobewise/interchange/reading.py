@@ -302,7 +302,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
-    notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
+    notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
+    notes += _note_what_lacks(channels, frame)
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
@@ -389,7 +390,10 @@ def _note_what_lacks(channels: ChannelMap, frame: Frame) -> list[str]:
         if known:
             continue
         told = advice.get(role) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
-        remedy = f"; {channels.preset.title} gives it by: {told}" if told and not told.startswith("none") else ""
+        # A renderer that is not known has no menu.
+        lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
+        remedy = f"; {lead} {told}" if told and not told.startswith("none") else ""
         remedy = f" ({told.removeprefix('none; ')})" if told.startswith("none") else remedy
-        notes.append(f"No {role}: {COSTS[role]}{remedy}.")
+        kind = f"{role} that can be used" if role in channels.refused else role
+        notes.append(f"No {kind}: {COSTS[role]}{remedy}.")
     return notes
