@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -139,6 +139,16 @@ class Camera:
         half_height = float(np.tan(0.5 * self.fov_y))
         half_width = half_height * width / rows if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
         return half_width, half_height
+
+    def with_pixel_aspect(self, width: int, height: int, aspect: float) -> Camera:
+        """Return the camera of an image whose pixels are ``aspect`` times as wide as they are high.
+
+        It is this one where the pixels are square, or ``fov_x`` is known already.
+        """
+        if aspect == 1.0 or self.fov_x is not None:
+            return self
+        half_width = float(np.tan(0.5 * self.fov_y)) * aspect * width / height
+        return replace(self, fov_x=float(2.0 * np.arctan(half_width)))
 
     @property
     def middle(self) -> NDArray[np.float64]:

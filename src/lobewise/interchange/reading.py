@@ -28,6 +28,7 @@ from lobewise.interchange.lighting import (
     PartOutput,
     keep_lamps,
     lend_albedo,
+    make_radiance,
     name_pass,
     take_albedos,
     take_layers,
@@ -40,12 +41,13 @@ from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.frames import read_whole
+from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.radiance import RadianceLayer, sum_layers
+from lobewise.radiance import RadianceLayer
 
 Read = Callable[[Found], FloatArray]
 """Gives the pixels of an image."""
@@ -265,7 +267,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     if "albedo" in images:
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
-    places = place_surfaces(images, guides.roles, camera, located)
+    places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
     findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
@@ -290,7 +292,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         mean_specular_albedo=None if coverage is None else specular_albedo,
     )
     frame = Frame(
-        _make_radiance(color, images, light),
+        make_radiance(color, images, light),
         gbuffer,
         places.camera,
         variance=_take_variance(images, channels, spp),
@@ -319,14 +321,6 @@ def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Re
     if "diffuse" in images and "specular" in images:
         return Light()
     return take_layers(images["color"], channels.layers, read)
-
-
-def _make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
-    if not light.layers:
-        return Radiance(color, images.get("diffuse"), images.get("specular"))
-    nothing = np.zeros_like(color)
-    diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
-    return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
 
 
 def _take_alpha(
