@@ -28,7 +28,7 @@ POSITION = WIDE.make_positions(DEPTH)
 
 def save(path: Path, aspect: float, channels: dict[str, np.ndarray], **header: object) -> Path:
     fields = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, "pixelAspectRatio": aspect}
-    OpenEXR.File({**fields, **header}, channels).write(str(path))
+    OpenEXR.File({**fields, **header}, dict(channels)).write(str(path))
     return path
 
 

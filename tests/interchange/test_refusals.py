@@ -22,8 +22,9 @@ COLOR = name("", SCENE.color)
 def save(path: Path, *parts: tuple[str, dict[str, Any]], **header: Any) -> Path:
     """Write a file of one part or several, each a name and its channels, all within one display window."""
     fields = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, "displayWindow": WHOLE, **header}
-    made = [OpenEXR.Part(dict(fields), channels, title) for title, channels in parts]
-    (OpenEXR.File(made) if len(made) > 1 else OpenEXR.File(fields, parts[0][1])).write(str(path))
+    # The library changes the dictionaries that it is given.
+    made = [OpenEXR.Part(dict(fields), dict(channels), title) for title, channels in parts]
+    (OpenEXR.File(made) if len(made) > 1 else OpenEXR.File(fields, dict(parts[0][1]))).write(str(path))
     return path
 
 
@@ -91,7 +92,7 @@ class TestNormals:
         window = (np.array([0, 1], np.int32), np.array([WIDTH - 1, HEIGHT], np.int32))
         fields = {"type": OpenEXR.scanlineimage, "displayWindow": WHOLE}
         moved = OpenEXR.Part({**fields, "dataWindow": window}, name("", SCENE.normal, "XYZ"), "normal")
-        OpenEXR.File([OpenEXR.Part(fields, COLOR, "rgb"), moved]).write(str(tmp_path / "a.exr"))
+        OpenEXR.File([OpenEXR.Part(fields, dict(COLOR), "rgb"), moved]).write(str(tmp_path / "a.exr"))
         assert any("it covers other pixels than the image" in note for note in list_told(tmp_path / "a.exr"))
 
     def test_two_components(self, tmp_path: Path) -> None:

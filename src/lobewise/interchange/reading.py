@@ -15,6 +15,7 @@ from lobewise.interchange.cameras.header import read_camera_attributes, read_sam
 from lobewise.interchange.checks import (
     SHARED,
     check_alpha,
+    check_compression,
     check_guides,
     check_noise,
     check_places,
@@ -76,7 +77,8 @@ def read_frame(
 
     Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
     recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
-    that are NaN, infinite or negative come through as they are.
+    that are NaN, infinite or negative come through as they are, but for light that compression with loss left just
+    below 0: it becomes 0.
 
     Parameters
     ----------
@@ -250,6 +252,7 @@ def _leave_passes(found: Imported) -> Imported:
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
     read.expect(channels)
+    compressed = check_compression(channels, read)
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -268,7 +271,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
     places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
-    findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
+    findings = [*compressed, *guides.findings, *check_places(places, guides, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
