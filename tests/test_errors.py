@@ -9,9 +9,17 @@ import pytest
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, find_nearest, name_value, require_choice, require_integer
+from lobewise.interchange.preset import find_preset
 from lobewise.settings import DenoiseSettings
 
 QUALITIES = ("auto", "fast", "balanced", "high")
+
+
+def test_blender_is_not_renderman() -> None:
+    with pytest.raises(InputError) as caught:
+        find_preset("blender")
+    assert "cycles" in str(caught.value)
+    assert "did you mean" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
