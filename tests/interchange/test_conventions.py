@@ -288,6 +288,18 @@ def test_coarse_positions_are_told_where_there_is_no_depth(tmp_path: Path) -> No
     assert import_channels(move(write_showroom("Z"), 0.0), tmp_path).findings == ()
 
 
+@pytest.mark.parametrize(
+    ("far", "words"), [(1e3, "are 3.3 times as far apart as"), (6e4, "so wide that most neighbouring pixels have the")]
+)
+def test_how_coarse_positions_are_is_told_in_words(far: float, words: str) -> None:
+    scene = make_scene()
+    position = (scene.position + far).astype(np.float16).astype(np.float32)
+    planes = name("", scene.color) | name("P", position, "XYZ")
+    (told,) = (one.told for one in import_planes(planes).findings if one.what == "positions coarse")
+    assert words in told
+    assert "000" not in told
+
+
 def spread(image: np.ndarray, deviation: float = 0.5) -> np.ndarray:
     """Return an image as a Gaussian pixel filter of some width would spread its samples."""
     kernel = np.exp(-(np.arange(-2, 3) ** 2) / (2.0 * deviation**2))

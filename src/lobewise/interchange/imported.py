@@ -91,6 +91,10 @@ class ImageReader:
             self._images[key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[key]
 
+    def replace(self, found: Found, image: FloatArray) -> None:
+        """Give another image from now on."""
+        self._images[found.source.part.index, found.channels] = image
+
     def read_planes(self, found: Found) -> list[Pixels]:
         """Return the channels of an image one by one, (height, width) each, in their types."""
         part = found.source.part

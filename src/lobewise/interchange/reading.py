@@ -15,6 +15,7 @@ from lobewise.interchange.cameras.header import read_camera_attributes, read_sam
 from lobewise.interchange.checks import (
     SHARED,
     check_alpha,
+    check_compression,
     check_guides,
     check_noise,
     check_places,
@@ -28,6 +29,7 @@ from lobewise.interchange.lighting import (
     PartOutput,
     keep_lamps,
     lend_albedo,
+    make_radiance,
     name_pass,
     take_albedos,
     take_layers,
@@ -39,12 +41,13 @@ from lobewise.interchange.silhouettes import take_coverage
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
+from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.radiance import RadianceLayer, sum_layers
+from lobewise.radiance import RadianceLayer
 
 Read = Callable[[Found], FloatArray]
 """Gives the pixels of an image."""
@@ -74,7 +77,8 @@ def read_frame(
 
     Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
     recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
-    that are NaN, infinite or negative come through as they are.
+    that are NaN, infinite or negative come through as they are, but for light that compression with loss left just
+    below 0: it becomes 0.
 
     With `lobewise.denoise` and `lobewise.write_result` it does what the command ``lobewise denoise`` does, to the byte:
     the passes of light are filtered as well. Two things the command alone does: it prints what was found, and it
@@ -229,6 +233,7 @@ def _leave_passes(found: Imported) -> Imported:
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
     read.expect(channels)
+    compressed = check_compression(channels, read)
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -246,8 +251,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     if "albedo" in images:
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
-    places = place_surfaces(images, guides.roles, camera, located)
-    findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
+    places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
+    findings = [*compressed, *guides.findings, *check_places(places, guides, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -271,7 +276,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         mean_specular_albedo=None if coverage is None else specular_albedo,
     )
     frame = Frame(
-        _make_radiance(color, images, light),
+        make_radiance(color, images, light),
         gbuffer,
         places.camera,
         variance=_take_variance(images, channels, spp),
@@ -283,7 +288,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
-    notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
+    notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
+    notes += _note_what_lacks(channels, frame)
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
@@ -299,14 +305,6 @@ def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Re
     if "diffuse" in images and "specular" in images:
         return Light()
     return take_layers(images["color"], channels.layers, read)
-
-
-def _make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
-    if not light.layers:
-        return Radiance(color, images.get("diffuse"), images.get("specular"))
-    nothing = np.zeros_like(color)
-    diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
-    return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
 
 
 def _take_alpha(
@@ -370,7 +368,10 @@ def _note_what_lacks(channels: ChannelMap, frame: Frame) -> list[str]:
         if known:
             continue
         told = advice.get(role) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
-        remedy = f"; {channels.preset.title} gives it by: {told}" if told and not told.startswith("none") else ""
+        # A renderer that is not known has no menu.
+        lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
+        remedy = f"; {lead} {told}" if told and not told.startswith("none") else ""
         remedy = f" ({told.removeprefix('none; ')})" if told.startswith("none") else remedy
-        notes.append(f"No {role}: {COSTS[role]}{remedy}.")
+        kind = f"{role} that can be used" if role in channels.refused else role
+        notes.append(f"No {kind}: {COSTS[role]}{remedy}.")
     return notes

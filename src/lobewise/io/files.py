@@ -41,8 +41,10 @@ def refusing(name: str, expected: str, action: str) -> Iterator[None]:
         raise FileError(name, expected=expected, got=say_reason(problem), action=action) from problem
 
 
-def require_readable(path: PathLike, *, what: str = "input", holds: str = "an image") -> Path:
+def require_readable(path: PathLike, *, what: str = "input", holds: str = "") -> Path:
     """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
+
+    Without it an input should hold an image, and any other file what it is called.
 
     Raises FileError if it does not exist, is a directory or a device, is empty, or may not be read.
     """
@@ -54,6 +56,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "an im
         elif not stat.S_ISREG(mode.st_mode):
             expected, got, action = "a regular file", "a device or pipe", "copy it to a file"
         elif mode.st_size == 0:
+            holds = holds or ("an image" if what == "input" else f"a {what}")
             expected, got, action = holds, "an empty file of 0 bytes", "write it again"
         else:
             with file.open("rb"):

@@ -24,7 +24,7 @@ from lobewise.denoising.bad_pixels import (
 from lobewise.denoising.inputs import list_images, list_unused
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
-from lobewise.errors import InputError
+from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
@@ -175,9 +175,11 @@ def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: f
             action="leave it out, or denoise the frame as a whole",
         )
     if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
-        raise InputError("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
+        raise InputError("rows", expected="an integer of at least 1", got=name_value(rows), action="leave it out")
     if not 0.0 < memory < float("inf"):
-        raise InputError("memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out")
+        raise InputError(
+            "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
+        )
     if not is_own(read_container(source)):
         raise InputError(
             f"input {str(source)!r}",

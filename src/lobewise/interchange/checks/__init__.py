@@ -1,6 +1,7 @@
 """Conventions of foreign frames are checked: what guides are is measured, mended where it is sure, else told."""
 
 from lobewise.interchange.checks.checking import Guides, check_alpha, check_guides, check_places
+from lobewise.interchange.checks.compression import check_compression
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.noise import SHARED, check_noise
 from lobewise.interchange.checks.roughness import find_second, name_assumption
@@ -10,6 +11,7 @@ __all__ = [
     "Finding",
     "Guides",
     "check_alpha",
+    "check_compression",
     "check_guides",
     "check_noise",
     "check_places",

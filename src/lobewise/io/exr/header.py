@@ -16,6 +16,9 @@ from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SPP
 from lobewise.io.materials import lobe_table_from_json
 from lobewise.lobe_table import LobeTable
 
+MAX_PIXEL_ASPECT = 100.0
+"""Width over height of pixels, or height over width, beyond which no camera has them."""
+
 
 def make_headers(container: Container, beauty: Part, settings: Mapping[str, Any]) -> list[list[Attribute]]:
     """Return the attributes of every part of a denoised copy: as they were, and the settings."""
@@ -46,7 +49,15 @@ def read_camera(part: Part) -> Camera | None:
             )
         if numbers is not None:
             values[name] = numbers if size > 1 else numbers[0]
-    return Camera(**values)
+    window = part.data_window
+    return Camera(**values).with_pixel_aspect(window.width, window.height, read_pixel_aspect(part) or 1.0)
+
+
+def read_pixel_aspect(part: Part) -> float | None:
+    """Return the width of a part's pixels over their height; None where the header says what no pixels have."""
+    item = part.get("pixelAspectRatio")
+    aspect = 1.0 if item is None else float(struct.unpack("<f", item.value)[0])
+    return aspect if 1.0 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT else None
 
 
 def read_spp(part: Part) -> int | None:
