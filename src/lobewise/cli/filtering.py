@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -347,7 +348,7 @@ def _run(
 
 
 class _Remarks:
-    """What is said of results beside their figures, each sentence once."""
+    """What is said of results beside their figures, each sentence once; of its own figures those of the first frame."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()
@@ -359,9 +360,10 @@ class _Remarks:
         done = result.done if isinstance(result, FileInBands) else result
         unused = f"Not used with these settings: {', '.join(done.unused)}."
         for note in (*done.notes, *([unused] if done.unused else [])):
-            if note not in self._told:
+            key = re.sub(r"\d+(\.\d+)?", "#", note)
+            if key not in self._told:
                 print_note(note)
-            self._told.add(note)
+            self._told.add(key)
 
 
 def _describe(result: Result | FileInBands) -> str:
