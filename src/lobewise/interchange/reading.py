@@ -16,7 +16,9 @@ from lobewise.interchange.checks import (
     SHARED,
     check_alpha,
     check_guides,
+    check_mark,
     check_noise,
+    check_own_mark,
     check_places,
     find_second,
     name_assumption,
@@ -176,7 +178,8 @@ def import_file(
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
-        found = Imported(frame if camera is None else frame.with_changes(camera=camera), container)
+        frame = frame if camera is None else frame.with_changes(camera=camera)
+        found = Imported(frame, container, findings=check_own_mark(container))
     else:
         if lobe_tables is not None:
             raise InputError(
@@ -228,7 +231,6 @@ def import_planes(
     window = Window(0, 0, width - 1, height - 1)
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
-
     read = ImageReader(lambda part, names: planes)
     return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
 
@@ -247,6 +249,7 @@ def _leave_passes(found: Imported) -> Imported:
 
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+    channels, marks = check_mark(container, channels)
     read.expect(channels)
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
@@ -266,7 +269,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
     places = place_surfaces(images, guides.roles, camera, located)
-    findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
+    findings = [*marks, *guides.findings, *check_places(places, guides, located.camera if located else None)]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -302,7 +305,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
-    notes += [*places.notes, *(one.told for one in findings), *light.notes, *_note_what_lacks(channels, frame)]
+    notes += [*places.notes, *(one.told for one in findings), *light.notes]
+    notes += _note_what_lacks(channels, frame)
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}

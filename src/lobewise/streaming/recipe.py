@@ -31,6 +31,7 @@ from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
+from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.exr.parsing import read_container
@@ -162,7 +163,11 @@ def denoise_file(
         energy_lost=share_bounded,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=(*map(str, join_unusable(seen.unusable)), *describe_loss(seen.join_light(), share_bounded)),
+        notes=(
+            *(one.told for one in check_own_mark(reader.container)),
+            *map(str, join_unusable(seen.unusable)),
+            *describe_loss(seen.join_light(), share_bounded),
+        ),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
     )
 
