@@ -20,6 +20,7 @@ from lobewise.interchange.checks import (
     check_noise,
     check_own_mark,
     check_places,
+    describe_alone,
     find_second,
     name_assumption,
 )
@@ -306,7 +307,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
     notes += [*places.notes, *(one.told for one in findings), *light.notes]
-    notes += _note_what_lacks(channels, frame)
+    notes += describe_alone(channels, frame) or _note_what_lacks(channels, frame)
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
