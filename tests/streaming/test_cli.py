@@ -140,7 +140,7 @@ def test_the_account_names_what_was_done() -> None:
     done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
     assert describe_file_result(done) == (
         "7680x4320 pixels in 12 bands, similarity sg, form full, quality high, radius 8, beta 1, device cpu, 61.23 s; "
-        "1 bad pixel refilled; fireflies bounded, 1.2 % of the light lost"
+        "1 bad pixel refilled"
     )
 
 

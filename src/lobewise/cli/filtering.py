@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,7 @@ from lobewise.cli.reading import (
     Suffix,
     choose_bands,
 )
-from lobewise.cli.shared import Output, parse_place, show_progress
+from lobewise.cli.shared import Output, Overwrite, parse_place, protect_inputs, show_progress
 from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings, TemporalSettings, list_knobs
 
@@ -131,12 +132,14 @@ def denoise(
     suffix: Suffix = "",
     only: Only = False,
     confidence: Confidence = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
     from lobewise.io.materials import read_lobe_table
     from lobewise.io.sequence import is_pattern
 
+    protect_inputs(source, output, [half, camera, preset, scene, *(material or [])], overwrite=overwrite)
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
     reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence)
@@ -200,6 +203,7 @@ def upsample(
     light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = TemporalSettings.memory,
+    overwrite: Overwrite = False,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
@@ -209,6 +213,7 @@ def upsample(
     if bilinear and temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
+    protect_inputs(source, output, [scene], overwrite=overwrite)
     shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
 
     def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:
@@ -352,7 +357,7 @@ def _run(
 
 
 class _Remarks:
-    """What is said of results beside their figures, each sentence once."""
+    """What is said of results beside their figures, each sentence once; of its own figures those of the first frame."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()
@@ -364,9 +369,10 @@ class _Remarks:
         done = result.done if isinstance(result, FileInBands) else result
         unused = f"Not used with these settings: {', '.join(done.unused)}."
         for note in (*done.notes, *([unused] if done.unused else [])):
-            if note not in self._told:
+            key = re.sub(r"\d+(\.\d+)?", "#", note)
+            if key not in self._told:
                 print_note(note)
-            self._told.add(note)
+            self._told.add(key)
 
 
 def _describe(result: Result | FileInBands) -> str:

@@ -14,9 +14,10 @@ from lobewise.cli.shared import show_progress
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from lobewise.interchange import Imported
+    from lobewise.interchange.checks import Finding
     from lobewise.lobe_table import LobeTable
     from lobewise.streaming import DenoisedFile
 
@@ -126,14 +127,17 @@ class Reading:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
         from lobewise.interchange import import_file
 
+        given = self.parse()
         found = import_file(
             path,
-            **self.parse(),
+            **given,
             half=None if self.half is None else _find_same(self.half, path, source),
             lobe_tables=self.tables,
             also=self.also or (),
             light_passes=light_passes,
         )
+        if "color" not in given["mapping"]:
+            refuse_results(path, found.findings)
         # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
         known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
         for note in found.remarks:
@@ -147,6 +151,19 @@ class Reading:
         if (key or note) not in self._told:
             print_note(note)
         self._told.add(key or note)
+
+
+def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
+    """Raise InputError if it was found that the image of a file is a result of lobewise, which is no noise to judge."""
+    from lobewise.interchange.checks import MARKED
+
+    if any(one.what == MARKED and not one.mended for one in findings):
+        raise InputError(
+            f"input {str(path)!r}",
+            expected="a noisy render",
+            got="a result of lobewise, as its attribute 'lobewise/denoised' says",
+            action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
+        )
 
 
 def parse_maps(given: list[str]) -> Mapping[str, str]:
@@ -197,8 +214,11 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
     Raises
     ------
     InputError
-        If bands are asked for by number where there are none.
+        If bands are asked for by number where there are none, or the file in bands is a result of lobewise.
     """
+    from lobewise.interchange.checks import check_own_mark
+    from lobewise.io.exr.parsing import read_container
+
     bands = parse_bands(text)
     if isinstance(bands, int) and whole:
         raise InputError(
@@ -218,7 +238,10 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
                 action="leave it out",
             )
         return False
-    return isinstance(bands, int) or _is_large(source, settings)
+    if isinstance(bands, int) or _is_large(source, settings):
+        refuse_results(source, check_own_mark(read_container(source)))
+        return True
+    return False
 
 
 def _is_own(source: Path) -> bool:

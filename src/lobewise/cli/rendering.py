@@ -152,10 +152,11 @@ def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dic
     """Render a frame at some of its pixels only."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_sparse_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.render import load_scene, render_sparse_frame
 
     require_writable(output)
+    require_other_files([output], [scene])
     loaded = load_scene(scene, **size)
     if settings["integrator"] == "paths":
         _tell_light(loaded, settings)
@@ -181,10 +182,11 @@ def _render_whole(
     """Render a frame, or a reference."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.render import load_scene, render_frame, render_reference
 
     require_writable(output)
+    require_other_files([output], [scene])
     loaded = load_scene(scene, **size)
     _tell_light(loaded, settings, aov_only=aov_only)
     with show_progress() as advance:
@@ -214,7 +216,7 @@ def _render_sequence(
     """Render frames ``start`` to ``start + frames - 1`` of a path, each to its file as soon as it is there."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_frame, write_sparse_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.io.sequence import FramePattern, is_pattern
     from lobewise.render import MovingScene, load_scene, render_sequence
     from lobewise.sparse_frame import SparseFrame
@@ -223,6 +225,7 @@ def _render_sequence(
     last = start + frames - 1
     files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
     require_writable(files[start])
+    require_other_files(files.values(), [scene, camera_path])
     moving = MovingScene(scene, width, height) if moving_objects else None
     loaded = load_scene(scene, width=width, height=height, parameters=parameters)
     _tell_light(loaded, settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from lobewise.errors import InputError
 
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Let the output replace a file that is read.")]
 
 
 @contextmanager
@@ -35,6 +36,52 @@ def show_progress() -> Iterator[Callable[[str, int, int], None]]:
             bar.update(tasks[what], completed=done, total=total)
 
         yield advance
+
+
+def list_files(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield every path that is a file's, and of every pattern the files that exist."""
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    for path in paths:
+        if is_pattern(path):
+            yield from (found for _, found in FramePattern.parse(path).find())
+        else:
+            yield path
+
+
+def protect_inputs(source: Path, output: Path, others: Iterable[Path | str | None], *, overwrite: bool) -> None:
+    """Raise InputError where a result would replace a file that is read: an input, or one of its passes beside it.
+
+    Parameters
+    ----------
+    source, output : Path
+        A file each, or a pattern each.
+    others : iterable of path or None
+        What is read besides, files or patterns.
+    overwrite : bool
+        Whether that is wanted, which it can be of files alone: a sequence that was stopped halfway would begin again
+        with frames that are denoised already.
+    """
+    from lobewise.interchange.siblings import list_family
+    from lobewise.io.files import require_other_files
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    besides = list_files(Path(path) for path in others if path is not None)
+    if not is_pattern(source):
+        if not overwrite:
+            action = "choose another name, or add --overwrite to replace it"
+            require_other_files([output], [*list_family(source), *besides], action=action)
+        return
+    if overwrite:
+        raise InputError(
+            "--overwrite",
+            expected="a single file",
+            got=f"the sequence {str(source)!r}, which could not go on after a stop",
+            action="write to other names",
+        )
+    frames = FramePattern.parse(source).find()
+    pattern = FramePattern.parse(output)
+    require_other_files((pattern.name(number) for number, _ in frames), [*(path for _, path in frames), *besides])
 
 
 def parse_place(text: str) -> tuple[int, int]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from lobewise.camera import Camera
 from lobewise.frame import Frame
+from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES
@@ -18,6 +20,7 @@ from lobewise.io.exr.describe import (
     list_similarities,
 )
 from lobewise.io.exr.describe import describe_file as describe_own
+from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
 
@@ -44,7 +47,9 @@ def describe_file(
     container = read_container(path)
     asked = preset is not None or mapping or camera is not None or half is not None or also
     if not container.parts or (not asked and is_own(container)):
-        return describe_own(path)
+        own = describe_own(path)
+        marks = check_own_mark(container) if find_beauty(container.parts) else ()
+        return replace(own, notes=(*own.notes, *(one.told for one in marks)))
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
     return describe_import(found)
 

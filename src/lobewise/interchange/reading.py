@@ -17,8 +17,11 @@ from lobewise.interchange.checks import (
     check_alpha,
     check_compression,
     check_guides,
+    check_mark,
     check_noise,
+    check_own_mark,
     check_places,
+    describe_alone,
     find_second,
     name_assumption,
 )
@@ -161,7 +164,8 @@ def import_file(
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
-        found = Imported(frame if camera is None else frame.with_changes(camera=camera), container)
+        frame = frame if camera is None else frame.with_changes(camera=camera)
+        found = Imported(frame, container, findings=check_own_mark(container))
     else:
         if lobe_tables is not None:
             raise InputError(
@@ -213,7 +217,6 @@ def import_planes(
     window = Window(0, 0, width - 1, height - 1)
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
-
     read = ImageReader(lambda part, names: planes)
     return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
 
@@ -232,6 +235,7 @@ def _leave_passes(found: Imported) -> Imported:
 
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+    channels, marks = check_mark(container, channels)
     read.expect(channels)
     compressed = check_compression(channels, read)
     images = {role: read(found) for role, found in channels.roles.items()}
@@ -252,7 +256,12 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
     places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
-    findings = [*compressed, *guides.findings, *check_places(places, guides, located.camera if located else None)]
+    findings = [
+        *compressed,
+        *marks,
+        *guides.findings,
+        *check_places(places, guides, located.camera if located else None),
+    ]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -289,7 +298,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
-    notes += _note_what_lacks(channels, frame)
+    notes += describe_alone(channels, frame) or _note_what_lacks(channels, frame)
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
