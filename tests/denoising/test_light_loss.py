@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.denoising import denoise
+from lobewise.denoising import denoise, light_loss
 from lobewise.denoising.light_loss import MIN_STANDARD_ERRORS, describe_loss, sum_light
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
@@ -94,11 +94,17 @@ def test_bad_pixels_count_on_neither_side(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(spoilt.sum(axis=0), whole.sum(axis=0), rtol=0.01)
 
 
-def test_rows_of_a_part_are_those_of_the_whole(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("rows", [1, 7, 128])
+def test_rows_of_a_part_are_those_of_the_whole(
+    rows: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frame = make_frame(rng, 25, 0.2)
     color, bad = frame.radiance.color, np.zeros(SHAPE, bool)
     part = frame.with_changes(radiance=Radiance(color[8:40]), gbuffer=GBuffer(normal=frame.gbuffer.normal[8:40]))
-    whole, found = sum_light(frame, color, bad), sum_light(part, color[8:40], bad[8:40], slice(2, 30))
+    whole = sum_light(frame, color, bad)
+    monkeypatch.setattr(light_loss, "ROWS_AT_ONCE", rows)
+    assert sum_light(frame, color, bad).tobytes() == whole.tobytes()
+    found = sum_light(part, color[8:40], bad[8:40], slice(2, 30))
     assert found.tobytes() == whole[10:38].tobytes()
 
 

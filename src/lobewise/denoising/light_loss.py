@@ -22,9 +22,10 @@ MIN_SHARE_BOUNDED = 1e-3
 MIN_SHARE_LOST = 0.01
 """Share of the mean below which nobody misses it: a seventieth of a stop."""
 MIN_STANDARD_ERRORS = 2.5
-"""Of the noisy image's mean: below, its noise may be the change. Measured on 77 frames of Blender, LuxCore and Mitsuba
-with references: all that are told lack 5 to 25 % of their reference's light (the ``sparks`` of LuxCore), none that
-lacks less than 4 %; at 2 one would be, which lacks 1.9 % (benchmarks/foreign)."""
+"""Of the noisy image's mean: below, its noise may be the change. Measured on 87 frames of Blender, LuxCore and Mitsuba
+with references (benchmarks/foreign): the 12 that are told lack 5 to 25 % of their reference's light (LuxCore's
+``sparks``), no other lacks more than 3 %; at 2 one more would be told, which lacks 1.9 %."""
+ROWS_AT_ONCE = 128
 
 Rows = NDArray[np.float64]
 
@@ -49,13 +50,22 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         Light is the sum of the three channels. The residuals are those of the mean: where neighbours share their noise,
         as much larger.
     """
-    good = find_good(frame.radiance.color) & ~bad
-    noisy = np.where(good, _add_channels(frame.radiance.color), np.nan)
-    squared = _find_squared_residual(noisy, shared=frame.noise_is_shared)[rows]
-    kept, noisy, done = good[rows], noisy[rows], _add_channels(image[rows])
-    found = [np.where(kept, one, 0.0) for one in (noisy, done, squared)]
-    # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
-    return np.array([[row.sum(dtype=np.float64) for row in one] for one in found]).T
+    first, stop, _ = rows.indices(frame.height)
+    color, step = frame.radiance.color, _get_step(frame)
+    found: list[list[np.float64]] = []
+    # A block at a time: in 64 bits a whole image would take as much memory as its filter.
+    for top in range(first, stop, ROWS_AT_ONCE):
+        end = min(top + ROWS_AT_ONCE, stop)
+        begin = max(top - step, 0)
+        wide, core = slice(begin, min(end + step, frame.height)), slice(top - begin, end - begin)
+        good = find_good(color[wide]) & ~bad[wide]
+        noisy = np.where(good, _add_channels(color[wide]), np.nan)
+        squared = _find_squared_residual(noisy, step)[core]
+        sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED * squared)
+        lit = [np.where(good[core], one, 0.0) for one in sums]
+        # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
+        found += [[one[row].sum(dtype=np.float64) for one in lit] for row in range(end - top)]
+    return np.array(found, np.float64).reshape(-1, 3)
 
 
 def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
@@ -85,9 +95,13 @@ def _add_channels(image: FloatArray) -> NDArray[np.float64]:
     return image[..., 0].astype(np.float64) + image[..., 1] + image[..., 2]
 
 
-def _find_squared_residual(light: NDArray[np.float64], *, shared: bool) -> NDArray[np.float64]:
+def _get_step(frame: Frame) -> int:
+    """Return from how many pixels away residuals are taken."""
+    return SHARED_STEP if frame.noise_is_shared else 1
+
+
+def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.float64]:
     """Return the squared residual of every pixel, which stands for neighbours that are bad (NaN) or outside."""
-    step = SHARED_STEP if shared else 1
     height, width = light.shape
     around = np.pad(light, step, mode="edge")
     total = np.zeros_like(light)
@@ -95,4 +109,4 @@ def _find_squared_residual(light: NDArray[np.float64], *, shared: bool) -> NDArr
         for column, across in enumerate(DIFFERENCES):
             there = around[row * step : row * step + height, column * step : column * step + width]
             total += down * across / 6.0 * np.where(np.isnan(there), light, there)
-    return (SHARED if shared else 1.0) * total * total
+    return total * total
