@@ -80,7 +80,8 @@ def list_told(path: Path, **options: Any) -> list[str]:
 
 class TestNormals:
     def test_half_size_in_another_part(self, tmp_path: Path) -> None:
-        path = save(tmp_path / "a.exr", ("rgb", COLOR), ("normal", halve(SCENE.normal)))
+        position = "position", name("", SCENE.position, "XYZ")
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), ("normal", halve(SCENE.normal)), position)
         told = list_told(path)
         assert "normal.X/Y/Z is not used as normal: it has 24x18 pixels, the image 48x36." in told
         assert any(note.startswith("No normal that can be used: ") for note in told)
@@ -156,7 +157,8 @@ class TestPresets:
             find_preset(tmp_path / "mine.toml")
 
     def test_an_unknown_renderer_gives_nothing_by_any_menu(self, tmp_path: Path) -> None:
-        notes = import_file(save(tmp_path / "a.exr", ("", COLOR))).notes
+        position = "position", name("", SCENE.position, "XYZ")
+        notes = import_file(save(tmp_path / "a.exr", ("rgb", COLOR), position)).notes
         wanted = "No normal: edges and bumps are guessed from the image; give a pass named normal, in world space."
         assert wanted in notes
         assert not any("gives it by" in note for note in notes)
