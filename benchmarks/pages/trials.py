@@ -24,9 +24,9 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 - **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` says
   which share of the light that took. Fireflies are noise as well as light, so that share is no loss yet: the command line and `Result.notes` tell one where the image's mean fell by 1 % or more and by
   2.5 times its standard error, which comes from the residuals.
-- **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times), the light above the surroundings is taken off the samples and added to the
+- **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
-- **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Lobes are as wide as that turn.
+- **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.
 - **Lights out of focus.** Emission and background pass as they are, for they have no noise where a pixel shows one object. Where Cryptomatte or alpha tells that depth of field or motion mixes objects over an area, dots beside such a
   light are shared out among their neighbours; the sum of the light stays.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.

@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError
 from lobewise.filters.highlights import (
     FEWEST_NEIGHBOURS,
+    MAX_HALVES_RATIO,
     MIN_BLOCK_RATIO,
     MIN_CORNER_RATIO,
     MIN_EDGE_RATIO,
+    MIN_PAIR_RATIO,
+    MIN_SINGLE_RATIO,
     RING_RADIUS,
     SPOT_RADIUS,
     split_highlights,
@@ -29,7 +32,7 @@ def find_blocks(least: NDArray[np.float64], row: int, column: int, side: int) ->
 
 
 def find_slowly(
-    halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_], shared: bool
+    halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_], shared: bool, single: bool, paired: bool
 ) -> NDArray[np.float64]:
     """Return the share of every pixel that is split off, by its definition, pixel by pixel."""
     lights = np.stack([find_light(half, albedo, mask) for half in halves])
@@ -53,8 +56,12 @@ def find_slowly(
             continue
         for block in find_blocks(least, y, x, 3 if shared else 2):
             lowest, second = np.sort(block)[:2]
-            core[y, x] |= lowest > MIN_BLOCK_RATIO * level[y, x]
-            core[y, x] |= not shared and least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
+            core[y, x] |= lowest > (MIN_SINGLE_RATIO if single else MIN_BLOCK_RATIO) * level[y, x]
+            core[y, x] |= not shared and not single and least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
+    agreed = np.where(known.all(axis=0) & (filled.max(axis=0) <= MAX_HALVES_RATIO * filled.min(axis=0)), least, 0.0)
+    beside = np.pad(agreed, 1)
+    others = [beside[j : j + height, i : i + width] for j in range(3) for i in range(3) if (j, i) != (1, 1)]
+    core |= paired & (np.minimum(agreed, np.max(others, axis=0)) > MIN_PAIR_RATIO * level)
     around = np.pad(core, 1)
     near = np.any(
         [around[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0
@@ -79,13 +86,14 @@ def make_spots(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image
     return halves, albedo, mask
 
 
-@pytest.mark.parametrize("shared", [False, True], ids=["apart", "shared"])
+@pytest.mark.parametrize("kind", ["apart", "shared", "single", "paired"])
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_against_the_definition(size: tuple[int, int], shared: bool) -> None:
+def test_against_the_definition(size: tuple[int, int], kind: str) -> None:
+    kinds = [kind == each for each in ("shared", "single", "paired")]
     # One of the strange numbers outshines every spot: the last size has none.
     halves, albedo, mask = make_spots(size, strange=size != SIZES[-1])
-    share = find_slowly(halves, albedo, mask, shared)
-    found = split_highlights(halves, albedo, mask, shared=shared)
+    share = find_slowly(halves, albedo, mask, *kinds)
+    found = split_highlights(halves, albedo, mask, **dict(zip(("shared", "single", "paired"), kinds, strict=True)))
     for half, rest in zip(halves, (found.a, found.b), strict=True):
         with np.errstate(invalid="ignore", over="ignore"):
             known = ~np.isnan(find_light(half, albedo, mask))
@@ -143,6 +151,25 @@ def test_shared_noise_needs_larger_blocks() -> None:
     for pixels, expected in ((SQUARE, 0), (nine, 9)):
         image = put(*pixels)
         found = split_highlights((image, image), None, everywhere, shared=True)
+        assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+
+
+def test_halves_that_agree_need_but_a_pair() -> None:
+    everywhere = np.ones((25, 27), bool)
+    for pixels in (((10, 10), (10, 11)), ((10, 10), (11, 11))):
+        for factor, expected in ((1.2, 2), (1.3, 0)):
+            first, second = put(*pixels), put(*pixels, value=30.0 * factor)
+            found = split_highlights((first, second), None, everywhere, paired=True)
+            assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+    lone = put((10, 10))
+    assert not split_highlights((lone, lone), None, everywhere, paired=True).kept.any()
+
+
+def test_single_samples_need_whole_blocks() -> None:
+    everywhere = np.ones((25, 27), bool)
+    for pixels, expected in ((SQUARE[:3], 0), (SQUARE, 4)):
+        image = put(*pixels)
+        found = split_highlights((image, image), None, everywhere, single=True)
         assert np.count_nonzero(found.kept.any(axis=-1)) == expected
 
 

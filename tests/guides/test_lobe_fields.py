@@ -9,7 +9,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
-from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field, spread_lobes
+from lobewise.guides.lobe_fields import SPREAD_TURNS, make_covariance_field, make_sg_field, spread_lobes
 from lobewise.lobes.band_limit import default_tau
 from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.roughness import sg_sharpness_from_ggx
@@ -393,18 +393,15 @@ def test_single_precision_is_good_enough_for_similarities(guides, camera):
 
 
 def find_turns(valid, axis):
-    """Return the squared turn of the axis from pixel to pixel, by its definition."""
+    """Return by how much lobes are spread: the least squared turn of the axis to a neighbour, times its factor."""
     turns = np.zeros(valid.shape)
     for y, x in zip(*np.nonzero(valid), strict=True):
-        along = []
-        for steps in (((0, 1), (0, -1)), ((1, 0), (-1, 0))):
-            found = [
-                np.sum((axis[y + dy, x + dx] - axis[y, x]) ** 2)
-                for dy, dx in steps
-                if 0 <= y + dy < valid.shape[0] and 0 <= x + dx < valid.shape[1] and valid[y + dy, x + dx]
-            ]
-            along.append(min(found, default=0.0))
-        turns[y, x] = max(along)
+        found = [
+            np.sum((axis[y + dy, x + dx] - axis[y, x]) ** 2)
+            for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0))
+            if 0 <= y + dy < valid.shape[0] and 0 <= x + dx < valid.shape[1] and valid[y + dy, x + dx]
+        ]
+        turns[y, x] = SPREAD_TURNS * min(found, default=0.0)
     return turns
 
 

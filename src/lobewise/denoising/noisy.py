@@ -95,7 +95,7 @@ def make_noisy_layers(
     bounded = make_bounded_layers(frame, settings)
     for number, bright in enumerate(bounded):
         level = levels[number] if levels is not None else find_level(measure_layer(bright, settings))
-        each, kept = _split_layer(bright, settings)
+        each, kept = _split_layer(bright, settings, single=frame.spp == 1)
         pilot: Sequence[Feature] = each.layer.features
         is_specular = each.layer.is_reflected and each.name != "color"
         if each.layer.is_reflected and settings.similarity in ("ggx", "asg"):
@@ -118,10 +118,20 @@ def make_noisy_layers(
     return found
 
 
-def _split_layer(each: BoundedLayer, settings: ResolvedSettings) -> tuple[BoundedLayer, FloatArray | None]:
+def _split_layer(
+    each: BoundedLayer, settings: ResolvedSettings, *, single: bool
+) -> tuple[BoundedLayer, FloatArray | None]:
     """Return a layer without the light of highlights, and that light; None for none."""
     layer = each.layer
-    found = split_highlights(each.halves, layer.albedo, layer.mask, shared=each.noise_is_shared, device=settings.device)
+    found = split_highlights(
+        each.halves,
+        layer.albedo,
+        layer.mask,
+        shared=each.noise_is_shared,
+        single=single,
+        paired=each.is_whole,
+        device=settings.device,
+    )
     kept = download(found.kept)
     if not kept.any():
         return each, None

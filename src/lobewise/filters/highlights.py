@@ -36,6 +36,11 @@ MIN_BLOCK_RATIO = 8.0
 """How many times as bright as the mean of the surroundings all pixels of a block are."""
 MIN_CORNER_RATIO = 16.0
 """The same of three pixels of a block of four."""
+MIN_SINGLE_RATIO = 12.0
+"""The first, where a pixel has one sample; then a corner proves nothing, for a few such samples lie side by side."""
+MIN_PAIR_RATIO, MAX_HALVES_RATIO = 10.0, 1.25
+"""The same of two neighbours, if both halves of the samples of each agree: the brighter is at most so many times as
+bright as the darker."""
 MIN_EDGE_RATIO = 1.5
 """The same of a pixel beside such a block."""
 BLOCK, SHARED_BLOCK = 2, 3
@@ -60,6 +65,14 @@ class SplitHalves(NamedTuple):
     kept: Image
 
 
+class Kinds(NamedTuple):
+    """What is known of the samples; see `split_highlights`."""
+
+    shared: bool
+    single: bool
+    paired: bool
+
+
 @returns_host_images
 def split_highlights(
     halves: tuple[Image, Image],
@@ -67,6 +80,8 @@ def split_highlights(
     mask: NDArray[np.bool_],
     *,
     shared: bool = False,
+    single: bool = False,
+    paired: bool = False,
     device: str = "cpu",
 ) -> SplitHalves:
     """Return two halves of the samples without the light of small highlights, and that light.
@@ -89,6 +104,11 @@ def split_highlights(
     shared : bool
         Whether neighbouring pixels share their noise: then blocks are `SHARED_BLOCK` pixels wide, and all of a block
         must be bright.
+    single : bool
+        Whether pixels have a single sample: then all of a block must be `MIN_SINGLE_RATIO` times as bright.
+    paired : bool
+        Whether every pixel has samples in both halves: then two neighbours are a highlight as well, each of which is
+        `MIN_PAIR_RATIO` times as bright in both halves, and these agree.
     device : str
         A name from `lobewise.backend.devices.list_devices`.
 
@@ -105,7 +125,8 @@ def split_highlights(
         images["albedo"] = take_image("albedo", albedo, shape)
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, (split_highlights, tinted, shared), partial(_make_highlights, tinted, shared))
+    kinds = Kinds(shared, single, paired)
+    kernel = get_kernel(device, (split_highlights, tinted, kinds), partial(_make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
 
 
@@ -121,6 +142,8 @@ class HighlightFuncs(NamedTuple):
     """Sum and count of a row of the surroundings: of all its pixels, and of those beside the spot."""
     level: hl.Func
     """Mean of the surroundings."""
+    agreed: hl.Func
+    """The darker half of a pixel if both agree, else 0."""
     blocks: hl.Func
     """Of the block whose first corner is a pixel: the least value, and the least but one."""
     core: hl.Func
@@ -130,7 +153,7 @@ class HighlightFuncs(NamedTuple):
     out: hl.Func
 
 
-def _make_highlights(tinted: bool, shared: bool, target: hl.Target) -> Scheduled:
+def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
     """Return both halves without highlights, and their light, to be compiled."""
     signature, size = Signature("highlights"), ("height", "width")
     halves = [signature.image(name, *size, 3) for name in "ab"]
@@ -141,14 +164,14 @@ def _make_highlights(tinted: bool, shared: bool, target: hl.Target) -> Scheduled
     for name in ("rest_a", "rest_b", "kept"):
         signature.output(name, *size, 3)
     light = define_light(halves, albedo, mask)
-    both, least = define_both(light), _define_least(light)
+    both, least, agreed = define_both(light), _define_least(light), _define_agreed(light)
     rows = _define_rows(both)
     level = _define_level(rows)
-    blocks = _define_blocks(least, shared)
-    core = _define_core(least, blocks, level, shared)
+    blocks = _define_blocks(least, kinds)
+    core = _define_core(least, blocks, level, agreed, kinds)
     share = _define_share(both, level, core)
     out = _define_split(halves, light, share)
-    funcs = HighlightFuncs(light, both, least, rows, level, blocks, core, share, out)
+    funcs = HighlightFuncs(light, both, least, rows, level, agreed, blocks, core, share, out)
     schedule_highlights(funcs, target)
     return Scheduled([out], signature)
 
@@ -161,6 +184,15 @@ def _define_least(light: hl.Func) -> hl.Func:
         hl.max(here.first, here.second),
     )
     return least
+
+
+def _define_agreed(light: hl.Func) -> hl.Func:
+    here, agreed = read_light(light, X, Y), hl.Func("agreed")
+    darker, brighter = hl.min(here.first, here.second), hl.max(here.first, here.second)
+    agreed[X, Y] = hl.select(
+        (darker >= hl.f32(0.0)) & (brighter <= hl.f32(MAX_HALVES_RATIO) * darker), darker, hl.f32(0.0)
+    )
+    return agreed
 
 
 def _define_rows(both: hl.Func) -> hl.Func:
@@ -193,8 +225,8 @@ def _define_level(rows: hl.Func) -> hl.Func:
     return level
 
 
-def _define_blocks(least: hl.Func, shared: bool) -> hl.Func:
-    side, blocks = SHARED_BLOCK if shared else BLOCK, hl.Func("blocks")
+def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
+    side, blocks = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("blocks")
     values = [least[X + column, Y + row] for row in range(side) for column in range(side)]
     lowest, second = values[0], hl.f32(LARGEST_FLOAT)
     for value in values[1:]:
@@ -203,8 +235,8 @@ def _define_blocks(least: hl.Func, shared: bool) -> hl.Func:
     return blocks
 
 
-def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, shared: bool) -> hl.Func:
-    side, core = SHARED_BLOCK if shared else BLOCK, hl.Func("core")
+def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, agreed: hl.Func, kinds: Kinds) -> hl.Func:
+    side, core = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("core")
     whole = three = hl.f32(0.0)
     for row in range(side):
         for column in range(side):
@@ -214,9 +246,16 @@ def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, shared: bool) 
             three = hl.max(three, hl.select(least[X, Y] >= there[1], there[1], hl.f32(0.0)))
     around = level[X, Y]
     # A product could be infinite.
-    bright = around < whole / hl.f32(MIN_BLOCK_RATIO)
-    if not shared:
+    bright = around < whole / hl.f32(MIN_SINGLE_RATIO if kinds.single else MIN_BLOCK_RATIO)
+    if not kinds.shared and not kinds.single:
         bright = bright | (around < three / hl.f32(MIN_CORNER_RATIO))
+    if kinds.paired:
+        beside = hl.f32(0.0)
+        for row in (-1, 0, 1):
+            for column in (-1, 0, 1):
+                if (row, column) != (0, 0):
+                    beside = hl.max(beside, agreed[X + column, Y + row])
+        bright = bright | (around < hl.min(agreed[X, Y], beside) / hl.f32(MIN_PAIR_RATIO))
     core[X, Y] = hl.select(bright & (least[X, Y] >= hl.f32(0.0)), hl.f32(1.0), hl.f32(0.0))
     return core
 

@@ -21,7 +21,7 @@ def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:
         buffer.dim(1).set_stride(3)
     if target.has_gpu_feature():
         spread_channels(out, 3, PIXEL)
-        for func in (funcs.light, funcs.rows, funcs.level, funcs.blocks, funcs.core, funcs.share):
+        for func in (funcs.light, funcs.agreed, funcs.rows, funcs.level, funcs.blocks, funcs.core, funcs.share):
             func.compute_root().align_bounds(x, ALIGNMENT)
             spread_pixels(func, x, y)
         return
@@ -30,5 +30,5 @@ def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:
     out.bound(c, 0, 3).reorder(c, x, y).unroll(c)
     out.split(y, ys, yi, STRIP_ROWS, tail).vectorize(x, lanes, tail).parallel(ys).never_partition_all()
     funcs.share.compute_at(out, yi).vectorize(x, lanes)
-    for func in (funcs.light, funcs.both, funcs.least, funcs.rows, funcs.level, funcs.blocks, funcs.core):
+    for func in (funcs.light, funcs.both, funcs.least, funcs.agreed, funcs.rows, funcs.level, funcs.blocks, funcs.core):
         func.compute_at(out, ys).vectorize(x, lanes)
