@@ -37,6 +37,11 @@ def make_text(text: str, style: str = "") -> Text:
     return Text(make_printable(text), style=style)
 
 
+def open_console() -> Console:
+    """Return a console for results, on standard output."""
+    return _Console()
+
+
 def print_line(text: str) -> None:
     """Print a line of result, exactly as it is."""
     _Console().print(make_text(text), soft_wrap=True)

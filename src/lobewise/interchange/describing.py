@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from lobewise.camera import Camera
 from lobewise.frame import Frame
+from lobewise.interchange.checks.lacks import list_uses
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.interchange.preset import CONVERSIONS, ROLES
+from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
+from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.describe import (
     FileDescription,
     ImageDescription,
@@ -73,23 +75,49 @@ def describe_import(found: Imported) -> FileDescription:
             RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
             for what, one in _list_found(channels, found)
         ),
+        version=_find_version(channels.preset, container),
+        uses=list_uses(channels, frame),
+        layers=tuple(layer.name for layer in frame.layers) or (("diffuse", "specular") if frame.radiance.parts else ()),
+        exact=tuple(each.rule.name for each in channels.layers if each.rule.lobe == "exact" and frame.layers),
+        lacks=found.lacks,
+        outputs=tuple(dict.fromkeys(one.found.label for one in found.outputs.values())),
     )
+
+
+def _find_version(preset: Preset, container: Container) -> str:
+    """Return what the header tells of the renderer's version, without what stands in brackets; empty for nothing."""
+    values = {item.name: item.value for part in container.parts for item in part.attributes if item.type == "string"}
+    for name in preset.versions:
+        if name in values:
+            return show_name(values[name].decode("utf-8", "replace").partition("[")[0].strip())
+    return ""
 
 
 def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescription:
     """Return whether a file has a role, what it means, and where it is missing how to have it."""
-    found = channels.roles.get(role)
-    missing = channels.preset.advice.get(role, "not needed to denoise")
-    if found is None and getattr(frame.gbuffer, role, None) is not None:
-        return ImageDescription(f"{role} (of the layers)", True, ROLES[role], missing)
-    return ImageDescription(role if found is None else found.label, found is not None, ROLES[role], missing)
+    found, layers = channels.roles.get(role), "of the layers" if frame.layers else "of albedo"
+    advice = channels.preset.advice.get("layers" if role in ("diffuse", "specular") else role, "not needed to denoise")
+    missing = advice.removeprefix("none; ")
+    if found is not None:
+        unused = role == "albedo" and _has_own_albedo(channels, frame)
+        meaning = f"{ROLES[role]}; not used, as layers have their own" if unused else ROLES[role]
+        return ImageDescription(found.label, True, meaning, missing)
+    derived = frame.radiance if role in ("diffuse", "specular") else frame.gbuffer if "albedo" in role else None
+    if getattr(derived, role, None) is not None:
+        return ImageDescription(f"{role} ({layers})", True, ROLES[role], missing)
+    return ImageDescription(role, False, ROLES[role], missing)
+
+
+def _has_own_albedo(channels: ChannelMap, frame: Frame) -> bool:
+    """Return whether a layer of light has an albedo of its own: one for all light serves only where none has."""
+    names = {layer.name for layer in frame.layers}
+    return any(layer.albedo for layer in channels.layers if layer.rule.name in names)
 
 
 def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
     """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
     names = {layer.name for layer in imported.frame.layers}
-    # One albedo for all light serves where no layer has its own.
-    own = any(layer.albedo for layer in channels.layers if layer.rule.name in names)
+    own = _has_own_albedo(channels, imported.frame)
     found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not own]
     for layer in channels.layers:
         if layer.rule.name in names or layer.rule.lobe == "exact":
