@@ -16,14 +16,15 @@ from lobewise.cli.fitting import fit
 from lobewise.cli.reading import Also, CameraFile, Half, Maps, Preset, parse_maps
 from lobewise.cli.rendering import render
 from lobewise.cli.shared import Input, show_progress
+from lobewise.cli.terminal.help import EXAMPLES, HELP_NAMES, App
 from lobewise.cli.viewing import view
 
-app = typer.Typer(
+app = App(
     name="lobewise",
     help="Denoise renders of glossy things by comparing what each pixel reflects.",
     add_completion=False,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": list(HELP_NAMES)},
 )
 
 
@@ -44,7 +45,7 @@ def root(
     """Denoise renders of glossy things by comparing what each pixel reflects."""
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["demo"])
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put the page.")] = Path(
         "lobewise-demo"
@@ -75,13 +76,13 @@ def demo(
 
 
 for verb in (render, view, denoise, upsample, fit, compare, export):
-    app.command()(verb)
+    app.command(epilog=EXAMPLES[verb.__name__])(verb)
 
 
 app.add_typer(bench, name="bench")
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["inspect"])
 def inspect(
     source: Input,
     everything: Annotated[

@@ -24,9 +24,21 @@ from lobewise.cli.reading import (
     Suffix,
     choose_bands,
 )
-from lobewise.cli.shared import Output, parse_place, show_progress
+from lobewise.cli.shared import (
+    Adaptive,
+    AdaptiveSpp,
+    Light,
+    Memory,
+    Output,
+    Scene,
+    Source,
+    Temporal,
+    parse_place,
+    show_progress,
+)
+from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError, LobewiseError
-from lobewise.settings import DenoiseSettings, TemporalSettings, list_knobs
+from lobewise.settings import DenoiseSettings, TemporalSettings
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
@@ -34,24 +46,6 @@ if TYPE_CHECKING:
     from lobewise.sparse_frame import AnyFrame, SparseFrame
 
     FrameT = TypeVar("FrameT", bound=AnyFrame)
-
-Source = Annotated[
-    Path,
-    typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
-]
-Adaptive = Annotated[
-    str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
-]
-Scene = Annotated[
-    str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
-]
-AdaptiveSpp = Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")]
-Light = Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")]
-Temporal = Annotated[bool, typer.Option("--temporal", help="With a sequence: let every frame know the ones before.")]
-Memory = Annotated[
-    float, typer.Option(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
-]
-
 
 ALL_PEER = "The light is not told apart by lobes, so the image is that of Open Image Denoise."
 
@@ -95,7 +89,9 @@ class Writing:
 
 @with_settings(
     DenoiseSettings,
-    *("similarity", "quality", "with_oidn", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+    *("quality", "with_oidn", "similarity", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+    group=FILTER_DETAILS,
+    usual=("quality", "with_oidn"),
 )
 def denoise(
     source: Source,
@@ -107,6 +103,7 @@ def denoise(
             metavar="FILE.lobes",
             help="With sg_mixture: the lobes of material 1 (again for 2, ...) of channel material.I.",
             show_default="those in the file",
+            rich_help_panel=FILTER_DETAILS,
         ),
     ] = None,
     adaptive: Adaptive = "0%",
@@ -171,7 +168,7 @@ def denoise(
     )
 
 
-@with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", radius=5)
+@with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", group=FILTER_DETAILS, radius=5)
 def upsample(
     source: Source,
     output: Output,

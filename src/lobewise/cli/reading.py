@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import show_progress
+from lobewise.cli.terminal.help import FILE_DETAILS, FILES, RESULT
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ Preset = Annotated[
         help="Whose conventions the file follows: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, "
         "luxcore, mitsuba, unreal, generic, or a file of them.",
         show_default="what the file tells",
+        rich_help_panel=FILES,
     ),
 ]
 Maps = Annotated[
@@ -36,6 +38,7 @@ Maps = Annotated[
         metavar="ROLE=CHANNELS",
         help="Which channels are what, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 CameraFile = Annotated[
@@ -45,6 +48,7 @@ CameraFile = Annotated[
         metavar="FILE",
         help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
         show_default="what the file tells",
+        rich_help_panel=FILES,
     ),
 ]
 Half = Annotated[
@@ -54,6 +58,7 @@ Half = Annotated[
         metavar="FILE",
         help="The same frame rendered with another seed: both are halves of the samples.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 Also = Annotated[
@@ -63,17 +68,27 @@ Also = Annotated[
         metavar="PATTERN",
         help="Further noisy passes, such as 'Combined_*', filtered like what they belong to; again for more.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 Suffix = Annotated[
     str,
-    typer.Option("--suffix", metavar="TEXT", help="Put results beside the noisy passes, in passes whose names end so."),
+    typer.Option(
+        "--suffix",
+        metavar="TEXT",
+        help="Put results beside the noisy passes, in passes whose names end so.",
+        rich_help_panel=RESULT,
+    ),
 ]
-Only = Annotated[bool, typer.Option("--only", help="Write the results alone, no other channel.")]
+Only = Annotated[
+    bool, typer.Option("--only", help="Write the results alone, no other channel.", rich_help_panel=RESULT)
+]
 Confidence = Annotated[
     bool,
     typer.Option(
-        "--confidence", help="Add channels that tell how far to trust the result, and which pixels to render again."
+        "--confidence",
+        help="Add channels that tell how far to trust the result, and which pixels to render again.",
+        rich_help_panel=RESULT,
     ),
 ]
 
@@ -84,6 +99,7 @@ Bands = Annotated[
         metavar="auto|off|ROWS",
         help="Filter so many rows at a time, from file to file: little memory, the same bits. auto does so with a file "
         "that would take more than 4 GiB.",
+        rich_help_panel=FILE_DETAILS,
     ),
 ]
 

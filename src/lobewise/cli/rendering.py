@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import Output, parse_place, show_progress
+from lobewise.cli.terminal.help import RESULT, SCENE_DETAILS, SEQUENCES
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 
@@ -23,46 +24,92 @@ Scene = Annotated[
 ]
 Place = Annotated[
     str | None,
-    typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.", show_default="0,0"),
+    typer.Option(
+        metavar="ROW,COLUMN",
+        help="With --scale: which pixel of the block.",
+        show_default="0,0",
+        rich_help_panel=SCENE_DETAILS,
+    ),
 ]
-Scale = Annotated[int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")]
+Scale = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Shade one pixel of every NxN; guides everywhere, for upsample.",
+        rich_help_panel=SCENE_DETAILS,
+    ),
+]
 Frames = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="Render so many frames, to -o out.####.exr.",
+        show_default=False,
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 CameraPath = Annotated[
     str | None,
-    typer.Option(metavar="orbit|still|FILE.json", help="With --frames: where the camera goes.", show_default="orbit"),
+    typer.Option(
+        metavar="orbit|still|FILE.json",
+        help="With --frames: where the camera goes.",
+        show_default="orbit",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 Speed = Annotated[
-    float | None, typer.Option(metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25")
+    float | None,
+    typer.Option(
+        metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25", rich_help_panel=SEQUENCES
+    ),
 ]
 Start = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="With --frames: first frame of the path to render.",
+        show_default="1",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 MovingObjects = Annotated[
-    bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
+    bool,
+    typer.Option(
+        "--moving-objects",
+        help="With --frames: objects move too; showroom and parlour have some.",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 Light = Annotated[str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")]
 Integrator = Annotated[
     str,
     typer.Option(
-        metavar="auto|paths|scene", help="Whose light; auto: the scene's integrator, by paths where they equal it."
+        metavar="auto|paths|scene",
+        help="Whose light; auto: the scene's integrator, by paths where they equal it.",
+        rich_help_panel=SCENE_DETAILS,
     ),
 ]
 MaxDepth = Annotated[
     int | None,
     typer.Option(
-        metavar="N", help="Longest path, in vertices after the camera.", show_default="the scene's, or 8 without any"
+        metavar="N",
+        help="Longest path, in vertices after the camera.",
+        show_default="the scene's, or 8 without any",
+        rich_help_panel=SCENE_DETAILS,
     ),
 ]
 Define = Annotated[
     list[str] | None,
     typer.Option("--define", "-D", metavar="NAME=VALUE", help="What stands for $NAME in a Mitsuba XML file."),
 ]
-AovOnly = Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")]
-Reference = Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")]
+AovOnly = Annotated[
+    bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.", rich_help_panel=RESULT)
+]
+Reference = Annotated[
+    bool, typer.Option("--reference", help="Only the radiance, for many samples.", rich_help_panel=RESULT)
+]
 
 
 def render(
@@ -85,7 +132,9 @@ def render(
     speed: Speed = None,
     start: Start = None,
     moving_objects: MovingObjects = False,
-    exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
+    exact: Annotated[
+        bool, typer.Option("--float", help="Store everything as 32-bit floats.", rich_help_panel=RESULT)
+    ] = False,
 ) -> None:
     """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
     on_path = (

@@ -1,4 +1,4 @@
-"""What several verbs share: their first argument and their output, words that stand for numbers, the progress bar."""
+"""What several verbs share: arguments and options, words that stand for numbers, the progress bar."""
 
 from __future__ import annotations
 
@@ -10,10 +10,52 @@ from typing import Annotated
 
 import typer
 
+from lobewise.cli.terminal.help import SEQUENCE_DETAILS, SEQUENCES, SHADING
 from lobewise.errors import InputError
+from lobewise.settings import TemporalSettings, list_knobs
 
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+
+Source = Annotated[
+    Path,
+    typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
+]
+Adaptive = Annotated[
+    str,
+    typer.Option(
+        metavar="PERCENT",
+        help="Shade so many pixels again, the least supported; needs --scene.",
+        rich_help_panel=SHADING,
+    ),
+]
+Scene = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False, rich_help_panel=SHADING
+    ),
+]
+AdaptiveSpp = Annotated[
+    int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.", rich_help_panel=SHADING)
+]
+Light = Annotated[
+    str,
+    typer.Option(metavar="all|indirect", help="With --adaptive: the light that was rendered.", rich_help_panel=SHADING),
+]
+Temporal = Annotated[
+    bool,
+    typer.Option(
+        "--temporal", help="With a sequence: let every frame know the ones before.", rich_help_panel=SEQUENCES
+    ),
+]
+Memory = Annotated[
+    float,
+    typer.Option(
+        metavar="0-1",
+        help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}",
+        rich_help_panel=SEQUENCE_DETAILS,
+    ),
+]
 
 
 @contextmanager
