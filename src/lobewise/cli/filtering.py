@@ -33,10 +33,12 @@ from lobewise.cli.shared import (
     Scene,
     Source,
     Temporal,
+    Verbose,
     parse_place,
     show_progress,
 )
 from lobewise.cli.terminal.help import FILTER_DETAILS
+from lobewise.cli.terminal.outcome import Remarks, describe, tell_settings
 from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings, TemporalSettings
 
@@ -121,6 +123,7 @@ def denoise(
     suffix: Suffix = "",
     only: Only = False,
     confidence: Confidence = False,
+    verbose: Verbose = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
@@ -164,6 +167,7 @@ def denoise(
             "writing": [suffix, only, confidence],
         },
         temporal={**settings, "memory": memory} if temporal else None,
+        verbose=verbose,
         unwrap=lambda found: found.frame,
     )
 
@@ -188,6 +192,7 @@ def upsample(
     light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = TemporalSettings.memory,
+    verbose: Verbose = False,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
@@ -212,6 +217,7 @@ def upsample(
         write=write,
         settings={**settings, "bilinear": bilinear, "scale": scale, "place": place, "adaptive": [adaptive, scene]},
         temporal={**settings, "memory": memory} if temporal else None,
+        verbose=verbose,
     )
 
 
@@ -271,6 +277,7 @@ def _run(
     write: Callable[[Path, Result, FrameT, Path], None],
     settings: dict[str, Any],
     temporal: dict[str, Any] | None,
+    verbose: bool,
     unwrap: Callable[[Any], Any] = lambda frame: frame,
 ) -> None:
     """Filter one file, or every file of a pattern; mistakes in a file are told with its name."""
@@ -280,7 +287,7 @@ def _run(
     from lobewise.sequence import filter_sequence
     from lobewise.temporal import TemporalFilter
 
-    current, remarks = source, _Remarks()
+    current, remarks = source, Remarks()
     require_exr_name(output)
 
     def read_one(path: Path) -> FrameT:
@@ -304,7 +311,8 @@ def _run(
             raise type(problem)(f"{source}: {problem}") from problem
         write(output, result, frame, source)
         remarks.tell(result)
-        print_line(f"Wrote {output}: {_describe(result)}.")
+        print_line(f"Wrote {output}: {describe(result)}.")
+        tell_settings(result, verbose)
         return
 
     def write_one(target: Path, result: Result, frame: FrameT, path: Path) -> None:
@@ -335,32 +343,9 @@ def _run(
             progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
             remark=print_note,
         )
-    told = "" if report.last is None else f"; the last: {_describe(report.last)}"
+    told = "" if report.last is None else f"; the last: {describe(report.last)}"
     print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
-
-
-class _Remarks:
-    """What is said of results beside their figures, each sentence once."""
-
-    def __init__(self) -> None:
-        self._told: set[str] = set()
-
-    def tell(self, result: Result | FileInBands) -> None:
-        """Print what is wrong with the guides of a frame, and which of its images were not used."""
-        from lobewise.cli.output import print_note
-
-        done = result.done if isinstance(result, FileInBands) else result
-        unused = f"Not used with these settings: {', '.join(done.unused)}."
-        for note in (*done.notes, *([unused] if done.unused else [])):
-            if note not in self._told:
-                print_note(note)
-            self._told.add(note)
-
-
-def _describe(result: Result | FileInBands) -> str:
-    from lobewise.cli.output import describe_result
-
-    return result.describe() if isinstance(result, FileInBands) else describe_result(result)
+    tell_settings(report.last, verbose)
 
 
 def _parse_percent(text: str) -> float:

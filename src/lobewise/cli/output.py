@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LEAST_LOSS = 1e-4
 """Share of the light, taken from fireflies, below which nothing is said of it."""
 
+COMPARING = ("comparing what surfaces reflect", "comparing which way surfaces face")
+"""What a filter did, in a user's words: with lobes, and with normals."""
+
 
 class _Console(Console):
     """A console that leaves closed pipes to the entry point."""
@@ -53,7 +56,7 @@ def print_note(text: str) -> None:
 
 
 def describe_result(result: Result) -> str:
-    """Return in one line what was done, with what settings, and how long it took."""
+    """Return in one line what was done, in words that need no knowledge of the filter, and how long it took."""
     return _describe(result, (result.image.shape[0], result.image.shape[1]))
 
 
@@ -62,13 +65,20 @@ def describe_file_result(done: DenoisedFile) -> str:
     return _describe(done, done.shape, f" in {done.bands} band{'s' if done.bands != 1 else ''}")
 
 
+def describe_settings(result: Result | DenoisedFile) -> str:
+    """Return in one line the settings of the filter by their names."""
+    names = ("similarity", "form", "quality", "radius", "beta", "device")
+    return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)
+
+
 def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = "") -> str:
-    named = [
-        f"{name} {_format(result.settings[name])}"
-        for name in ("similarity", "form", "quality", "radius", "beta", "device")
-        if name in result.settings
-    ]
-    told = [f"{shape[1]}x{shape[0]} pixels{how}, {', '.join(named)}, {result.seconds:.2f} s"]
+    settings, told = result.settings, [f"{shape[1]}x{shape[0]} pixels{how}"]
+    if settings.get("bilinear"):
+        told.append("interpolated between pixels")
+    else:
+        told += [f"quality {settings['quality']}"] if "quality" in settings else []
+        told += [COMPARING[settings["similarity"] == "normal"]] if "similarity" in settings else []
+    told = [", ".join([*told, f"{result.seconds:.2f} s"])]
     count = result.bad_pixel_count
     if count:
         told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")

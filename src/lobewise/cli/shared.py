@@ -21,6 +21,7 @@ Source = Annotated[
     Path,
     typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
 ]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Say with which settings of the filter it was done.")]
 Adaptive = Annotated[
     str,
     typer.Option(
