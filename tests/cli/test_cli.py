@@ -515,7 +515,11 @@ class TestRender:
 
     @pytest.mark.slow
     def test_frame_reference_and_guides(self, tmp_path, capsys):
-        for name, extra in (("frame", []), ("reference", ["--reference"]), ("guides", ["--aov-only", "--float"])):
+        for name, extra in (
+            ("frame", ["--png"]),
+            ("reference", ["--reference"]),
+            ("guides", ["--aov-only", "--float"]),
+        ):
             line = ["render", "showroom", "--spp", "2", "--width", "24", "--height", "16", "-o"]
             assert run([*line, str(tmp_path / f"{name}.exr"), *extra]) == 0
             assert f"Wrote {tmp_path / name}.exr: 24x16 pixels, 2 spp." in capsys.readouterr().out
@@ -535,6 +539,11 @@ class TestRender:
             } == {kind}
         np.testing.assert_array_equal(guides.gbuffer.normal, frame.gbuffer.normal)
         assert run(["denoise", str(tmp_path / "frame.exr"), "-o", str(tmp_path / "out.exr")]) == 0
+        assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")
+
+    @pytest.mark.parametrize("option", [["--aov-only"], ["--scale", "2"]])
+    def test_a_picture_of_no_image_is_refused(self, option, tmp_path, capsys):
+        assert "--png" in fail(capsys, "render", "showroom", "-o", str(tmp_path / "a.exr"), "--png", *option)
 
     def test_output_is_checked_before_rendering(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("lobewise.render.load_scene", lambda *_a, **_k: pytest.fail("rendered first"))

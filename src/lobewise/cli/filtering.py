@@ -27,24 +27,31 @@ from lobewise.cli.reading import (
 from lobewise.cli.shared import (
     Adaptive,
     AdaptiveSpp,
+    Exposure,
     Light,
     Memory,
     Output,
+    Png,
     Scene,
     Source,
     Temporal,
     Verbose,
+    find_first,
+    make_recomputing,
+    parse_percent,
     parse_place,
+    plan_pictures,
     show_progress,
 )
 from lobewise.cli.terminal.help import FILTER_DETAILS
-from lobewise.cli.terminal.outcome import Remarks, describe, tell_settings
+from lobewise.cli.terminal.outcome import Remarks, describe, tell_picture, tell_settings
 from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings, TemporalSettings
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
     from lobewise.interchange import Imported
+    from lobewise.reporting.picture import Pictures
     from lobewise.sparse_frame import AnyFrame, SparseFrame
 
     FrameT = TypeVar("FrameT", bound=AnyFrame)
@@ -123,6 +130,8 @@ def denoise(
     suffix: Suffix = "",
     only: Only = False,
     confidence: Confidence = False,
+    png: Png = False,
+    exposure: Exposure = None,
     verbose: Verbose = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
@@ -130,14 +139,15 @@ def denoise(
     from lobewise.io.materials import read_lobe_table
     from lobewise.io.sequence import is_pattern
 
-    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
+    shade = make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
     reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence)
     alone = not is_pattern(source)
-    adapts, mixes = _parse_percent(adaptive) > 0.0, settings["with_oidn"]
+    adapts, mixes = parse_percent(adaptive) > 0.0, settings["with_oidn"]
     takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
     given = next((name for name, is_so in takers.items() if is_so), "")
     whole = given or reading.option or writing.option
+    pictures = plan_pictures(png, exposure, find_first(source, output))
 
     def read(path: Path) -> Any:
         if choose_bands(path, bands, settings, whole):
@@ -150,8 +160,13 @@ def denoise(
     def write(target: Path, result: Any, found: Any, path: Path) -> None:
         if isinstance(result, FileInBands):
             result.write(path, target)
+            if pictures is not None:
+                pictures.write_from_file(target)
         else:
-            writing.write(target, shade(result, found.frame), found)
+            better = shade(result, found.frame)
+            writing.write(target, better, found)
+            if pictures is not None:
+                pictures.write(target, better.image)
 
     _run(
         source,
@@ -165,8 +180,10 @@ def denoise(
             "adaptive": [adaptive, scene],
             "reading": [preset, maps, str(camera), str(half), also],
             "writing": [suffix, only, confidence],
+            "picture": [png, exposure],
         },
         temporal={**settings, "memory": memory} if temporal else None,
+        pictures=pictures,
         verbose=verbose,
         unwrap=lambda found: found.frame,
     )
@@ -192,6 +209,8 @@ def upsample(
     light: Light = "all",
     temporal: Temporal = False,
     memory: Memory = TemporalSettings.memory,
+    png: Png = False,
+    exposure: Exposure = None,
     verbose: Verbose = False,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
@@ -202,12 +221,15 @@ def upsample(
     if bilinear and temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
-    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
+    shade = make_recomputing(scene, adaptive, adaptive_spp, light)
+    pictures = plan_pictures(png, exposure, find_first(source, output))
 
     def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:
         done = shade(result, frame)
         radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
         write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
+        if pictures is not None:
+            pictures.write(target, done.image)
 
     _run(
         source,
@@ -215,41 +237,18 @@ def upsample(
         read=lambda path: read_sparse_frame(path, scale=scale, place=where),
         filter_one=lambda frame: run_upsample(frame, bilinear=bilinear, **settings),
         write=write,
-        settings={**settings, "bilinear": bilinear, "scale": scale, "place": place, "adaptive": [adaptive, scene]},
+        settings={
+            **settings,
+            "bilinear": bilinear,
+            "scale": scale,
+            "place": place,
+            "adaptive": [adaptive, scene],
+            "picture": [png, exposure],
+        },
         temporal={**settings, "memory": memory} if temporal else None,
+        pictures=pictures,
         verbose=verbose,
     )
-
-
-def _make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) -> Callable[[Result, AnyFrame], Result]:
-    """Return what shades the least supported pixels of a result again; the scene is loaded when it is first needed."""
-    budget = _parse_percent(adaptive)
-    if budget == 0.0:
-        return lambda result, frame: result
-    if scene is None:
-        raise InputError("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
-    loaded: list[Any] = []
-
-    def improve(result: Result, frame: AnyFrame) -> Result:
-        from lobewise.adaptive import recompute
-        from lobewise.cli.output import print_line
-        from lobewise.render import load_scene, render_pixels, set_camera
-
-        if not loaded:
-            loaded.append(load_scene(scene, width=frame.width, height=frame.height))
-        if frame.camera is not None:
-            set_camera(loaded[0], frame.camera)
-        better = recompute(
-            result,
-            lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=light),
-            samples=spp / (frame.spp or 1),
-            frame=frame,
-            budget=budget,
-        )
-        print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
-        return better
-
-    return improve
 
 
 class _Alone:
@@ -277,6 +276,7 @@ def _run(
     write: Callable[[Path, Result, FrameT, Path], None],
     settings: dict[str, Any],
     temporal: dict[str, Any] | None,
+    pictures: Pictures | None,
     verbose: bool,
     unwrap: Callable[[Any], Any] = lambda frame: frame,
 ) -> None:
@@ -312,6 +312,7 @@ def _run(
         write(output, result, frame, source)
         remarks.tell(result)
         print_line(f"Wrote {output}: {describe(result)}.")
+        tell_picture(output, pictures)
         tell_settings(result, verbose)
         return
 
@@ -345,15 +346,5 @@ def _run(
         )
     told = "" if report.last is None else f"; the last: {describe(report.last)}"
     print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
+    tell_picture(output, pictures)
     tell_settings(report.last, verbose)
-
-
-def _parse_percent(text: str) -> float:
-    """Return the share that ``5%`` or ``5`` stands for."""
-    try:
-        percent = float(text.removesuffix("%"))
-    except ValueError:
-        percent = -1.0
-    if 0.0 <= percent <= 100.0:
-        return percent / 100.0
-    raise InputError("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual")

@@ -6,13 +6,18 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.terminal.help import SEQUENCE_DETAILS, SEQUENCES, SHADING
+from lobewise.cli.terminal.help import RESULT, SEQUENCE_DETAILS, SEQUENCES, SHADING
 from lobewise.errors import InputError
 from lobewise.settings import TemporalSettings, list_knobs
+
+if TYPE_CHECKING:
+    from lobewise.frame import Result
+    from lobewise.reporting.picture import Pictures
+    from lobewise.sparse_frame import AnyFrame
 
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
@@ -22,6 +27,26 @@ Source = Annotated[
     typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Say with which settings of the filter it was done.")]
+Png = Annotated[
+    bool,
+    typer.Option(
+        "--png",
+        help="Write a picture as well, of the same name with the ending .png: tone mapped, for any program. A sequence "
+        "has one exposure, that of its first frame.",
+        rich_help_panel=RESULT,
+    ),
+]
+Exposure = Annotated[
+    float | None,
+    typer.Option(
+        "--exposure",
+        metavar="STOPS",
+        help="With --png: multiply the light by 2^STOPS.",
+        show_default="by the picture",
+        rich_help_panel=RESULT,
+    ),
+]
+MAX_STOPS = 64.0
 Adaptive = Annotated[
     str,
     typer.Option(
@@ -80,6 +105,32 @@ def show_progress() -> Iterator[Callable[[str, int, int], None]]:
         yield advance
 
 
+def plan_pictures(png: bool, stops: float | None, first: Path) -> Pictures | None:
+    """Return what writes pictures beside EXR files, the first of which is ``first``; None where none are asked for.
+
+    Raises
+    ------
+    InputError
+        If an exposure is given without a picture, or is out of range.
+    FileError
+        If the first picture cannot be written.
+    """
+    if not png:
+        if stops is not None:
+            raise InputError("--exposure", expected="--png beside it", got="none", action="add --png")
+        return None
+    # Written so that NaN fails.
+    if stops is not None and not -MAX_STOPS <= stops <= MAX_STOPS:
+        raise InputError(
+            "--exposure", expected=f"a number from {-MAX_STOPS:g} to {MAX_STOPS:g}", got=f"{stops:g}", action="try 0"
+        )
+    from lobewise.io.files import require_writable
+    from lobewise.reporting.picture import Pictures, name_picture
+
+    require_writable(name_picture(first), what="picture")
+    return Pictures(stops=stops, first=first)
+
+
 def parse_place(text: str) -> tuple[int, int]:
     """Return row and column of ``ROW,COLUMN``."""
     words = text.split(",")
@@ -105,3 +156,54 @@ def parse_size(text: str) -> tuple[int, int]:
         got=repr(text),
         action="write two numbers",
     )
+
+
+def find_first(source: Path, output: Path) -> Path:
+    """Return the first file that is written: the output itself, or of a sequence that with the first number."""
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    if not is_pattern(source) or not is_pattern(output):
+        return output
+    return FramePattern.parse(output).name(FramePattern.parse(source).find()[0][0])
+
+
+def make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) -> Callable[[Result, AnyFrame], Result]:
+    """Return what shades the least supported pixels of a result again; the scene is loaded when it is first needed."""
+    budget = parse_percent(adaptive)
+    if budget == 0.0:
+        return lambda result, frame: result
+    if scene is None:
+        raise InputError("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
+    loaded: list[Any] = []
+
+    def improve(result: Result, frame: AnyFrame) -> Result:
+        from lobewise.adaptive import recompute
+        from lobewise.cli.output import print_line
+        from lobewise.render import load_scene, render_pixels, set_camera
+
+        if not loaded:
+            loaded.append(load_scene(scene, width=frame.width, height=frame.height))
+        if frame.camera is not None:
+            set_camera(loaded[0], frame.camera)
+        better = recompute(
+            result,
+            lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=light),
+            samples=spp / (frame.spp or 1),
+            frame=frame,
+            budget=budget,
+        )
+        print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
+        return better
+
+    return improve
+
+
+def parse_percent(text: str) -> float:
+    """Return the share that ``5%`` or ``5`` stands for."""
+    try:
+        percent = float(text.removesuffix("%"))
+    except ValueError:
+        percent = -1.0
+    if 0.0 <= percent <= 100.0:
+        return percent / 100.0
+    raise InputError("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lobewise.cli.reading import FileInBands
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
+    from lobewise.reporting.picture import Pictures
 
 
 class Remarks:
@@ -33,6 +35,14 @@ def describe(result: Result | FileInBands) -> str:
     from lobewise.cli.output import describe_result
 
     return result.describe() if isinstance(result, FileInBands) else describe_result(result)
+
+
+def tell_picture(output: Path, pictures: Pictures | None) -> None:
+    """Print the name of the picture beside an output, if there is one."""
+    from lobewise.cli.output import print_line
+
+    if pictures is not None:
+        print_line(f"Wrote {pictures.name(output)}.")
 
 
 def tell_settings(result: Result | FileInBands | None, verbose: bool) -> None:
