@@ -32,6 +32,7 @@ from lobewise.cli.shared import (
     Memory,
     Output,
     Png,
+    Quiet,
     Scene,
     Source,
     Temporal,
@@ -41,10 +42,10 @@ from lobewise.cli.shared import (
     parse_percent,
     parse_place,
     plan_pictures,
-    show_progress,
 )
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.cli.terminal.outcome import Remarks, describe, tell_picture, tell_settings
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings, TemporalSettings
 
@@ -133,6 +134,7 @@ def denoise(
     png: Png = False,
     exposure: Exposure = None,
     verbose: Verbose = False,
+    quiet: Quiet = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
@@ -141,6 +143,7 @@ def denoise(
 
     shade = make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
+    steps = Steps(quiet=quiet)
     reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence)
     alone = not is_pattern(source)
     adapts, mixes = parse_percent(adaptive) > 0.0, settings["with_oidn"]
@@ -151,7 +154,7 @@ def denoise(
 
     def read(path: Path) -> Any:
         if choose_bands(path, bands, settings, whole):
-            return FileInBands(bands, tables, settings, shows_bar=alone)
+            return FileInBands(bands, tables, settings, progress=steps.tell if alone else None)
         return reading.read(path, source, light_passes=not temporal)
 
     def filter_one(found: Any) -> Any:
@@ -184,6 +187,7 @@ def denoise(
         },
         temporal={**settings, "memory": memory} if temporal else None,
         pictures=pictures,
+        steps=steps,
         verbose=verbose,
         unwrap=lambda found: found.frame,
     )
@@ -212,6 +216,7 @@ def upsample(
     png: Png = False,
     exposure: Exposure = None,
     verbose: Verbose = False,
+    quiet: Quiet = False,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
@@ -247,6 +252,7 @@ def upsample(
         },
         temporal={**settings, "memory": memory} if temporal else None,
         pictures=pictures,
+        steps=Steps(quiet=quiet),
         verbose=verbose,
     )
 
@@ -277,6 +283,7 @@ def _run(
     settings: dict[str, Any],
     temporal: dict[str, Any] | None,
     pictures: Pictures | None,
+    steps: Steps,
     verbose: bool,
     unwrap: Callable[[Any], Any] = lambda frame: frame,
 ) -> None:
@@ -304,12 +311,16 @@ def _run(
                 action="put # in place of the digits of the number, and quote the name",
             )
         require_writable(output)
-        frame = read_one(source)
-        try:
-            result = filter_one(frame)
-        except LobewiseError as problem:
-            raise type(problem)(f"{source}: {problem}") from problem
-        write(output, result, frame, source)
+        with steps:
+            steps.tell(f"Reading {source.name}")
+            frame = read_one(source)
+            try:
+                steps.tell("Filtering")
+                result = filter_one(frame)
+            except LobewiseError as problem:
+                raise type(problem)(f"{source}: {problem}") from problem
+            steps.tell(f"Writing {output.name}")
+            write(output, result, frame, source)
         remarks.tell(result)
         print_line(f"Wrote {output}: {describe(result)}.")
         tell_picture(output, pictures)
@@ -333,7 +344,7 @@ def _run(
             except LobewiseError as problem:
                 raise type(problem)(f"{current}: {problem}") from problem
 
-    with show_progress() as progress:
+    with steps:
         report = filter_sequence(
             source,
             output,
@@ -341,7 +352,7 @@ def _run(
             read=read_one,
             write=write_one,
             fingerprint=repr([settings, temporal]),
-            progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
+            progress=lambda what, done, total: steps.tell(f"Filtering {source.name}", done, total),
             remark=print_note,
         )
     told = "" if report.last is None else f"; the last: {describe(report.last)}"

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from lobewise.cli.terminal.steps import pause_steps
 from lobewise.errors import make_printable
 from lobewise.frame import Result
 from lobewise.io import FileDescription
@@ -47,12 +48,14 @@ def open_console() -> Console:
 
 def print_line(text: str) -> None:
     """Print a line of result, exactly as it is."""
-    _Console().print(make_text(text), soft_wrap=True)
+    with pause_steps():
+        _Console().print(make_text(text), soft_wrap=True)
 
 
 def print_note(text: str) -> None:
     """Print a remark that is no result."""
-    Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
+    with pause_steps():
+        Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
 def describe_result(result: Result) -> str:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import show_progress
 from lobewise.cli.terminal.help import FILE_DETAILS, FILES, RESULT
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from lobewise.interchange import Imported
     from lobewise.lobe_table import LobeTable
@@ -263,16 +261,21 @@ class FileInBands:
         In place of those in the file.
     settings : dict
         Of the filter.
-    shows_bar : bool
-        Whether a bar tells what is done, and the time that is left.
+    progress : callable, optional
+        Told what is done; see `lobewise.streaming.denoise_file`.
     """
 
     def __init__(
-        self, text: str, tables: Sequence[LobeTable] | None, settings: dict[str, Any], *, shows_bar: bool
+        self,
+        text: str,
+        tables: Sequence[LobeTable] | None,
+        settings: dict[str, Any],
+        *,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         bands = parse_bands(text)
         self._rows = bands if isinstance(bands, int) else None
-        self._tables, self._settings, self._shows_bar = tables, settings, shows_bar
+        self._tables, self._settings, self._progress = tables, settings, progress
         self._done: DenoisedFile | None = None
 
     def write(self, source: Path, output: Path) -> None:
@@ -281,8 +284,7 @@ class FileInBands:
 
         options: dict[str, Any] = {"lobe_tables": self._tables, "rows": self._rows, **self._settings}
         try:
-            with show_progress() if self._shows_bar else nullcontext() as progress:
-                self._done = denoise_file(source, output, progress=progress, **options)
+            self._done = denoise_file(source, output, progress=self._progress, **options)
         except LobewiseError as problem:
             if str(source) in str(problem) or str(output) in str(problem):
                 raise

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.terminal.help import RESULT, SEQUENCE_DETAILS, SEQUENCES, SHADING
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError
 from lobewise.settings import TemporalSettings, list_knobs
 
@@ -27,6 +28,7 @@ Source = Annotated[
     typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Say with which settings of the filter it was done.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Do not show what is done just now.")]
 Png = Annotated[
     bool,
     typer.Option(
@@ -87,22 +89,8 @@ Memory = Annotated[
 @contextmanager
 def show_progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar on standard error for work that reports (what, done, total)."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    console = Console(stderr=True)
-    # Without a terminal the bar would leave an empty line.
-    hidden = not console.is_terminal
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True, disable=hidden) as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def advance(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total)
-            bar.update(tasks[what], completed=done, total=total)
-
-        yield advance
+    with Steps() as steps:
+        yield steps.tell
 
 
 def plan_pictures(png: bool, stops: float | None, first: Path) -> Pictures | None:
