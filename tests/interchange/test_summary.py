@@ -8,6 +8,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+import OpenEXR
 import pytest
 from renderers import WRITERS, make_scene, write
 
@@ -133,6 +135,12 @@ def test_an_albedo_that_nothing_takes_is_not_called_missing(tmp_path: Path) -> N
     assert (lack.remedy, lack.reason) == ("", "ALBEDO.R/G/B is there, but no layer of light takes it")
 
 
+def test_an_image_in_another_file_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    told = ask(capsys, "inspect", FOREIGN / "luxcore" / "RGB.exr", "--map", "color=DIRECT_GLOSSY")
+    assert "LuxCoreRender, 48x36 pixels, samples unknown" in told
+    assert "Expected quality: good." in told
+
+
 def test_a_known_camera_is_not_called_missing(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     write_some(path, "arnold", without=("P", "Z"))
@@ -149,10 +157,25 @@ def test_json_holds_what_the_summary_says(capsys: pytest.CaptureFixture[str], ex
     assert found["parts"][0]["channels"]
 
 
-def test_a_file_without_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import numpy as np
-    import OpenEXR
+@pytest.mark.parametrize(
+    ("channels", "told"),
+    [
+        (("R", "G", "B", "depth.Z"), "There are no normals."),
+        (("R", "G", "B", "normal.X"), "The file is refused: see below."),
+    ],
+)
+def test_a_file_that_denoise_refuses(
+    channels: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.exr"
+    OpenEXR.File({"lobewise/schema": 1}, {name: np.ones((4, 4), "f4") for name in channels}).write(str(path))
+    out = ask(capsys, "inspect", path)
+    assert f"Expected quality: none. {told}" in out
+    assert "lobewise denoise" not in out
+    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr")]) == 2
 
+
+def test_a_file_without_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.exr"
     zeros = np.zeros((2, 2), "f4")
     OpenEXR.File({"lobewise/schema": 1}, dict.fromkeys(("normal.X", "normal.Y", "normal.Z"), zeros)).write(str(path))

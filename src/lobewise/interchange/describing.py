@@ -11,6 +11,7 @@ from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
+from lobewise.interchange.siblings import FIRST_INDEX
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.describe import (
     FileDescription,
@@ -56,13 +57,14 @@ def describe_import(found: Imported) -> FileDescription:
     container, frame, channels = found.container, found.frame, found.map
     if channels is None:
         return describe_own(container.path)
+    image_part = channels.roles["color"].source.part.index
     used = {(one.source.part.index, name): what for what, one in _list_found(channels, found) for name in one.channels}
     guides = set(frame.gbuffer.names)
     return FileDescription(
         path=str(container.path),
         bytes=container.path.stat().st_size,
         parts=tuple(describe_part(part, used) for part in container.parts),
-        image_part=channels.roles["color"].source.part.index,
+        image_part=image_part if image_part < FIRST_INDEX else None,
         images=tuple(_describe_role(channels, frame, role) for role in ROLES),
         camera=frame.camera,
         spp=frame.spp,

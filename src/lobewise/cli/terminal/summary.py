@@ -12,7 +12,7 @@ from rich.table import Table
 from lobewise.cli.output import make_text, open_console
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
-from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
+from lobewise.io.exr.describe import REFUSED, ChannelDescription, Lack, PartDescription
 
 MAX_NOTES = 6
 """Notes in the summary; `inspect --all` prints all of them."""
@@ -55,7 +55,7 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
     grid.add_column(overflow="fold")
     told = {lack.told for lack in found.lacks}
     rows = [
-        ("Compared", [_describe_surfaces(found)] if found.outputs else []),
+        ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
         ("Missing", [_describe_lack(lack) for lack in found.lacks]),
         ("Noted", _shorten([note for note in found.notes if note not in told])),
@@ -71,8 +71,8 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
 def describe_quality(found: FileDescription) -> str:
     """Return which quality to expect of a file, and what that hangs on, in a sentence."""
     lacks = [lack.role for lack in found.lacks]
-    if not found.outputs:
-        return "none. There is no image that could be denoised."
+    if not _can_be_denoised(found):
+        return f"none. {_say_obstacle(found)}"
     if not lacks:
         return "best. The light is split, and normals, positions, roughness and colors tell surfaces apart."
     if "normal" in lacks and "camera" in lacks:
@@ -83,6 +83,21 @@ def describe_quality(found: FileDescription) -> str:
     return f"good. It would be best with {list_names([NAMES[role] for role in lacks])}."
 
 
+def _can_be_denoised(found: FileDescription) -> bool:
+    # A frame of another renderer gets normals from its surfaces, or of none.
+    return bool(found.roles or (found.similarities and found.outputs)) and not _list_refusals(found)
+
+
+def _list_refusals(found: FileDescription) -> list[str]:
+    return [note for note in found.notes if note.startswith(REFUSED)]
+
+
+def _say_obstacle(found: FileDescription) -> str:
+    if _list_refusals(found):
+        return "The file is refused: see below."
+    return "There are no normals." if found.outputs else "There is no image that could be denoised."
+
+
 def _describe_origin(found: FileDescription) -> str:
     """Return whose file it is and how large."""
     titles = {"lobewise": "lobewise's own names", "no renderer that is known": "unknown renderer"}
@@ -90,10 +105,10 @@ def _describe_origin(found: FileDescription) -> str:
     if found.version:
         renderer += f" ({found.version})"
     told = [renderer]
-    if found.image_part is not None:
-        window = found.parts[found.image_part].data_window
+    if found.parts:
+        window = found.parts[found.image_part or 0].data_window
         told.append(f"{window.width}x{window.height} pixels")
-    told.append(f"{found.spp} samples per pixel" if found.spp else "samples per pixel unknown")
+    told.append(f"{found.spp} sample{'s' if found.spp > 1 else ''} per pixel" if found.spp else "samples unknown")
     size = found.bytes / 1e6
     told.append(f"{size:.1f} MB" if size >= 0.1 else f"{found.bytes / 1e3:.1f} kB")
     return f"{found.path}: {', '.join(told)}"
@@ -175,7 +190,7 @@ def _print_commands(console: Console, found: FileDescription, options: Sequence[
     path = Path(found.path)
     again = ["lobewise", "inspect", found.path, *options, "--all"]
     console.print()
-    if found.outputs:
+    if found.outputs and _can_be_denoised(found):
         clean = str(path.with_name(f"{path.stem}_clean{path.suffix}"))
         console.print(
             make_text("Denoise it:         " + shlex.join(["lobewise", "denoise", found.path, "-o", clean, *options])),

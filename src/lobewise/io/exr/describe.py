@@ -72,6 +72,8 @@ COSTS = {
     "albedo": "textures are filtered like noise",
 }
 """What follows where a frame lacks something."""
+REFUSED = "Denoising will refuse this file"
+"""What the note begins with that says why."""
 REMEDY = "lobewise render, which writes every guide in one pass"
 """What gives a file in lobewise's names the images that it lacks."""
 USES = (*COSTS, "silhouettes", "halves", "variance")
@@ -116,7 +118,7 @@ class FileDescription:
     parts : tuple of PartDescription
         Everything in the file.
     image_part : int or None
-        Index of the part that holds R, G and B.
+        Index of the part that holds R, G and B; None if there is none, or if it lies in another file.
     images : tuple of ImageDescription
         Every image that a frame can have, found or missing.
     camera : Camera or None
@@ -193,7 +195,7 @@ def describe_file(path: PathLike) -> FileDescription:
             camera = read_camera(beauty)
             tables = read_lobe_tables(beauty)
         except LobewiseError as problem:
-            notes.append(f"Denoising will refuse this file: {problem}")
+            notes.append(f"{REFUSED}: {problem}")
     gbuffer = {field for owner, field in found if owner == "gbuffer"}
     similarities = list_similarities(gbuffer, camera)
     uses = _list_uses(found, camera)
