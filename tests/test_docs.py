@@ -36,6 +36,56 @@ def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert not np.array_equal(after.radiance.color, before.radiance.color)
 
 
+BLENDER_PAGE = ROOT / "docs" / "blender.md"
+
+
+def test_blender_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(ROOT / "tests" / "data" / "foreign" / "blender_4.5_seed1.exr", tmp_path / "shot.exr")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", BLENDER_PAGE.read_text(), flags=re.S)
+    ours = [block for block in blocks if "bpy" not in block]
+    assert len(ours) == len(blocks) - 1 == 1
+    # The other one runs in Blender.
+    for block in blocks:
+        code = compile(block, "blender.md", "exec")
+        if block in ours:
+            exec(code, {})
+    before, after = lobewise.read_frame("shot.exr"), lobewise.read_frame("clean.exr")
+    assert not np.array_equal(after.radiance.color, before.radiance.color)
+    assert [len(layer.parts) for layer in after.layers] == [len(layer.parts) for layer in before.layers] != []
+
+
+def test_blender_page_has_commands_and_options_that_exist() -> None:
+    from typer.main import get_command
+
+    from lobewise.cli.commands import app
+
+    verbs = get_command(app).commands  # type: ignore[attr-defined]
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```", BLENDER_PAGE.read_text(), flags=re.S | re.M)
+    commands = "".join(text for language, text in blocks if not language)
+    lines = re.findall(r"^lobewise ([^#\n]*)", commands, flags=re.M)
+    assert {line.split()[0] for line in lines} >= {"inspect", "denoise", "view", "compare"}
+    known = {verb: {name for each in command.params for name in each.opts} for verb, command in verbs.items()}
+    for verb, *words in map(str.split, lines):
+        assert {word for word in words if word.startswith("--")} <= known[verb], verb
+    alone = set(re.findall(r"`(--[a-z-]+)", BLENDER_PAGE.read_text()))
+    assert alone
+    assert alone <= known["denoise"]
+
+
+def test_blender_page_has_every_menu_entry_that_notes_name() -> None:
+    from lobewise.interchange.preset import find_preset
+
+    page = BLENDER_PAGE.read_text()
+    tables = "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    entries = [text for text in find_preset("cycles").advice.values() if text.startswith("View Layer > Passes > ")]
+    assert len(entries) > 4
+    for text in entries:
+        panel, passes = text.split(", from")[0].removeprefix("View Layer > Passes > ").split(" > ")
+        for word in re.findall(r"[A-Z]\w*", passes):
+            assert any(row.startswith(f"| {panel} ") and word in row for row in tables.splitlines()), text
+
+
 def test_upsampling_page_runs() -> None:
     names: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "upsampling.md").read_text(), flags=re.S):

@@ -51,7 +51,8 @@ def _list(errors: Iterable[tuple[float, ...]]) -> dict[str, list[float]]:
 
 def measure_scene(renderer: Renderer, folder: Path, scene: str, frames: Mapping[int, Mapping[int, Path]]) -> Any:
     """Return the errors on a scene by samples per pixel."""
-    references = [read_frame(renderer.find(folder, f"{scene}_{REFERENCE}_{half}")) for half in REFERENCES]
+    paths = [renderer.find(folder, f"{scene}_{REFERENCE}_{half}") for half in REFERENCES]
+    references = [read_frame(path, light_passes=False) for path in paths]
     judge = make_judge(*(each.radiance.color for each in references))
     row: dict[str, Any] = {
         "size": [references[0].width, references[0].height],

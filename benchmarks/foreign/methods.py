@@ -27,13 +27,13 @@ class Shot:
     @cached_property
     def frame(self) -> Frame:
         """All that lobewise finds in the file."""
-        return lobewise.read_frame(self.path)
+        return lobewise.read_frame(self.path, light_passes=False)
 
     @cached_property
     def alone(self) -> Frame:
         """What it finds in a file that has nothing but color, albedo and normal."""
         with tempfile.TemporaryDirectory() as folder:
-            return lobewise.read_frame(self.renderer.keep_alone(self.path, Path(folder)))
+            return lobewise.read_frame(self.renderer.keep_alone(self.path, Path(folder)), light_passes=False)
 
     @cached_property
     def peer(self) -> Frame:
@@ -61,7 +61,8 @@ BASE, PEER = "balanced, color, albedo and normal alone", "oidn"
 
 def run_halves(first: Shot, second: Shot, quality: str) -> FloatArray:
     """Return what is made of two renders with different seeds."""
-    return lobewise.denoise(lobewise.read_frame(first.path, half=second.path), quality=quality).image
+    frame = lobewise.read_frame(first.path, half=second.path, light_passes=False)
+    return lobewise.denoise(frame, quality=quality).image
 
 
 def run_tuned(shot: Shot, exponent: float, sigma: float) -> FloatArray:

@@ -21,8 +21,12 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 ## What comes before and after
 
 - **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used. Else the noise is read off the image itself: second differences along both axes, squared and filtered by the weights of the image, are the noise of a pass, for they cancel slopes and edges. Where pixels share samples they are taken two pixels apart.
-- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` and the command line say
-  which share of the light that took.
+- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` says
+  which share of the light that took. Fireflies are noise as well as light, so that share is no loss yet: the command line and `Result.notes` tell one where the image's mean fell by 1 % or more and by
+  2.5 times its standard error, which comes from the residuals.
+- **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times), the light above the surroundings is taken off the samples and added to the
+  result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
+- **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Lobes are as wide as that turn.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
 - **Edges.** Filters work with the surface at a pixel's centre. Where the frame has `coverage` (`lobewise render` does), the light that falls on the surfaces around is mixed over the
   pixel's area at the end, so that silhouettes and textures are smooth; without it they are as the guides are.

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from lobewise.denoising.combining import denoise_with_peer, find_level, join_extras, list_pairs
-from lobewise.denoising.guided import finish_layer, make_noisy_layers, resolve_guided
+from lobewise.denoising.guided import finish_layer, resolve_guided
 from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network
+from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.filters.mixing import LEAK, Network, find_features, mix_candidates
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, require_kind, require_number
+from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind, require_number
 
 MAX_COORDINATE = float(np.finfo(np.float32).max)
 """Images hold positions in single precision."""
@@ -24,7 +24,7 @@ def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
         vector = np.empty(0)
     if vector.shape != (3,) or not (np.abs(vector) <= MAX_COORDINATE).all():
         expected = f"three finite numbers, of which none is beyond {MAX_COORDINATE:.2g}"
-        raise InputError(name, expected=expected, got=str(value), action="pass (x, y, z)")
+        raise InputError(name, expected=expected, got=name_value(value, MAX_GOT_LETTERS), action="pass (x, y, z)")
     vector = vector.copy()
     vector.flags.writeable = False
     return vector
@@ -82,6 +82,11 @@ class Camera:
         position = _as_vector("camera position", self.position)
         forward = _as_vector("camera forward", self.forward)
         up = _as_vector("camera up", self.up)
+        for name, vector in (("forward", forward), ("up", up)):
+            if not vector.any():
+                raise InputError(
+                    f"camera {name}", expected="a direction", got="a vector of length 0", action="pass another"
+                )
         right = np.cross(forward, up)
         if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
             raise InputError(
@@ -92,13 +97,17 @@ class Camera:
             )
         for name, angle in (("fov_y", self.fov_y), ("fov_x", self.fov_x)):
             if angle is not None and not 0.0 < require_number(f"camera {name}", angle) < np.pi:
+                fits = np.pi <= angle < 180.0
+                action = f"{angle:g} degrees are {np.radians(angle):.4g} radians" if fits else "pass another"
                 raise InputError(
-                    f"camera {name}", expected="an angle in (0, pi) radians", got=str(angle), action="convert it"
+                    f"camera {name}", expected="an angle in (0, pi) radians", got=name_value(angle), action=action
                 )
         require_kind("camera shift", self.shift, tuple, list, np.ndarray)
         shift = tuple(require_number("camera shift", part) for part in self.shift)
         if len(shift) != 2 or not np.isfinite(shift).all():
-            raise InputError("camera shift", expected="two finite numbers", got=str(self.shift), action="pass (x, y)")
+            raise InputError(
+                "camera shift", expected="two finite numbers", got=name_value(self.shift), action="pass (x, y)"
+            )
         object.__setattr__(self, "shift", shift)
         forward = forward / np.linalg.norm(forward)
         up = np.cross(right / np.linalg.norm(right), forward)
@@ -130,6 +139,16 @@ class Camera:
         half_height = float(np.tan(0.5 * self.fov_y))
         half_width = half_height * width / rows if self.fov_x is None else float(np.tan(0.5 * self.fov_x))
         return half_width, half_height
+
+    def with_pixel_aspect(self, width: int, height: int, aspect: float) -> Camera:
+        """Return the camera of an image whose pixels are ``aspect`` times as wide as they are high.
+
+        It is this one where the pixels are square, or ``fov_x`` is known already.
+        """
+        if aspect == 1.0 or self.fov_x is not None:
+            return self
+        half_width = float(np.tan(0.5 * self.fov_y)) * aspect * width / height
+        return replace(self, fov_x=float(2.0 * np.arctan(half_width)))
 
     @property
     def middle(self) -> NDArray[np.float64]:

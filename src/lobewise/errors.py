@@ -13,6 +13,9 @@ MAX_GOT_LETTERS = 300
 """Length of what a message shows of a wrong value."""
 MAX_NAME_LETTERS = 100
 """Letters of a name that sentences show."""
+MIN_LIKENESS = 0.65
+"""Share of the letters that two names must have in common, in one order, for one to be suggested in place of the other
+(`difflib.SequenceMatcher.ratio`). A wrong suggestion is worse than none: at 0.6 blender would be renderman."""
 
 
 class LobewiseError(Exception):
@@ -109,10 +112,40 @@ def require_number(what: str, got: Any) -> float:
     raise InputError(what, expected="a number", got=name_value(got), action="pass another")
 
 
-def name_value(got: Any) -> str:
-    """Return a short value as it is written, and of a long one its type."""
-    shown = repr(got)
-    return shown if len(shown) <= MAX_SHOWN_LETTERS and "\n" not in shown else f"a {type(got).__name__}"
+def name_value(got: Any, max_letters: int = MAX_SHOWN_LETTERS) -> str:
+    """Return a short value as it is written, and of a long one its type; numbers of NumPy as Python writes them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> name_value((np.float64(0.5), np.int32(2)))
+    '(0.5, 2)'
+    """
+    shown = repr(_to_plain(got))
+    return shown if len(shown) <= max_letters and "\n" not in shown else f"a {type(got).__name__}"
+
+
+def _to_plain(value: Any) -> Any:
+    """Return a value in which NumPy's numbers and short arrays, also inside tuples and lists, are Python's."""
+    if type(value) in (tuple, list):
+        return type(value)(map(_to_plain, value))
+    # Told by the name of the module: this room imports nothing.
+    is_numpy = type(value).__module__ == "numpy" and hasattr(value, "tolist")
+    return value.tolist() if is_numpy and value.size <= MAX_SHOWN_LETTERS else value
+
+
+def find_nearest(name: str, options: Iterable[str]) -> str | None:
+    """Return the option that is most like a name, whatever the case of the letters; None where none is much like it.
+
+    Examples
+    --------
+    >>> find_nearest("hihg", ["fast", "balanced", "high"])
+    'high'
+    >>> find_nearest("best", ["fast", "balanced", "high"])
+    """
+    by_letters = {option.casefold(): option for option in options}
+    near = difflib.get_close_matches(name.casefold(), list(by_letters), n=1, cutoff=MIN_LIKENESS)
+    return by_letters[near[0]] if near else None
 
 
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
@@ -132,12 +165,12 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         return got
     # A name from a file may be as long as the file.
     short = got if len(got) <= MAX_NAME_LETTERS else f"{got[:MAX_NAME_LETTERS]}..."
-    near = difflib.get_close_matches(short, options, n=1, cutoff=0.0)
+    near = find_nearest(short, options)
     raise InputError(
         what,
         expected="one of " + ", ".join(options),
         got=repr(short),
-        action=f"did you mean {near[0]!r}?" if near else "choose one of them",
+        action=f"did you mean {near!r}?" if near else "choose one of them",
     )
 
 

@@ -322,7 +322,8 @@ class Result:
     variance : (height, width) or None
         Estimated variance of the image's luminance, where a history tells it.
     energy_lost : float
-        Share of the light that was taken from fireflies before filtering, in [0, 1].
+        Share of the light that was taken from fireflies before filtering, in [0, 1]. Fireflies are noise as well as
+        light: whether the image clearly lost light is told in ``notes``.
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
     also : mapping of str to (height, width, 3)
@@ -332,7 +333,8 @@ class Result:
     seconds : float
         Wall time of the call.
     notes : tuple of str
-        What is wrong with the guides, one sentence each: values that no surface can have, and what became of them.
+        One sentence each: what is wrong with the guides (values that no surface can have, and what became of them), and
+        that light was lost with fireflies, where the noise does not explain the change of the image's mean.
     unused : tuple of str
         Images of the frame that change nothing with these settings.
     """

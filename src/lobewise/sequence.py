@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import lobewise
 from lobewise.errors import InputError, LobewiseError
-from lobewise.io.files import PathLike, open_atomic, require_writable
+from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
 
 State = dict[str, NDArray[Any]]
@@ -176,14 +176,7 @@ def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, sec
         )
     require_writable(output.name(frames[0][0]))
     require_writable(kept, what="checkpoint")
-    sources = {path.resolve() for _, path in frames}
-    if any(output.name(number).resolve() in sources for number, _ in frames):
-        raise InputError(
-            f"output {str(output)!r}",
-            expected="files other than the sources",
-            got="the name of a source",
-            action="choose another name",
-        )
+    require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
 def name_checkpoint(output: FramePattern | PathLike) -> Path:

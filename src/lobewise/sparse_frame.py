@@ -19,7 +19,7 @@ def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> 
     """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
     if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MOST_SCALE:
         raise InputError(
-            "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=repr(scale), action="2 or 4 is usual"
+            "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=name_value(scale), action="2 or 4 is usual"
         )
     require_kind("place", place, tuple, list, np.ndarray)
     pair = [index for index in place if isinstance(index, Integral) and not isinstance(index, bool)]

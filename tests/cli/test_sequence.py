@@ -318,11 +318,11 @@ class TestMistakes:
     def test_outputs_that_would_replace_sources(self, folder):
         np.save("in.12.npy", np.ones((2, 3)))
         for source, output in ((PATTERN, "in.%04d.npy"), (PATTERN, "../" + folder.name + "/in.####.npy")):
-            with pytest.raises(InputError, match="expected files other than the sources"):
+            with pytest.raises(InputError, match="expected a file that is not read"):
                 filter_sequence(source, output, Running, read=np.load, write=save, fingerprint="")
         np.save("in.2.npy", np.ones((2, 3)))
         # The file of frame 2 would have the name of source 12.
-        with pytest.raises(InputError, match="expected files other than the sources"):
+        with pytest.raises(InputError, match="expected a file that is not read"):
             filter_sequence("in.#.npy", "in.1#.npy", Running, read=np.load, write=save, fingerprint="")
 
     @pytest.mark.parametrize("seconds", [-1.0, float("nan")])

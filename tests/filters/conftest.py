@@ -16,6 +16,7 @@ RUNS = (
     "run_upsampling",
     "SampleGrid",
     "bound_fireflies",
+    "split_highlights",
     "find_features",
     "make_noise_guide",
     "measure_light",

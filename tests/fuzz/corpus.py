@@ -224,7 +224,7 @@ def write_words(folder: Path) -> None:
 title = "The house's"
 attributes = ["house/*=1"]
 passes = ["beauty"]
-color = ["Combined", { pass = "beauty", convert = ["square"] }]
+color = ["Combined", { pass = "beauty" }]
 normal = [{ pass = "Normal", convert = ["camera_space", "negate"] }]
 roughness = [{ pass = "rough", component = "X", convert = ["square"] }]
 cryptomatte = ["CryptoObject"]

@@ -9,7 +9,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
-from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field
+from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field, spread_lobes
 from lobewise.lobes.band_limit import default_tau
 from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.roughness import sg_sharpness_from_ggx
@@ -390,3 +390,44 @@ def test_single_precision_is_good_enough_for_similarities(guides, camera):
     assert both.sum() > 100
     error = neighbours(single, 1) - neighbours(exact, 1)
     assert np.abs(error[both]).max() < 2e-3
+
+
+def find_turns(valid, axis):
+    """Return the squared turn of the axis from pixel to pixel, by its definition."""
+    turns = np.zeros(valid.shape)
+    for y, x in zip(*np.nonzero(valid), strict=True):
+        along = []
+        for steps in (((0, 1), (0, -1)), ((1, 0), (-1, 0))):
+            found = [
+                np.sum((axis[y + dy, x + dx] - axis[y, x]) ** 2)
+                for dy, dx in steps
+                if 0 <= y + dy < valid.shape[0] and 0 <= x + dx < valid.shape[1] and valid[y + dy, x + dx]
+            ]
+            along.append(min(found, default=0.0))
+        turns[y, x] = max(along)
+    return turns
+
+
+@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (1, WIDTH), (HEIGHT, 1), (1, 1)], ids=str)
+def test_lobes_are_spread_by_the_turn_from_pixel_to_pixel(guides, camera, size):
+    guides["lobe_kind"][np.random.default_rng(5).random((HEIGHT, WIDTH)) < 0.2] = 0
+    some = {name: image[: size[0], : size[1]] for name, image in guides.items()}
+    sg = make_sg_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
+    turns = find_turns(sg.valid, sg.axis.astype(np.float64))
+    np.testing.assert_allclose(1.0 / spread_lobes(sg).sharpness, 1.0 / sg.sharpness + turns, rtol=1e-4)
+    field = make_covariance_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
+    found, axis = spread_lobes(field), field.axis.astype(np.float64)
+    turns = find_turns(field.valid, axis)
+    np.testing.assert_array_equal(found.axis, field.axis)
+    for y, x in np.ndindex(size):
+        before, after = np.zeros((3, 3)), np.zeros((3, 3))
+        before[ROWS, COLUMNS], after[ROWS, COLUMNS] = field.covariance[y, x], found.covariance[y, x]
+        plane = np.eye(3) - np.outer(axis[y, x], axis[y, x])
+        wanted = np.triu(before + turns[y, x] * plane)
+        np.testing.assert_allclose(after, wanted, atol=1e-5 * max(np.abs(wanted).max(), 1.0))
+        if field.valid[y, x]:
+            both = after + np.triu(after, 1).T
+            values = np.sort(np.linalg.eigvalsh(both))[1:]
+            assert found.determinant[y, x] == pytest.approx(values.prod(), rel=2e-3, abs=1e-7)
+        else:
+            assert found.determinant[y, x] == field.determinant[y, x]

@@ -19,7 +19,8 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.checks.normals import Guess, make_bases, turn_normals
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.reading import import_planes, read_image
+from lobewise.interchange.reading import import_planes
+from lobewise.interchange.showing import read_image
 from lobewise.metrics import rel_mse
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -285,6 +286,18 @@ def test_coarse_positions_are_told_where_there_is_no_depth(tmp_path: Path) -> No
     found = import_channels(move(write_showroom("Z"), 100.0), tmp_path, camera=move_camera(100.0))
     assert [(one.what, one.mended) for one in found.findings] == [("positions coarse", False)]
     assert import_channels(move(write_showroom("Z"), 0.0), tmp_path).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("far", "words"), [(1e3, "are 3.3 times as far apart as"), (6e4, "so wide that most neighbouring pixels have the")]
+)
+def test_how_coarse_positions_are_is_told_in_words(far: float, words: str) -> None:
+    scene = make_scene()
+    position = (scene.position + far).astype(np.float16).astype(np.float32)
+    planes = name("", scene.color) | name("P", position, "XYZ")
+    (told,) = (one.told for one in import_planes(planes).findings if one.what == "positions coarse")
+    assert words in told
+    assert "000" not in told
 
 
 def spread(image: np.ndarray, deviation: float = 0.5) -> np.ndarray:

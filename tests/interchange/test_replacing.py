@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -18,6 +19,8 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
+CYCLES_PASSES = {("diffuse", "DiffDir"), ("diffuse", "DiffInd"), ("glossy", "GlossDir"), ("glossy", "GlossInd")}
+"""Layers of `make_scene` as Cycles writes it, and the passes that make them up."""
 RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
 
 
@@ -89,6 +92,41 @@ def test_layers_still_add_up(part_each: bool, tmp_path: Path) -> None:
 
     parts = get("DiffCol") * (get("DiffDir") + get("DiffInd")) + get("GlossCol") * (get("GlossDir") + get("GlossInd"))
     np.testing.assert_allclose(parts + get("Env"), get("Combined"), rtol=1e-4, atol=1e-4 * get("Combined").mean())
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("cycles", {"radius": 5, "quality": "fast"}), ("cycles", {}), *((name, {}) for name in RENDERED)],
+)
+def test_three_lines_write_the_file_of_the_command(name: str, settings: dict[str, Any], tmp_path: Path) -> None:
+    source, mine, other = FOREIGN / name, tmp_path / "python.exr", tmp_path / "command.exr"
+    if name == "cycles":
+        source = tmp_path / "a.exr"
+        write(source, WRITERS["cycles"](make_scene()))
+    options = [word for key, value in settings.items() for word in (f"--{key}", str(value))]
+    assert run(["denoise", str(source), "-o", str(other), *options]) == 0
+    frame = lobewise.read_frame(source)
+    result = lobewise.denoise(frame, **settings)
+    lobewise.write_result(mine, result, source=source)
+    assert mine.read_bytes() == other.read_bytes()
+    if name == "cycles":
+        assert set(result.also) == {f"{layer}/{each}" for layer, each in CYCLES_PASSES}
+
+
+def test_light_passes_can_be_left(tmp_path: Path) -> None:
+    source, output = tmp_path / "a.exr", tmp_path / "b.exr"
+    write(source, WRITERS["cycles"](make_scene()))
+    frame, whole = lobewise.read_frame(source, light_passes=False), lobewise.read_frame(source)
+    assert {(layer.name, part) for layer in whole.layers for part in layer.parts} == CYCLES_PASSES
+    assert not any(layer.parts for layer in frame.layers)
+    result = lobewise.denoise(frame)
+    assert result.image.tobytes() == lobewise.denoise(whole).image.tobytes()
+    (told,) = lobewise.write_result(output, result, source=source)
+    before, after = read_all(source)[0][1], read_all(output)[0][1]
+    changed = {name.split(".")[-2] for name, plane in before.items() if plane.tobytes() != after[name].tobytes()}
+    assert changed == {"Combined"}
+    for _, part in CYCLES_PASSES:
+        assert part in told
 
 
 def make_groups(tmp_path: Path) -> tuple[Path, np.ndarray]:

@@ -55,7 +55,7 @@ def test_honest_documents_are_read(text: str, value: Any) -> None:
         ('{"a": 1, "b": 2, "a": 3}', "the key 'a' twice"),
         ('["\\ud800"]', "half a letter"),
         (b"\xff\xfe[\0]\0", "byte 1 is 0xff"),
-        ("[1] \x00\x1b[31m", "no JSON: Extra data"),
+        ("[1] \x00\x1b[31m", "no JSON from line 1, column 5 on"),
     ],
 )
 def test_everything_else_is_refused_in_a_sentence(text: str | bytes, words: str) -> None:

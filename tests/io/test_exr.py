@@ -328,7 +328,7 @@ class TestResult:
         assert after[:-1] == before
         assert set(EXOTIC) <= set(after)
         assert after[-1][:2] == (b"lobewise/denoised", b"string")
-        assert json.loads(after[-1][2]) == {"similarity": "sg", "beta": 8.0}
+        assert json.loads(after[-1][2]) == {"similarity": "sg", "beta": 8.0, "replaced": {"": ["B", "G", "R"]}}
 
         # The latin-1 attribute keeps OpenEXR's own reader from opening the file; ours reads both.
         from lobewise.io.exr.parsing import read_container

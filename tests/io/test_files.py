@@ -11,7 +11,7 @@ import pytest
 from lobewise.errors import FileError
 from lobewise.frame import Frame, Radiance
 from lobewise.io import read_frame, read_image, write_frame, write_image
-from lobewise.io.files import open_atomic, require_writable, write_text
+from lobewise.io.files import open_atomic, require_readable, require_writable, write_text
 
 FRAME = Frame(Radiance(np.ones((2, 3, 3))))
 
@@ -144,3 +144,10 @@ class TestAtomic:
     def test_long_names(self, tmp_path):
         write_text(tmp_path / ("n" * 250), "x")
         assert list_names(tmp_path) == ["n" * 250]
+
+
+def test_an_empty_file_is_missed_by_what_it_should_hold(tmp_path):
+    (tmp_path / "a").touch()
+    for options, wanted in (({}, "an image"), ({"what": "scene"}, "a scene"), ({"holds": "a lobe table"}, "a lobe")):
+        with pytest.raises(FileError, match=f"expected {wanted}.*, got an empty file of 0 bytes"):
+            require_readable(tmp_path / "a", **options)

@@ -69,7 +69,15 @@ def test_found_files_are_in_the_order_of_their_numbers(tmp_path):
 
 @pytest.mark.parametrize(
     ("there", "near"),
-    [(["a.001.exr"], "a.###.exr"), (["a_0001.exr", "zzz"], "a_####.exr"), (["zzz.txt"], None), ([], None)],
+    [
+        (["a.001.exr"], "a.###.exr"),
+        (["a_0001.exr", "zzz"], "a_####.exr"),
+        (["A.0001.EXR"], "A.####.EXR"),
+        (["zzz.txt"], None),
+        ([], None),
+        # A number and an ending in common make no name alike.
+        (["1x08.exr", "nn.0001.exr", "a.0001.png"], None),
+    ],
 )
 def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
     for name in there:

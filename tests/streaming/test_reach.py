@@ -9,16 +9,17 @@ import pytest
 
 from lobewise.denoising.automatic import ask
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
-from lobewise.denoising.guided import DIFFUSE, SPECULAR, Pass
+from lobewise.denoising.plans import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.features import ScreenFeature
-from lobewise.filters import compositing, fireflies, mixing, noise_guides
+from lobewise.filters import compositing, fireflies, highlights, mixing, noise_guides
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.highlights import split_highlights
 from lobewise.filters.mixing import find_features
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.frame import FloatArray
@@ -57,6 +58,18 @@ def test_fireflies_see_their_window() -> None:
         image[[MIDDLE - distance, MIDDLE + distance], column] = 100.0
     dim, mask = np.full_like(image, 0.01), np.ones(image.shape[:2], bool)
     before, after = (bound_fireflies((each, dim), None, mask).a for each in (image, alter(image, 30.0)))
+    assert measure(before, after) == reach
+
+
+def test_highlights_see_their_surroundings_and_what_is_beside_them() -> None:
+    reach = highlights.REACH
+    image = np.full((HEIGHT, 4 * reach, 3), 1.0, np.float32)
+    for distance, column in ((reach - 1, 4), (reach, 3 * reach)):
+        # Three pixels of a block, two of which see the middle row or just not; what is beside one is further away.
+        image[MIDDLE + distance, column : column + 2] = image[MIDDLE + distance + 1, column] = 30.0
+        image[MIDDLE + distance + 1, column + 2] = 4.0
+    mask = np.ones(image.shape[:2], bool)
+    before, after = (split_highlights((each, each), None, mask).a for each in (image, alter(image, 60.0)))
     assert measure(before, after) == reach
 
 
@@ -160,14 +173,15 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     return found
 
 
-@pytest.mark.parametrize(("quality", "expected"), [("balanced", 39), ("high", 85)])
+@pytest.mark.parametrize(("quality", "expected"), [("balanced", 47), ("high", 93)])
 def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
     frame = make_scene((8, 8))
     chosen = resolve_all(frame, ask(None, {"quality": quality}))
-    # Fireflies, residuals, kernels each behind a blurred guide: pilot, wide (dense) and sparse ones; mixing; coverage.
+    # Fireflies, highlights, residuals, the lobes beside a pixel's; kernels each behind a blurred guide: pilot, wide
+    # (dense) and sparse ones; mixing; coverage.
     kernels = {"balanced": (4, 5, 3 * 4), "high": (5, 8, 3 * 4, 3 * 10)}[quality]
     blur, mix = 3, {"balanced": 0, "high": 2 * 1 + 2 * 3 + 1}[quality]
-    assert find_reach(chosen) == 6 + 2 + sum(kernels) + blur * len(kernels) + mix + 1 == expected
+    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + mix + 1 == expected
 
 
 def test_dense_passes_have_no_step_at_any_radius() -> None:

@@ -45,6 +45,7 @@ def compare(frame: Frame, folder: Path, heights: tuple[int, ...] = HEIGHTS, **se
         assert banded.read_bytes() == whole.read_bytes(), rows
         assert done.settings == result.settings
         assert done.energy_lost == result.energy_lost
+        assert done.notes == result.notes
         assert done.bad_pixel_count == result.bad_pixel_count
         assert done.shape == frame.shape
         assert done.bands == -(-frame.height // rows)
@@ -55,6 +56,14 @@ def compare(frame: Frame, folder: Path, heights: tuple[int, ...] = HEIGHTS, **se
 def make_bad(**options: Any) -> Frame:
     """Return a frame with bad pixels next to where bands begin and end."""
     return add_bad_pixels(make_scene(SHAPE, **options), [0, 9, 10, 19, 32, 33, 34, 49, 50, 66, 82])
+
+
+def test_light_lost_with_fireflies_is_told_of_the_whole_image(tmp_path: Path) -> None:
+    frame = make_scene(SHAPE, halves=False, apart=False)
+    color = np.array(frame.radiance.color)
+    color[3::13, 3::13] = 60.0
+    found = compare(frame.with_changes(radiance=Radiance(color)), tmp_path, (10, 33), quality="balanced")
+    assert [note for note in found.notes if "darker than the noisy image" in note]
 
 
 @pytest.mark.parametrize("similarity", ["normal", "sg", "asg", "ggx", "sg_mixture"])

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
+from lobewise.cli.main import run
 from lobewise.denoising import denoise
-from lobewise.errors import FileError
+from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.interchange import read_frame as read_any
 from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import upsample
 from lobewise.viewer.frames import FrameTarget
 from lobewise.viewer.looks import FrameLook, name_sides
-from lobewise.viewer.messages import Request, Window
+from lobewise.viewer.messages import FrameReading, Request, Window
 
+FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
+RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
 NORMAL = FrameLook(similarity="normal", quality="fast", radius=2, form="separable")
 
 
@@ -110,6 +118,44 @@ class TestWholeFrames:
             FrameTarget(str(tmp_path / "none.exr"))
 
 
+class TestFramesOfOtherRenderers:
+    @pytest.mark.parametrize("name", RENDERED)
+    def test_they_are_read_filtered_and_saved_as_by_denoise(self, name, tmp_path):
+        source, written = FOREIGN / name, tmp_path / "command.exr"
+        assert run(["denoise", str(source), "-o", str(written), "--quality", "fast"]) == 0
+        target = FrameTarget(str(source))
+        found = target.describe()
+        assert found.notes[0].startswith("Read as ")
+        assert {"diffuse", "specular", "normal"} < set(found.views)
+        shot = target.render(ask(replace(found.look, quality="fast")))[0]
+        np.testing.assert_array_equal(shot.image, denoise(read_any(source), quality="fast").image)
+        assert target.write(0, tmp_path).read_bytes() == written.read_bytes()
+
+    def test_options_say_what_a_file_does_not(self, floor_file):
+        plain = FrameTarget(str(FOREIGN / RENDERED[0])).describe()
+        assert "sharpness" in plain.views
+        # Read as its own image alone, there is nothing that tells lobes.
+        reading = FrameReading(preset="generic", mapping={"color": "Combined"})
+        found = FrameTarget(str(FOREIGN / RENDERED[0]), reading).describe()
+        assert "no renderer that is known" in found.notes[0]
+        camera = Camera((0.0, 1.0, 4.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.5)
+        looks = [FrameTarget(str(floor_file), FrameReading(camera=one)) for one in (None, camera)]
+        one, other = (target.render(ask(FrameLook(quality="fast")))[0].image for target in looks)
+        np.testing.assert_array_equal(other, denoise(read_any(floor_file, camera=camera), quality="fast").image)
+        assert not np.array_equal(one, other)
+
+
+def test_they_are_shown_where_mitsuba_is_not_installed(floor_file):
+    code = f"""
+import sys
+sys.modules["mitsuba"] = sys.modules["drjit"] = None
+from lobewise.viewer.frames import FrameTarget
+print(FrameTarget({str(floor_file)!r}).describe().width)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "48\n"), done.stderr
+
+
 class TestSparseFrames:
     @pytest.fixture
     def sparse_file(self, floor_frame, tmp_path):
@@ -125,6 +171,10 @@ class TestSparseFrames:
         shot = target.render(ask(FrameLook(similarity="normal", quality="fast", radius=2)))[0]
         expected = upsample(read_sparse_frame(sparse_file), similarity="normal", radius=2)
         np.testing.assert_array_equal(shot.image, expected.image)
+
+    def test_it_tells_itself_how_it_is_read(self, sparse_file):
+        with pytest.raises(InputError, match=r"--preset.*sparse\.exr', which was shaded sparsely"):
+            FrameTarget(str(sparse_file), FrameReading(preset="cycles"))
 
     def test_unfiltered_each_sample_fills_its_block(self, sparse_file, floor_frame):
         shot = FrameTarget(str(sparse_file)).render(ask(FrameLook(similarity="none")))[0]

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from lobewise.cli.main import run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.viewer import Viewer, link
 from lobewise.viewer.link import MOST_RESTARTS, Link
@@ -202,6 +203,21 @@ class TestViewer:
         path.write_bytes(b"no image")
         with Viewer(str(path), is_frame=True, port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.exr"):
             viewer.wait()
+
+    @pytest.mark.parametrize("options", [[], ["--map", "normal=N.X,N.Y,N.Z"]], ids=["damaged", "no such channel"])
+    def test_a_frame_is_checked_before_there_is_a_url(self, options, floor_file, tmp_path, capsys):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        path = tmp_path / "broken.exr"
+        content = floor_file.read_bytes()
+        path.write_bytes(content if options else content[: len(content) // 2])
+        assert run(["view", str(path), "--port", "0", *options]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert re.fullmatch(r"lobewise: .*broken\.exr.*\n", told.err)
+
+    def test_options_of_frames_are_refused_beside_a_scene(self, capsys):
+        assert run(["view", "showroom", "--preset", "cycles"]) == 2
+        assert "--preset: expected a finished frame" in capsys.readouterr().err
 
     def test_without_viser_it_says_what_to_install(self, monkeypatch):
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import io
 import os
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lobewise.cli.main import run
 from lobewise.denoising import denoise
 from lobewise.io import read_frame, read_image
 from tests.viewer.conftest import run_viewer
 
 pytestmark = pytest.mark.slow
 
+FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 CHEAP = {"similarity": "none", "adaptive": 0.0, "temporal": False, "filter_direct": False}
 """Settings whose kernels compile at once."""
 
@@ -96,6 +99,22 @@ class TestFinishedFrame:
         saved.write_bytes(data)
         expected = denoise(read_frame(floor_file), similarity="normal").image
         np.testing.assert_allclose(read_image(saved), expected, rtol=1e-6)
+
+    def test_a_file_of_blender(self, visit, tmp_path):
+        source, written = FOREIGN / "blender_5.2_multipart.exr", tmp_path / "command.exr"
+        assert run(["denoise", str(source), "-o", str(written), "--quality", "fast"]) == 0
+        with run_viewer(str(source), is_frame=True, changes={"similarity": "none", "quality": "fast"}) as viewer:
+            viewer.wait_until_open()
+            page = visit(viewer)
+            noisy = page.settle()
+            assert len(np.unique(noisy)) > 50
+            page.choose("Similarity", "auto")
+            page.settle_after(noisy, least=0.5)
+            _, data = page.save("EXR")
+            assert data == written.read_bytes()
+            page.choose("Show", "lobe sharpness")
+            page.settle_after(noisy)
+            page.close()
 
     def test_two_browsers_have_settings_of_their_own(self, floor_viewer, visit):
         first, second = visit(floor_viewer), visit(floor_viewer)

@@ -113,10 +113,11 @@ def interactive(
     from lobewise.bench.interactive import measure_devices
     from lobewise.cli.output import print_line, to_json
     from lobewise.interactive import InteractiveSettings
-    from lobewise.io.files import require_writable, write_text
+    from lobewise.io.files import require_other_files, require_writable, write_text
 
     if output is not None:
         require_writable(output)
+        require_other_files([output], [scene])
     asked: dict[str, Any] = {"similarity": similarity, "scale": scale}
     with show_progress() as progress:
         found = measure_devices(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import show_progress
+from lobewise.cli.shared import list_files, show_progress
 from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -53,13 +53,14 @@ def compare(
     import numpy as np
 
     from lobewise.cli.output import print_comparison, print_note, to_json
-    from lobewise.io.files import require_writable, write_text
+    from lobewise.io.files import require_other_files, require_writable, write_text
     from lobewise.io.sequence import is_pattern
     from lobewise.metrics import METRICS, flip
 
     to_terminal = str(json_output) == "-"
     if json_output is not None and not to_terminal:
         require_writable(json_output)
+        require_other_files([json_output], list_files([*images, reference, *([guides] if guides else [])]))
     patterns = [is_pattern(path) for path in (*images, reference, *([guides] if guides else []))]
     sequences = any(patterns)
     if sequences != all(patterns) or (guides is not None and not sequences):

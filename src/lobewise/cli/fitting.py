@@ -44,6 +44,8 @@ def fit(
     no_plot: Annotated[bool, typer.Option("--no-plot", help="Draw nothing.")] = False,
 ) -> None:
     """Turn a measured material, or one of a Mitsuba scene, into lobes, and say how near they are."""
+    from lobewise.io.files import require_other_files
+
     if (material is None) == (mitsuba is None):
         raise InputError(
             "material",
@@ -52,6 +54,7 @@ def fit(
             action="name one material",
         )
     picture = choose_plot(output, plot, wanted=not no_plot)
+    require_other_files([output, *([picture] if picture else [])], [material or str(mitsuba).partition("#")[0]])
     if material is not None:
         from lobewise.io.materials import read_merl
 

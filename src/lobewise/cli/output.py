@@ -21,9 +21,6 @@ from lobewise.lobe_table import LobeTable
 if TYPE_CHECKING:
     from lobewise.streaming import DenoisedFile
 
-LEAST_LOSS = 1e-4
-"""Share of the light, taken from fireflies, below which nothing is said of it."""
-
 COMPARING = ("comparing what surfaces reflect", "comparing which way surfaces face")
 """What a filter did, in a user's words: with lobes, and with normals."""
 
@@ -85,8 +82,6 @@ def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = 
     count = result.bad_pixel_count
     if count:
         told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")
-    if result.energy_lost > LEAST_LOSS:
-        told.append(f"fireflies bounded, {100.0 * result.energy_lost:.2g} % of the light lost")
     return "; ".join(told)
 
 

@@ -13,9 +13,10 @@ from lobewise.cli.terminal.help import FILE_DETAILS, FILES, RESULT
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from lobewise.interchange import Imported
+    from lobewise.interchange.checks import Finding
     from lobewise.lobe_table import LobeTable
     from lobewise.streaming import DenoisedFile
 
@@ -126,32 +127,57 @@ class Reading:
         }
         return next((name for name, value in given.items() if value), "")
 
-    def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
-        """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
-        from lobewise.cli.output import print_note
-        from lobewise.interchange import import_file
+    def parse(self) -> dict[str, Any]:
+        """Return what the options say of the channels and the camera, as `lobewise.read_frame` takes it."""
         from lobewise.interchange.cameras.files import read_camera_file
 
+        return {
+            "preset": self.preset,
+            "mapping": parse_maps(self.maps or []),
+            "camera": None if self.camera is None else read_camera_file(self.camera),
+        }
+
+    def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
+        """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
+        from lobewise.interchange import import_file
+
+        given = self.parse()
         found = import_file(
             path,
-            preset=self.preset,
-            mapping=parse_maps(self.maps or []),
-            camera=None if self.camera is None else read_camera_file(self.camera),
+            **given,
             half=None if self.half is None else _find_same(self.half, path, source),
             lobe_tables=self.tables,
             also=self.also or (),
             light_passes=light_passes,
         )
-        if found.map is not None:
-            title = f"Read as {found.map.preset.title}, because {found.map.reason}."
-            # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
-            known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
-            for note in (title, *found.notes):
-                key = known.get(note, note)
-                if key not in self._told:
-                    print_note(note)
-                self._told.add(key)
+        if "color" not in given["mapping"]:
+            refuse_results(path, found.findings)
+        # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
+        known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
+        for note in found.remarks:
+            self.tell(note, known.get(note, note))
         return found
+
+    def tell(self, note: str, key: str = "") -> None:
+        """Print a note, but none that was printed before; ``key`` stands for it where its figures may differ."""
+        from lobewise.cli.output import print_note
+
+        if (key or note) not in self._told:
+            print_note(note)
+        self._told.add(key or note)
+
+
+def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
+    """Raise InputError if it was found that the image of a file is a result of lobewise, which is no noise to judge."""
+    from lobewise.interchange.checks import MARKED
+
+    if any(one.what == MARKED and not one.mended for one in findings):
+        raise InputError(
+            f"input {str(path)!r}",
+            expected="a noisy render",
+            got="a result of lobewise, as its attribute 'lobewise/denoised' says",
+            action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
+        )
 
 
 def parse_maps(given: list[str]) -> Mapping[str, str]:
@@ -202,8 +228,11 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
     Raises
     ------
     InputError
-        If bands are asked for by number where there are none.
+        If bands are asked for by number where there are none, or the file in bands is a result of lobewise.
     """
+    from lobewise.interchange.checks import check_own_mark
+    from lobewise.io.exr.parsing import read_container
+
     bands = parse_bands(text)
     if isinstance(bands, int) and whole:
         raise InputError(
@@ -223,7 +252,10 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
                 action="leave it out",
             )
         return False
-    return isinstance(bands, int) or _is_large(source, settings)
+    if isinstance(bands, int) or _is_large(source, settings):
+        refuse_results(source, check_own_mark(read_container(source)))
+        return True
+    return False
 
 
 def _is_own(source: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import Exposure, Output, Png, parse_place, plan_pictures, show_progress
+from lobewise.cli.shared import Exposure, Output, Png, parse_place, plan_pictures, protect_from_pictures, show_progress
 from lobewise.cli.terminal.help import RESULT, SCENE_DETAILS, SEQUENCES
 from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.errors import InputError, require_choice
@@ -207,10 +207,11 @@ def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dic
     """Render a frame at some of its pixels only."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_sparse_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.render import load_scene, render_sparse_frame
 
     require_writable(output)
+    require_other_files([output], [scene])
     loaded = load_scene(scene, **size)
     if settings["integrator"] == "paths":
         _tell_light(loaded, settings)
@@ -237,11 +238,14 @@ def _render_whole(
     """Render a frame, or a reference."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.render import load_scene, render_frame, render_reference
 
     require_writable(output)
+    require_other_files([output], [scene])
     pictures = plan_pictures(*picture, output)
+    if pictures is not None:
+        protect_from_pictures([output], [scene])
     loaded = load_scene(scene, **size)
     _tell_light(loaded, settings, aov_only=aov_only)
     with show_progress() as advance:
@@ -275,7 +279,7 @@ def _render_sequence(
     """Render frames ``start`` to ``start + frames - 1`` of a path, each to its file as soon as it is there."""
     from lobewise.cli.output import print_line
     from lobewise.io import write_frame, write_sparse_frame
-    from lobewise.io.files import require_writable
+    from lobewise.io.files import require_other_files, require_writable
     from lobewise.io.sequence import FramePattern, is_pattern
     from lobewise.render import MovingScene, load_scene, render_sequence
     from lobewise.sparse_frame import SparseFrame
@@ -284,7 +288,10 @@ def _render_sequence(
     last = start + frames - 1
     files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
     require_writable(files[start])
+    require_other_files(files.values(), [scene, camera_path])
     pictures = plan_pictures(*picture, files[start])
+    if pictures is not None:
+        protect_from_pictures(files.values(), [scene, camera_path])
     moving = MovingScene(scene, width, height) if moving_objects else None
     loaded = load_scene(scene, width=width, height=height, parameters=parameters)
     _tell_light(loaded, settings)

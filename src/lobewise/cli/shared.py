@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Let the output replace a file that is read.", rich_help_panel=RESULT),
+]
 
 Source = Annotated[
     Path,
@@ -73,7 +77,9 @@ Light = Annotated[
 Temporal = Annotated[
     bool,
     typer.Option(
-        "--temporal", help="With a sequence: let every frame know the ones before.", rich_help_panel=SEQUENCES
+        "--temporal",
+        help="With a sequence: let every frame know the ones before (quality fast).",
+        rich_help_panel=SEQUENCES,
     ),
 ]
 Memory = Annotated[
@@ -117,6 +123,68 @@ def plan_pictures(png: bool, stops: float | None, first: Path) -> Pictures | Non
 
     require_writable(name_picture(first), what="picture")
     return Pictures(stops=stops, first=first)
+
+
+def list_files(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield every path that is a file's, and of every pattern the files that exist."""
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    for path in paths:
+        if is_pattern(path):
+            yield from (found for _, found in FramePattern.parse(path).find())
+        else:
+            yield path
+
+
+def protect_inputs(
+    source: Path, output: Path, others: Iterable[Path | str | None], *, overwrite: bool, png: bool = False
+) -> None:
+    """Raise InputError where a result would replace a file that is read: an input, or one of its passes beside it.
+
+    Parameters
+    ----------
+    source, output : Path
+        A file each, or a pattern each.
+    others : iterable of path or None
+        What is read besides, files or patterns.
+    overwrite : bool
+        Whether that is wanted, which it can be of files alone: a sequence that was stopped halfway would begin again
+        with frames that are denoised already.
+    png : bool
+        Whether a picture is written beside each result, which never replaces a file that is read.
+    """
+    from lobewise.interchange.siblings import list_family
+    from lobewise.io.files import require_other_files
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    if is_pattern(source) and overwrite:
+        raise InputError(
+            "--overwrite",
+            expected="a single file",
+            got=f"the sequence {str(source)!r}, which could not go on after a stop",
+            action="write to other names",
+        )
+    besides = list_files(Path(path) for path in others if path is not None)
+    if is_pattern(source):
+        frames = FramePattern.parse(source).find()
+        pattern = FramePattern.parse(output)
+        outputs, inputs = [pattern.name(number) for number, _ in frames], [*(path for _, path in frames), *besides]
+        action = "choose another name"
+    else:
+        outputs, inputs = [output], [*list_family(source), *besides]
+        action = "choose another name, or add --overwrite to replace it"
+    if not overwrite:
+        require_other_files(outputs, inputs, action=action)
+    if png:
+        protect_from_pictures(outputs, inputs)
+
+
+def protect_from_pictures(outputs: Iterable[Path], inputs: Iterable[Path | str]) -> None:
+    """Raise InputError where the picture beside an output would replace a file that is read."""
+    from lobewise.io.files import require_other_files
+    from lobewise.reporting.picture import name_picture
+
+    require_other_files(map(name_picture, outputs), inputs, what="picture", action="choose another name for -o")
 
 
 def parse_place(text: str) -> tuple[int, int]:

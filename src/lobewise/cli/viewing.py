@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lobewise.cli.options import with_settings
+from lobewise.cli.reading import CameraFile, Half, Maps, Preset, Reading
 from lobewise.cli.shared import parse_size
 from lobewise.cli.terminal.help import FILTERING, PAGE
 from lobewise.errors import InputError, require_choice
@@ -62,15 +63,21 @@ def view(
         typer.Option("--fixed-size", help="Keep that size and its aspect whatever the window, also in motion."),
     ] = False,
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False,
+    preset: Preset = None,
+    maps: Maps = None,
+    camera: CameraFile = None,
+    half: Half = None,
 ) -> None:
-    """Show a scene or a finished frame in the browser, with every setting as a slider."""
-    is_frame = _is_frame(target)
+    """Show a scene or a finished frame, of any renderer, in the browser, with every setting as a slider."""
+    is_frame, reading = _is_frame(target), Reading(preset, maps, camera, half)
     given = [f"--{name}" for name in ("method", "scale") if name in settings]
     given += ["--size"] * (size is not None) + ["--fixed-size"] * fixed_size
     if is_frame and given:
         raise InputError(given[0], expected="a scene beside it", got="a finished frame", action="leave it out")
+    if reading.option and not is_frame:
+        raise InputError(reading.option, expected="a finished frame beside it", got="a scene", action="leave it out")
     from lobewise.cli.output import print_line, print_note
-    from lobewise.viewer import Viewer
+    from lobewise.viewer import FrameReading, Viewer
 
     for name, value in settings.items():
         knob = KNOBS[name]
@@ -87,9 +94,13 @@ def view(
         changes=settings,
         token=token,
         tell=print_note,
+        reading=FrameReading(**reading.parse(), half=half),
     )
     try:
         with viewer:
+            if is_frame:
+                # A scene takes longer, which its page shows.
+                viewer.wait_until_open()
             reach = "only this machine can reach it" if viewer.is_private else f"other machines can reach it by {host}"
             print_line(f"Showing {target} at {viewer.url} ({reach}); Ctrl-C ends it.")
             if open_page:

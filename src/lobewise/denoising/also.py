@@ -16,8 +16,9 @@ import numpy as np
 from lobewise.backend.buffers import Image, device_scope, download
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.denoising.bad_pixels import blacken_bad
-from lobewise.denoising.guided import NoisyLayer, finish_layer, make_noisy_layers, make_pass_guide, run_pass
+from lobewise.denoising.guided import finish_layer, make_pass_guide, run_pass
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
+from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
 from lobewise.features import Feature
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.frame import FloatArray, Frame, Radiance

@@ -14,106 +14,31 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import choose_quality, resolve_settings
-from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
-from lobewise.features import Feature, SeenFeature
+from lobewise.denoising.noisy import WIDEST, NoisyLayer, make_pass_features
+from lobewise.denoising.plans import DIFFUSE, SPECULAR, Plan
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
-from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
+from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import (
     LONE_FLOOR,
     VARIANCE_FLOOR,
     find_dark,
-    find_level,
     make_noise_guide,
-    measure_light,
 )
 from lobewise.filters.residuals import REACH as RESIDUAL_REACH
-from lobewise.filters.residuals import find_squared_residual, split_by_noise, split_samples
+from lobewise.filters.residuals import split_by_noise, split_samples
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.halves import find_halves
+from lobewise.guides.lobe_fields import SPREAD_REACH
 from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 
-
-@dataclass(frozen=True)
-class Pass:
-    """One pass over both halves.
-
-    Parameters
-    ----------
-    radius : int
-        Taps from the centre to the edge of the kernel, at radius 8 of the settings.
-    sigma : float
-        Standard deviation of the distance on the screen, pixels, and in the scene, pixel footprints, at radius 8.
-    noise : float
-        Variances that a squared difference of the guide is divided by. The first pass is guided by the samples
-        themselves, where every pixel has some in both halves: so weakly that noise is no difference, but that what is
-        far brighter on both (a lamp in a mirror) stays where it is.
-    lobes : float
-        Exponent of the lobe similarity, over that of the settings.
-    lobes_with_seen : float
-        The same where the frame tells what reflections see, which then says more than the lobes do.
-    step : int
-        Pixels from tap to tap, at radius 8. Above 1 the pass averages what the one before gave, else the samples.
-    """
-
-    radius: int
-    sigma: float
-    noise: float
-    lobes: float = 1.0
-    lobes_with_seen: float = 1.0
-    step: int = 1
-
-    def get_kernel(self, radius: int, *, follows: bool) -> tuple[int, int]:
-        """Return the radius in taps and the step in pixels at ``radius`` of the settings.
-
-        ``follows`` tells whether a pass came before; one that is sparse averages what that gave.
-        """
-        scale = radius / 8.0
-        if self.step == 1:
-            return round(self.radius * scale), 1
-        return min(self.radius, radius) if follows else round(self.radius * scale), max(round(self.step * scale), 1)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The passes of a layer, each guided by the one before, and what "auto" is as exponent of its lobe similarity."""
-
-    passes: tuple[Pass, ...]
-    beta: float
-
-
-DIFFUSE = Plan(
-    (Pass(3, 6.0, 40.0, lobes=4.0), Pass(6, 30.0, 12.0), Pass(3, 30.0, 6.0, step=4)),
-    beta=2.0,
-)
-SPECULAR = Plan(
-    (
-        Pass(4, 6.0, 40.0, lobes=4.0),
-        Pass(5, 22.0, 6.0, lobes_with_seen=0.5),
-        Pass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4),
-    ),
-    beta=1.0,
-)
-"""Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train (docs/quality.md). Diffuse light varies
-slowly: a second, sparse pass over what the first gave reaches as far as a dense kernel of three times the cost. Of
-reflections only the rough take part in it: the axes of sharp lobes are too far apart, 4 pixels on, for so high a
-power."""
-
-SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
-"""Kernel over which what reflections see is averaged: radius and sigma in pixels."""
-SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
-"""Sharpness with which its albedo and its normal are compared."""
-WIDEST = 30.0
-"""Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
 TAU = 0.01
 """Band-limit of the lobes, radians, where settings say "auto": the guides see the noise, so lobes need not be widened
 for it."""
@@ -134,42 +59,6 @@ def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
 
 
 @dataclass(frozen=True)
-class BoundedLayer:
-    """One radiance in two halves, fireflies bounded."""
-
-    layer: Layer
-    plan: Plan
-    bounded: BoundedHalves
-    is_whole: bool
-    """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
-    noise_is_shared: bool
-    """As of `lobewise.Frame`."""
-
-    @property
-    def name(self) -> str:
-        """That of the layer."""
-        return self.layer.name
-
-    @property
-    def halves(self) -> tuple[Image, Image]:
-        """Both halves, (height, width, 3) each."""
-        return self.bounded.a, self.bounded.b
-
-
-@dataclass(frozen=True)
-class NoisyLayer(BoundedLayer):
-    """The same with what it is compared by."""
-
-    pilot_features: tuple[Feature, ...]
-    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
-    seen: tuple[Feature, ...]
-    level: float
-    """Mean light of the whole image's samples, radiance over albedo, which says what is dark."""
-    samples: tuple[Image, Image]
-    """What a dense pass averages: the halves; or of an image without any itself, and the square of its residual."""
-
-
-@dataclass(frozen=True)
 class CleanLayer:
     """What became of a layer.
 
@@ -184,60 +73,6 @@ class CleanLayer:
     image: FloatArray
     weight_sum: FloatArray
     effective_samples: FloatArray
-
-
-def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
-    """Return the layers of a frame with both their halves."""
-    halves = find_halves(frame)
-    found = []
-    for layer in make_lobe_layers(frame, settings, finest=True):
-        bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
-        plan = DIFFUSE if layer.is_diffuse else SPECULAR
-        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file", frame.noise_is_shared))
-    return found
-
-
-def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
-    """Return what the rows of a layer add to its level; see `measure_light`."""
-    return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
-
-
-def make_noisy_layers(
-    frame: Frame, settings: ResolvedSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
-) -> list[NoisyLayer]:
-    """Return the layers of a frame with what they are compared by; ``extra`` features count like the lobes.
-
-    ``levels`` are those of the layers of the whole image, where the frame is a part of it.
-    """
-    found = []
-    bounded = make_bounded_layers(frame, settings)
-    for number, each in enumerate(bounded):
-        pilot: Sequence[Feature] = each.layer.features
-        is_specular = each.layer.is_reflected and each.name != "color"
-        if each.layer.is_reflected and settings.similarity in ("ggx", "asg"):
-            simple = replace(settings, similarity="sg")
-            pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color")
-        found.append(
-            NoisyLayer(
-                replace(each.layer, features=(*each.layer.features, *extra)),
-                each.plan,
-                each.bounded,
-                each.is_whole,
-                each.noise_is_shared,
-                (*pilot, *extra),
-                find_seen(frame, each.layer.mask, settings) if is_specular else (),
-                levels[number] if levels is not None else find_level(measure_layer(each, settings)),
-                each.halves if each.is_whole else _find_samples(each),
-            )
-        )
-    return found
-
-
-def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
-    """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
-    even, odd = map(download, each.halves)
-    image = np.where(np.isnan(even), odd, even)
-    return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
 
 
 def filter_samples(noisy: NoisyLayer, *groups: Any, joined: bool = False, **options: Any) -> list[DualBufferOutput]:
@@ -258,31 +93,6 @@ def _split(found: DualBufferOutput, level: float, *, joined: bool) -> DualBuffer
     worth = np.float32(0.5) * download(found.effective_samples)
     halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_dark(level))
     return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
-
-
-def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
-    """Return the feature of what lobes see; nothing where the frame does not tell.
-
-    What few samples hit is noise like radiance, so it is first averaged over near pixels.
-    """
-    albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
-    if albedo is None or normal is None:
-        return ()
-    # A pass takes what is not negative: normals are moved there and back.
-    images = albedo, np.float32(0.5) + np.float32(0.5) * normal
-    place = make_pass_features(frame, settings, SEEN_SIGMA)
-    near = [Exponents(1.0, 1.0)]
-    (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
-    normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
-    sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
-    return (SeenFeature(mean.a, normal, **sharpness),)
-
-
-def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
-    """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
-    screen = max(sigma * settings.screen_sigma / WIDEST, 0.5)
-    position = screen * settings.position_sigma / DenoiseSettings.position_sigma
-    return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
 
 
 def make_pass_guide(noisy: NoisyLayer, before: DualBufferOutput | None, device: str) -> Image:
@@ -352,7 +162,7 @@ def find_balanced_reach(settings: ResolvedSettings) -> int:
 
 
 def _find_plan_reach(plan: Plan, radius: int) -> int:
-    reach = FIREFLY_REACH + RESIDUAL_REACH
+    reach = FIREFLY_REACH + HIGHLIGHT_REACH + RESIDUAL_REACH + SPREAD_REACH
     for number, chosen in enumerate(plan.passes):
         taps, step = chosen.get_kernel(radius, follows=number > 0)
         # A tap reads what the pass before gave, through the blurred variance of its guide. What reflections see comes
@@ -386,4 +196,6 @@ def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], suppor
     weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)
     lit = noisy.layer.mask & (weight_sum > 0.0)
     image = composite_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
+    if noisy.kept is not None:
+        image = np.add(image, noisy.kept, out=image, where=lit[..., None])
     return CleanLayer(image, weight_sum, effective_samples)

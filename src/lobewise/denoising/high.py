@@ -18,24 +18,25 @@ import numpy as np
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.guided import (
     CleanLayer,
-    NoisyLayer,
-    Pass,
     compare_halves,
     filter_samples,
     finish_layer,
-    make_pass_features,
     make_pass_guide,
 )
+from lobewise.denoising.noisy import NoisyLayer, make_pass_features
+from lobewise.denoising.plans import Pass
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
 from lobewise.filters.mixing import REACH as MIXING_REACH
 from lobewise.filters.mixing import Network, mix_candidates
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.residuals import REACH as RESIDUAL_REACH
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.lobe_fields import SPREAD_REACH
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import ResolvedSettings
 
@@ -95,7 +96,8 @@ def find_high_reach(settings: ResolvedSettings) -> int:
     kernels = [PILOT.get_kernel(settings.radius, follows=False), (settings.radius, 1), *list_sparse(settings.radius)]
     # Every pass reads the one before through the blurred variance of its guide.
     passes = sum(taps * step + GUIDE_REACH for taps, step in kernels)
-    return FIREFLY_REACH + RESIDUAL_REACH + passes + MIXING_REACH + COVERAGE_REACH
+    found = FIREFLY_REACH + HIGHLIGHT_REACH + RESIDUAL_REACH + SPREAD_REACH
+    return found + passes + MIXING_REACH + COVERAGE_REACH
 
 
 def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:

@@ -24,7 +24,7 @@ from lobewise.features import (
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray, Frame, GBuffer
-from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field
+from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field, spread_lobes
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.hits import HitField
@@ -116,9 +116,12 @@ def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
 
 
 def make_specular_features(
-    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool
+    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool, *, spread: bool = False
 ) -> tuple[list[Feature], Mask]:
-    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it."""
+    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it.
+
+    With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
+    """
     if settings.similarity == "normal":
         return _make_normal_features(frame, settings, surface)
     if settings.similarity == "sg_mixture":
@@ -135,11 +138,13 @@ def make_specular_features(
     hits = _make_hits(frame, settings)
     if settings.similarity == "sg":
         single = _make_sg_lobes(frame, settings)
+        single = spread_lobes(single) if spread else single
         return [SgFeature(single.axis, single.sharpness, settings.beta, hits)], surface & single.valid
     camera = frame.require_camera(_name_similarity(settings))
     gaussian = settings.similarity == "asg"
     kind = AsgFeature if gaussian else GgxFeature
     lobes = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
+    lobes = spread_lobes(lobes) if spread else lobes
     return [kind(lobes.axis, lobes.covariance, lobes.determinant, settings.beta, hits)], surface & lobes.valid
 
 
@@ -157,15 +162,18 @@ def make_layers(
     return [replace(layer, features=(*shared, *layer.features)) for layer in layers]
 
 
-def make_lobe_layers(frame: AnyFrame, settings: ResolvedSettings, *, finest: bool = False) -> list[Layer]:
+def make_lobe_layers(
+    frame: AnyFrame, settings: ResolvedSettings, *, finest: bool = False, spread: bool = False
+) -> list[Layer]:
     """Return the layers of a frame, compared by what they reflect alone.
 
-    With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular.
+    With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular. ``spread`` as
+    in `make_specular_features`.
     """
     guides, parts = frame.gbuffer, frame.radiance.parts
     normal = guides.require("normal", _name_similarity(settings))
     surface = find_surface(frame)
-    specular, specular_mask = make_specular_features(frame, settings, surface, parts is not None)
+    specular, specular_mask = make_specular_features(frame, settings, surface, parts is not None, spread=spread)
     if parts is None:
         return [Layer(frame.radiance.color, find_whole_albedo(guides), specular_mask, tuple(specular))]
     diffuse: Feature

@@ -19,12 +19,13 @@ from lobewise.denoising.guided import (
     CleanLayer,
     filter_balanced,
     find_balanced_reach,
-    make_noisy_layers,
     resolve_guided,
 )
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
+from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
+from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
@@ -107,6 +108,9 @@ def denoise(
     more = frame.also or any(layer.parts for layer in frame.layers)
     also = filter_also(frame, chosen, features, layers, image) if more else {}
     weight_sum, effective_samples = find_support(found.layers, found.supports)
+    share_bounded = find_energy_lost(found.tallies)
+    if share_bounded >= MIN_SHARE_BOUNDED:
+        notes += describe_loss(sum_light(frame, image, bad), share_bounded)
     return Result(
         image=image,
         diffuse=diffuse,
@@ -118,7 +122,7 @@ def denoise(
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        energy_lost=find_energy_lost(found.tallies),
+        energy_lost=share_bounded,
         notes=notes,
         unused=list_unused(frame, chosen),
     )

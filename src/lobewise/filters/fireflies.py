@@ -36,7 +36,7 @@ AGREEMENT = 4.0
 FEWEST_NEIGHBOURS = 3
 """Good pixels of the window, besides the centre, without which nothing is known."""
 
-_NONE = -1.0
+UNCOUNTED = -1.0
 """Luminance of a pixel that does not count."""
 
 
@@ -123,7 +123,7 @@ class Crowd(NamedTuple):
     """What is known of some pixels."""
 
     largest: hl.Expr
-    """Luminance; `_NONE` where none counts."""
+    """Luminance; `UNCOUNTED` where none counts."""
     second: hl.Expr
     """The second largest."""
     count: hl.Expr
@@ -148,7 +148,7 @@ class Light(NamedTuple):
 
     first: hl.Expr
     second: hl.Expr
-    """Luminance over albedo, `_NONE` where it does not count."""
+    """Luminance over albedo, `UNCOUNTED` where it does not count."""
     raw_first: hl.Expr
     raw_second: hl.Expr
     """Luminance of the radiance itself."""
@@ -186,8 +186,8 @@ def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
         signature.output(name, *size, 3)
     for name in ("seen", "taken"):
         signature.output(name, "height", lanes)
-    light = _define_light(halves, albedo, mask)
-    both = _define_both(light)
+    light = define_light(halves, albedo, mask)
+    both = define_both(light)
     crowds = _define_crowds(both)
     row = _define_row(crowds)
     factor = _define_factor(light, row)
@@ -198,7 +198,7 @@ def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     return Scheduled([out, tally], signature)
 
 
-def _define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, mask: hl.ImageParam) -> hl.Func:
+def define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, mask: hl.ImageParam) -> hl.Func:
     """Return the `Light` of every pixel; outside the image nothing counts."""
     width, height = mask.width(), mask.height()
     inside = (X >= 0) & (width > X) & (Y >= 0) & (height > Y)
@@ -211,20 +211,22 @@ def _define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None,
         luminance = find_luminance(radiance)
         # Three large channels may add up to infinity.
         good = good & inside & (mask[at] != 0) & (luminance < hl.f32(LARGEST_FLOAT))
-        lights.append(hl.select(good, luminance, hl.f32(_NONE)))
+        lights.append(hl.select(good, luminance, hl.f32(UNCOUNTED)))
         raw.append(hl.select(good, find_luminance([half[k, at[0], at[1]] for k in range(3)]), hl.f32(0.0)))
     light = hl.Func("light")
     light[X, Y] = hl.Tuple([*lights, *raw])
     return light
 
 
-def _read_light(light: hl.Func, x: hl.Expr, y: hl.Expr) -> Light:
+def read_light(light: hl.Func, x: hl.Expr, y: hl.Expr) -> Light:
+    """Return what `define_light` found at a pixel."""
     there = light[x, y]
     return Light(*(there[k] for k in range(len(Light._fields))))
 
 
-def _define_both(light: hl.Func) -> hl.Func:
-    here, zero, half, both = _read_light(light, X, Y), hl.f32(0.0), hl.f32(0.5), hl.Func("both")
+def define_both(light: hl.Func) -> hl.Func:
+    """Return what a pixel is to its neighbours: the mean of its halves, or the one that it has."""
+    here, zero, half, both = read_light(light, X, Y), hl.f32(0.0), hl.f32(0.5), hl.Func("both")
     both[X, Y] = hl.select(
         (here.first >= zero) & (here.second >= zero),
         half * here.first + half * here.second,
@@ -241,7 +243,7 @@ def _read_crowd(crowd: hl.Func, x: hl.Expr, y: hl.Expr, first: int = 0) -> Crowd
 def _define_crowds(both: hl.Func) -> list[hl.Func]:
     """Return crowds of 1, 2, 4 ... pixels from (x, y) on; a row of the window is a few of them."""
     crowds = [hl.Func("crowd1")]
-    crowds[0][X, Y] = hl.Tuple([both[X, Y], hl.f32(_NONE), hl.f32(both[X, Y] >= hl.f32(0.0))])
+    crowds[0][X, Y] = hl.Tuple([both[X, Y], hl.f32(UNCOUNTED), hl.f32(both[X, Y] >= hl.f32(0.0))])
     while 1 << len(crowds) <= 2 * REACH + 1:
         length = 1 << len(crowds)
         crowds.append(hl.Func(f"crowd{length}"))
@@ -273,7 +275,7 @@ def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
     others = _join_all([_read_crowd(row, X, Y, len(Crowd._fields)), *rows])
     bound = hl.max(others.second, hl.f32(0.0)) * hl.f32(RATIO)
     window[X, Y] = hl.select(others.count >= hl.f32(FEWEST_NEIGHBOURS), bound, hl.f32(LARGEST_FLOAT))
-    here = _read_light(light, X, Y)
+    here = read_light(light, X, Y)
     scales = []
     for own, other in ((here.first, here.second), (here.second, here.first)):
         bound = hl.max(window[X, Y], other * hl.f32(AGREEMENT))
@@ -289,7 +291,7 @@ def _define_tally(
 
     A row has as many sums as a vector holds.
     """
-    here, energy = _read_light(light, X, Y), hl.Func("energy")
+    here, energy = read_light(light, X, Y), hl.Func("energy")
     parts = [here.raw_first, here.raw_second]
     taken = [part * (hl.f32(1.0) - factor[X, Y][k]) for k, part in enumerate(parts)]
     energy[X, Y] = hl.Tuple([parts[0] + parts[1], taken[0] + taken[1]])

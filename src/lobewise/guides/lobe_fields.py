@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NoReturn
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn, TypeVar
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.expressions import HALIDE
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, LobeKind
@@ -120,6 +120,70 @@ def make_covariance_field(
         As there.
     """
     return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback))
+
+
+SPREAD_REACH = 1
+"""Pixels to each side that tell on a lobe of `spread_lobes`."""
+Field = TypeVar("Field", SgField, CovarianceField)
+
+
+def spread_lobes(field: Field) -> Field:
+    """Return lobes as wide as what the area of their pixel reflects.
+
+    Lobes are those of pixel centres. From one pixel of a small or bumpy mirror to the next the axis turns by far more
+    than a mirror's lobe is wide, so that no two lobes overlap and all noise stays. The squared turn is added to the
+    variance of a lobe in every direction: along rows and columns the smaller of the turns to both neighbours, which
+    may lie beyond an edge, and of these two the larger.
+
+    Measured with the quality "balanced" at 256x256 on ``showroom``, ``parlour``, ``stilllife``, 1 to 64 samples: the
+    relative error falls to 0.93-0.99, 0.97-1.00 and 0.14-0.78 of what it was. Half the turn leaves 9 % more error, one
+    and a half turns change 1 %, and with two and a half textured reflections are blurred.
+
+    Parameters
+    ----------
+    field : SgField or CovarianceField
+        Lobes of an image.
+
+    Returns
+    -------
+    SgField or CovarianceField
+        With the same axes; where a pixel or all its neighbours have no lobe the same lobe.
+    """
+    shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
+    images = {"valid": field.valid, "axis": field.axis, **shapes}
+    found = run_pointwise(_define_spread, images, {})
+    return replace(field, **dict(zip(shapes, found, strict=True)))
+
+
+SHAPES: dict[type, tuple[str, ...]] = {SgField: ("sharpness",), CovarianceField: ("covariance", "determinant")}
+"""What tells how wide the lobes of a field are."""
+
+
+def _define_spread(grid: Grid) -> list[Vector]:
+    width, height = grid.size
+    axis, known = grid.read("axis"), grid.read_one("valid") != 0
+    none, turns = hl.f32(LARGEST_FLOAT), []
+    for step in ((1, 0), (0, 1)):
+        nearest = none
+        for sign in (-1, 1):
+            x, y = grid.x + sign * step[0], grid.y + sign * step[1]
+            inside = (x >= 0) & (width > x) & (y >= 0) & (height > y)
+            at = hl.clamp(x, 0, width - 1), hl.clamp(y, 0, height - 1)
+            other = [value - mine for value, mine in zip(grid.read("axis", *at), axis, strict=True)]
+            there = inside & (grid.read("valid", *at)[0] != 0)
+            nearest = hl.min(nearest, hl.select(there, dot(other, other), none))
+        turns.append(hl.select(known & (nearest < none), nearest, hl.f32(0.0)))
+    (spread,) = grid.share([hl.max(turns[0], turns[1])])
+    if grid.has("sharpness"):
+        return [[1.0 / (1.0 / grid.read_one("sharpness") + spread)]]
+    covariance, determinant = grid.read("covariance"), grid.read_one("determinant")
+    trace = covariance[0] + covariance[3] + covariance[5]
+    # The axis of a pixel without a lobe is 0, and its spread.
+    round_part = find_round_covariance(spread, axis)
+    return [
+        [value + more for value, more in zip(covariance, round_part, strict=True)],
+        [determinant + spread * (trace + spread)],
+    ]
 
 
 def _run(

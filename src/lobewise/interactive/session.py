@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lobewise.adaptive import recompute
 from lobewise.camera import Camera
-from lobewise.errors import InputError
+from lobewise.errors import InputError, name_value
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
 from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
@@ -152,7 +152,7 @@ class Session:
         """
         for name, value in (("width", width), ("height", height)):
             if value < 1:
-                raise InputError(name, expected="at least 1", got=repr(value), action="pass another")
+                raise InputError(name, expected="at least 1", got=name_value(value), action="pass another")
         self._size = width, height
 
     def reset(self) -> None:

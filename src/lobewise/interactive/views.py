@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lobewise.frame import FloatArray, Result
 from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.lobes.band_limit import default_tau
-from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.sparse_frame import SparseFrame
+
+if TYPE_CHECKING:
+    # A finished frame is shown without Mitsuba.
+    from lobewise.render.stages import DirectLight, FirstHits
 
 SHARPEST = 1e6
 """Sharpness that is shown as 1, on a logarithmic scale from 1."""

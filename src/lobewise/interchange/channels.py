@@ -56,6 +56,12 @@ class Pass:
                 return (self.channels[letter],)
         return None
 
+    @property
+    def obstacle(self) -> str:
+        """Why no image can be made of its channels, as what the pass "is"; empty where one can."""
+        names = set(self.channels.values())
+        return next((self.part.find_obstacle(one) for one in self.part.channels if one.name in names), "")
+
     def matches(self, pattern: str) -> bool:
         """Return whether this is the pass of a pattern, with or without a prefix; * and ? as in file names."""
         path, wanted = self.path.lower(), pattern.lower()
@@ -71,13 +77,20 @@ class Pass:
 
 
 def list_passes(container: Container) -> list[Pass]:
-    """Return the passes of every flat part, in the order of the file."""
+    """Return the passes that can be read, in the order of the file."""
+    return _group(container, unread=False)
+
+
+def list_unread_passes(container: Container) -> list[Pass]:
+    """Return the passes that cannot: deep ones, and the subsampled channels of others."""
+    return _group(container, unread=True)
+
+
+def _group(container: Container, *, unread: bool) -> list[Pass]:
     found: dict[tuple[int, str], Pass] = {}
     for part in container.parts:
-        if part.deep:
-            continue
         for channel in part.channels:
-            if channel.x_sampling == channel.y_sampling == 1:
+            if bool(part.find_obstacle(channel)) == unread:
                 path, component = _split(channel.name, part.name if container.multipart else "")
                 one = found.setdefault((part.index, path), Pass(part, path, {}))
                 one.channels.setdefault(component, channel.name)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from lobewise.camera import Camera
 from lobewise.frame import Frame
+from lobewise.interchange.checks import MARKED, check_own_mark, describe_alone
+from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.lacks import list_uses
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
@@ -21,6 +24,7 @@ from lobewise.io.exr.describe import (
     list_similarities,
 )
 from lobewise.io.exr.describe import describe_file as describe_own
+from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
 
@@ -47,9 +51,18 @@ def describe_file(
     container = read_container(path)
     asked = preset is not None or mapping or camera is not None or half is not None or also
     if not container.parts or (not asked and is_own(container)):
-        return describe_own(path)
+        own = describe_own(path)
+        marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
+        return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks))
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
-    return describe_import(found)
+    # Whoever says which image is noisy is believed.
+    refusals = () if "color" in (mapping or {}) else _list_refusals(found.findings)
+    return replace(describe_import(found), refusals=refusals)
+
+
+def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the sentences of marks for which ``lobewise denoise`` refuses a file."""
+    return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
 
 
 def describe_import(found: Imported) -> FileDescription:
@@ -83,6 +96,8 @@ def describe_import(found: Imported) -> FileDescription:
         exact=tuple(each.rule.name for each in channels.layers if each.rule.lobe == "exact" and frame.layers),
         lacks=found.lacks,
         outputs=tuple(dict.fromkeys(one.found.label for one in found.outputs.values())),
+        unusable=tuple(channels.refused.values()),
+        alone=" ".join(describe_alone(channels, frame)),
     )
 
 

@@ -58,6 +58,13 @@ class Imported:
         """By which names the file was read."""
         return OWN if self.map is None else self.map.preset.name
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Whose file it was taken for and why, then the notes; nothing of a file in lobewise's own names."""
+        if self.map is None:
+            return ()
+        return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
+
 
 Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]
 """Returns some channels of a part, each (height, width), by their names."""
@@ -87,6 +94,10 @@ class ImageReader:
             planes = self.read_planes(found)
             self._images[key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[key]
+
+    def replace(self, found: Found, image: FloatArray) -> None:
+        """Give another image from now on."""
+        self._images[found.source.part.index, found.channels] = image
 
     def read_planes(self, found: Found) -> list[Pixels]:
         """Return the channels of an image one by one, (height, width) each, in their types."""

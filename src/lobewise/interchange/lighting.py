@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import FloatArray, Frame, RadianceLayer
+from lobewise.frame import FloatArray, Frame, Radiance, RadianceLayer
 from lobewise.guides.lamps import find_lamps
 from lobewise.interchange.mapping import Found, FoundLayer
+from lobewise.radiance import sum_layers
 
 DARKEST_ALBEDO = 0.01
 LARGEST_EXCESS = 0.02
@@ -162,6 +163,15 @@ def lend_albedo(light: Light, albedo: FloatArray) -> None:
         return
     lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
     light.layers = tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in light.layers)
+
+
+def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
+    """Return the light of a frame, told apart by its layers, or by the passes for diffuse and specular light."""
+    if not light.layers:
+        return Radiance(color, images.get("diffuse"), images.get("specular"))
+    nothing = np.zeros_like(color)
+    diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
+    return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
 
 
 def keep_lamps(frame: Frame, notes: list[str]) -> Frame:

@@ -3,14 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
-from lobewise.errors import InputError, MissingChannelError, require_choice
-from lobewise.interchange.channels import COLOR, COMPONENTS, PLANE, VECTOR, Pass, keep_beside, list_passes
-from lobewise.interchange.preset import CONVERSIONS, ROLES, SINGLES, LayerRule, Preset, Rule, find_preset, load_presets
-from lobewise.io.exr.container import Container, show_name
-from lobewise.io.exr.layout import find_beauty
+from lobewise.errors import InputError, require_choice
+from lobewise.interchange.channels import (
+    COLOR,
+    COMPONENTS,
+    PLANE,
+    VECTOR,
+    Pass,
+    keep_beside,
+    list_passes,
+    list_unread_passes,
+)
+from lobewise.interchange.preset import (
+    ROLES,
+    SINGLES,
+    LayerRule,
+    Preset,
+    Rule,
+    find_preset,
+    load_presets,
+    require_conversion,
+)
+from lobewise.io.exr.container import Container, Part, show_name
+from lobewise.io.exr.layout import find_beauty, refuse_missing_image
 from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
@@ -78,6 +96,9 @@ class ChannelMap:
         Prefixes of further images of the same kind.
     shown : Found or None
         The image that people look at, where it is another pass than the noisy image: the renderer denoised it.
+    refused : mapping of str to str
+        For roles and layers that are missing although the file has, or the user's preset names, a pass for them: one
+        sentence why that pass is not used.
     """
 
     preset: Preset
@@ -88,6 +109,7 @@ class ChannelMap:
     prefix: str = ""
     others: tuple[str, ...] = ()
     shown: Found | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def target(self) -> Found:
@@ -134,10 +156,15 @@ def map_channels(
     MissingChannelError
         If there is no image.
     """
-    passes = list_passes(container)
+    passes, unread = list_passes(container), list_unread_passes(container)
     chosen, reason = choose_preset(container, passes, preset)
-    own = {role: parse_mapping(role, text, passes) for role, text in (mapping or {}).items()}
+    own = {role: parse_mapping(role, text, passes, unread) for role, text in (mapping or {}).items()}
     color, prefix, others = _find_color(container, chosen, passes, own.get("color"))
+    for role, mapped in own.items():
+        if apart := _compare_pixels(mapped.source.part, color.source.part):
+            raise InputError(
+                f"--map {role}", expected="a pass of the image's pixels", got=f"one that {apart}", action="render it so"
+            )
     beside = keep_beside(passes, color.source.part)
     roles = {"color": color}
     for role, rules in chosen.roles.items():
@@ -152,21 +179,28 @@ def map_channels(
             layers.setdefault(rule.name, layer)
     mattes = [_find_matte(name, beside, prefix) for name in chosen.cryptomatte]
     shown = None if "color" in own else _find_shown(chosen, color, beside, prefix)
-    return ChannelMap(chosen, reason, roles, tuple(layers.values()), tuple(filter(None, mattes)), prefix, others, shown)
+    refused = {
+        **_list_refused_roles(chosen, roles, color, [*passes, *unread]),
+        **_list_refused_layers(chosen, layers, beside),
+    }
+    return ChannelMap(
+        chosen, reason, roles, tuple(layers.values()), tuple(filter(None, mattes)), prefix, others, shown, refused
+    )
 
 
-def parse_mapping(role: str, text: str, passes: Sequence[Pass]) -> Found:
+def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence[Pass] = ()) -> Found:
     """Return the image that ``channel,channel,...`` or a pass stands for; ``:conversion`` may stand behind.
 
     Raises
     ------
     InputError
-        If the role, a channel or a conversion is unknown, or their number is not that of the role.
+        If the role, a channel or a conversion is unknown, the conversion is none for that role, a channel is one of
+        ``unread``, which no image can be made of, or their number is not that of the role.
     """
     require_choice("--map", role, ROLES)
     given, *convert = text.split(":")
     for word in convert:
-        require_choice(f"--map {role}, conversion", word, CONVERSIONS)
+        require_conversion(f"--map {role}", role, word)
     names = [name.strip() for name in given.split(",")]
     count = 1 if role in SINGLES else 2 if role == "motion" else 3
     known = {channel: one for one in passes for channel in one.channels.values()}
@@ -175,11 +209,19 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass]) -> Found:
             channels = _pick(role, one) if one.matches(names[0]) else None
             if channels:
                 return Found(one, channels, tuple(convert))
+    kept_out = {channel: one for one in unread for channel in one.channels.values()}
     for name in names:
+        if name in kept_out and name not in known:
+            expected, got = "a channel with one value for each pixel", f"one that is {kept_out[name].obstacle}"
+            raise InputError(f"--map {role}, channel {name!r}", expected=expected, got=got, action="save it as one")
         require_choice(f"--map {role}, channel", name, known)
     if len(names) != count:
         raise InputError(
             f"--map {role}", expected=f"{count} channels", got=repr(given), action="separate them by commas"
+        )
+    if any(known[name].part.index != known[names[0]].part.index for name in names):
+        raise InputError(
+            f"--map {role}", expected="channels of one part", got=repr(given), action="put them into one part"
         )
     return Found(known[names[0]], tuple(names), tuple(convert))
 
@@ -209,12 +251,11 @@ def _find_color(
         # Whatever the renderer calls it: the image is the first with R, G and B alone at the root, or the only color.
         if one.path in ("", one.part.name) and (channels := one.pick(COLOR[:1])):
             return Found(one, channels), "", ()
-    names = [show_name(channel.name) for part in container.parts for channel in part.channels]
-    raise MissingChannelError(
-        f"input {str(container.path)!r}",
+    has_image = any(one.pick(COLOR) for one in passes)
+    raise refuse_missing_image(
+        container,
         expected="channels R, G and B, or an image by one of the names that renderers use",
-        got="only " + ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else ""),
-        action="say which it is with --map color=PASS",
+        action=f"say which it is with --map color={'PASS' if has_image else 'RED,GREEN,BLUE'}",
     )
 
 
@@ -249,6 +290,67 @@ def _find_layer(rule: LayerRule, passes: Sequence[Pass], prefix: str) -> FoundLa
     if None in light or not light or (rule.times_albedo and albedo is None):
         return None
     return FoundLayer(rule, tuple(found for found in light if found), albedo)
+
+
+def _list_refused_roles(
+    preset: Preset, roles: Mapping[str, Found], color: Found, passes: Sequence[Pass]
+) -> dict[str, str]:
+    """Return for each role that is missing why a pass of its name is not used, or that the user's preset names none."""
+    refused = {}
+    for role, rules in preset.roles.items():
+        if role in roles or role == "color":
+            continue
+        # A rule for one component of the image itself tells of no pass.
+        named = [rule for rule in rules if rule.source and rule.component is None]
+        near = [one for rule in named for one in passes if one.matches(rule.source)]
+        told = next(filter(None, (_explain_refusal(role, one, color) for one in near)), None)
+        if told is not None:
+            refused[role] = told
+        elif preset.is_users and rules:
+            names = " or ".join(repr(rule.source) for rule in rules)
+            refused[role] = f"The preset names {names} for {role}, and the file has no such pass."
+    return refused
+
+
+def _explain_refusal(role: str, one: Pass, color: Found) -> str | None:
+    """Return why a pass cannot be the image of a role; None where it is but that of another view."""
+    part, image = one.part, color.source.part
+    if part.view and image.view and part.view != image.view:
+        return None
+    apart = _compare_pixels(part, image)
+    wanted = "X, Y and Z" if role in ("normal", "position") else "X and Y" if role == "motion" else "R, G and B"
+    if one.obstacle:
+        reason = f"it is {one.obstacle}"
+    elif apart:
+        reason = f"it {apart}"
+    elif _pick(role, one) is None:
+        reason = f"{wanted} are needed"
+    else:
+        return None
+    return f"{Found(one, tuple(one.channels.values())).label} is not used as {role}: {reason}."
+
+
+def _compare_pixels(part: Part, image: Part) -> str:
+    """Return what a part has where the image's part has other pixels, as what the part does; empty for the same."""
+    window, whole = part.data_window, image.data_window
+    if window == whole:
+        return ""
+    if (window.width, window.height) == (whole.width, whole.height):
+        return "covers other pixels than the image"
+    return f"has {window.width}x{window.height} pixels, the image {whole.width}x{whole.height}"
+
+
+def _list_refused_layers(preset: Preset, layers: Mapping[str, FoundLayer], passes: Sequence[Pass]) -> dict[str, str]:
+    """Return for each layer that is missing which passes it lacks, where the file has some or a user names them."""
+    refused: dict[str, str] = {}
+    for rule in preset.layers:
+        needed = [*rule.light, *([rule.albedo] if rule.albedo and rule.times_albedo else [])]
+        missing = [name for name in needed if _find_role("color", [Rule(name)], passes, "") is None]
+        if rule.name in layers or rule.name in refused or not (preset.is_users or len(missing) < len(needed)):
+            continue
+        words = "passes" if len(missing) > 1 else "pass"
+        refused[rule.name] = f"The layer {rule.name} is left out: the file has no {words} {' and '.join(missing)}."
+    return refused
 
 
 def _find_matte(name: str, passes: Sequence[Pass], prefix: str) -> tuple[Found, ...]:

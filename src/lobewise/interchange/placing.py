@@ -46,7 +46,11 @@ class Places:
 
 
 def place_surfaces(
-    images: Mapping[str, FloatArray], found: Mapping[str, Found], given: Camera | None, attributes: Located | None
+    images: Mapping[str, FloatArray],
+    found: Mapping[str, Found],
+    given: Camera | None,
+    attributes: Located | None,
+    pixel_aspect: float | None = 1.0,
 ) -> Places:
     """Return the camera of a frame and its surfaces.
 
@@ -60,14 +64,26 @@ def place_surfaces(
         From the user; goes before all others.
     attributes : Located, optional
         From the header; goes before one that is found from positions, unless they contradict it.
+    pixel_aspect : float, optional
+        Width of a pixel over its height, as the header says; None where that makes no sense, which counts as 1.
     """
     places = Places()
+    if pixel_aspect is None:
+        pixel_aspect = 1.0
+        places.notes.append("The header's pixelAspectRatio is none of pixels, so they are taken for square.")
+    if given is not None:
+        height, width = images["color"].shape[:2]
+        given = given.with_pixel_aspect(width, height, pixel_aspect)
     position, depth = images.get("position"), images.get("depth")
     if position is not None:
         position = convert_plain(position, found["position"].convert)
         surface = _find_surface(position, depth)
         places.position = np.where(surface[..., None], position, np.float32(0.0))
-    mirrored = _choose_camera(places, given, attributes, depth)
+    mirrored = _choose_camera(places, given, attributes, depth, pixel_aspect)
+    if places.camera is not None and pixel_aspect != 1.0:
+        places.notes.append(
+            f"Pixels are {pixel_aspect:.4g} times as wide as high (pixelAspectRatio), the camera's too."
+        )
     # Of an orthographic camera, depths are measured from a plane.
     if depth is not None and not places.orthographic:
         places.depth = convert_depth(
@@ -92,7 +108,13 @@ def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
     return np.asarray(there & (position != 0.0).any(axis=-1))
 
 
-def _choose_camera(places: Places, given: Camera | None, attributes: Located | None, depth: FloatArray | None) -> bool:
+def _choose_camera(
+    places: Places,
+    given: Camera | None,
+    attributes: Located | None,
+    depth: FloatArray | None,
+    pixel_aspect: float,
+) -> bool:
     """Put the camera into ``places``, say where it comes from, and return whether the world was mirrored for it."""
     if given is not None:
         places.camera = given
@@ -113,7 +135,7 @@ def _choose_camera(places: Places, given: Camera | None, attributes: Located | N
             places.notes.append(f"The camera is that of the header ({attributes.told}); positions agree with it.")
             return attributes.mirrored
         places.position = position
-    fit = find_camera(position, mask, depth)
+    fit = find_camera(position, mask, depth, pixel_aspect)
     if fit is not None:
         _take_fit(places, fit, attributes)
         return fit.mirrored
@@ -183,7 +205,9 @@ def derive_normal(places: Places, shape: tuple[int, int]) -> FloatArray:
         rays = places.camera.make_ray_directions(shape[1], shape[0])
         position = (places.camera.position + places.depth[..., None] * rays).astype(np.float32)
     if position is None or places.camera is None:
-        places.notes.append("Nothing tells surfaces apart but the image itself: there is no normal, position or depth.")
+        places.notes.append(
+            "Nothing tells surfaces apart but the image itself: no normal, position or depth can be used."
+        )
         normal = np.zeros((*shape, 3), np.float32)
         normal[..., 2] = 1.0
         return normal

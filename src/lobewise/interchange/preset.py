@@ -8,7 +8,7 @@ use are those of `ROLES`, `CONVERSIONS` and the fields of `Preset`; any other is
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -52,6 +52,15 @@ CONVERSIONS = {
     "cycles_roughness": "from the mean over all closures, diffuse counted as 1, to the specular lobes' own",
 }
 """What can be done to values on their way, in the order in which they are named."""
+CONVERSIONS_OF = {
+    "normal": ("camera_space", "camera_space_back", "encoded", "negate"),
+    "position": ("hundredth", "negate"),
+    "depth": ("planar", "invert", "hundredth", "negate"),
+    "roughness": ("square", "invert", "hundredth", "cycles_roughness"),
+    "motion": ("y_up", "negate"),
+    "variance": ("of_samples",),
+}
+"""Which of them the images of a role can have; those of other roles have none."""
 LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "exact")
 """What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
 passes as it is."""
@@ -110,6 +119,8 @@ class Preset:
         What a user should know of any such file, one sentence each.
     advice : mapping of str to str
         For each role, what to switch on in that renderer.
+    is_users : bool
+        Whether it is from a file of the user's, who names passes that are there.
     """
 
     name: str
@@ -126,6 +137,7 @@ class Preset:
     files: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     advice: Mapping[str, str] = field(default_factory=dict)
+    is_users: bool = False
 
 
 @cache
@@ -152,7 +164,15 @@ def find_preset(name: PathLike) -> Preset:
     """
     if str(name).endswith(".toml"):
         data = read_document(name, MAX_BYTES, what="preset", holds="a preset in TOML")
-        return _parse(data, str(name))
+        found = replace(_parse(data, str(name)), is_users=True)
+        if not (found.roles or found.layers):
+            raise InputError(
+                f"preset {str(name)!r}",
+                expected="passes for a role or a layer",
+                got="none",
+                action='write, for example, normal = ["N"]',
+            )
+        return found
     require_choice("preset", str(name), load_presets())
     return load_presets()[str(name)]
 
@@ -171,7 +191,7 @@ def _parse(data: bytes, where: str) -> Preset:
         versions=_take_texts(given, "versions", what),
         passes=_take_texts(given, "passes", what),
         roles={
-            role: tuple(_parse_rule(rule, f"{what}, {role}") for rule in _take(given, role, list, what, []))
+            role: tuple(_parse_rule(role, rule, f"{what}, {role}") for rule in _take(given, role, list, what, []))
             for role in ROLES
             if role in given
         },
@@ -191,14 +211,27 @@ def _parse(data: bytes, where: str) -> Preset:
     )
 
 
-def _parse_rule(given: Any, what: str) -> Rule:
+def require_conversion(what: str, role: str, word: str) -> None:
+    """Raise InputError unless a conversion is known, and one that images of a role can have."""
+    require_choice(f"{what}, conversion", word, CONVERSIONS)
+    fitting = CONVERSIONS_OF.get(role, ())
+    if word not in fitting:
+        raise InputError(
+            f"{what}, conversion",
+            expected=f"one for {role}: {', '.join(fitting)}" if fitting else f"none for {role}",
+            got=repr(word),
+            action="leave it out",
+        )
+
+
+def _parse_rule(role: str, given: Any, what: str) -> Rule:
     if isinstance(given, str):
         return Rule(given)
     for key in _require_table(given, what):
         require_choice(what, key, ("pass", "component", "convert"))
     convert = _take_texts(given, "convert", what)
     for word in convert:
-        require_choice(f"{what}, convert", word, CONVERSIONS)
+        require_conversion(what, role, word)
     return Rule(_take(given, "pass", str, what), _take(given, "component", str, what, None), convert)
 
 

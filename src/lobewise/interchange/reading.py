@@ -15,9 +15,13 @@ from lobewise.interchange.cameras.header import read_camera_attributes, read_sam
 from lobewise.interchange.checks import (
     SHARED,
     check_alpha,
+    check_compression,
     check_guides,
+    check_mark,
     check_noise,
+    check_own_mark,
     check_places,
+    describe_alone,
     find_second,
     name_assumption,
 )
@@ -29,6 +33,7 @@ from lobewise.interchange.lighting import (
     PartOutput,
     keep_lamps,
     lend_albedo,
+    make_radiance,
     name_pass,
     take_albedos,
     take_layers,
@@ -39,14 +44,14 @@ from lobewise.interchange.siblings import FIRST_INDEX, find_family
 from lobewise.interchange.silhouettes import take_coverage
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
-from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.frames import read_whole
+from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.radiance import RadianceLayer, sum_layers
+from lobewise.radiance import RadianceLayer
 
 Read = Callable[[Found], FloatArray]
 """Gives the pixels of an image."""
@@ -70,12 +75,19 @@ def read_frame(
     camera: Camera | None = None,
     half: PathLike | None = None,
     lobe_tables: Sequence[LobeTable] | None = None,
+    light_passes: bool = True,
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
     Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
     recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
-    that are NaN, infinite or negative come through as they are.
+    that are NaN, infinite or negative come through as they are, but for light that compression with loss left just
+    below 0: it becomes 0.
+
+    With `lobewise.denoise` and `lobewise.write_result` it does what the command ``lobewise denoise`` does, to the byte:
+    the passes of light are filtered as well. Two things the command alone does: it prints what was found, and it
+    filters large files in bands, `lobewise.denoise_file`, which gives the same bytes and takes lobewise's own files
+    only; those have no passes of light.
 
     Parameters
     ----------
@@ -92,6 +104,11 @@ def read_frame(
         The same frame rendered again with another seed: then both are halves of the samples.
     lobe_tables : sequence of LobeTable, optional
         What the channel ``material.I`` of a file in lobewise's names counts, in place of the tables in its header.
+    light_passes : bool
+        Whether the passes that make up the layers (direct and indirect light of each) stay in the frame, as parts of
+        its layers, so that `lobewise.denoise` filters them and `lobewise.write_result` writes them back. Without them
+        the frame takes less memory, filtering is quicker, the image is the same to the bit, and the passes in the
+        written file stay noisy.
 
     Raises
     ------
@@ -103,44 +120,15 @@ def read_frame(
         If a preset, role, conversion or channel is unknown, the camera in the header makes no sense, a pixel names a
         lobe table that is not there, the frame was shaded sparsely, or the halves do not fit each other.
     """
-    return import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, lobe_tables=lobe_tables).frame
-
-
-def read_image(path: PathLike) -> FloatArray:
-    """Return only the image of any EXR file, as viewers show it: float32, shape (height, width, 3).
-
-    Where the renderer denoised its image and kept the noisy one in another pass, the denoised image is returned;
-    `find_noisy_pass` names the other.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    MissingChannelError
-        If there is no image.
-    """
-    container = read_container(path)
-    if is_own(container):
-        return read_own_image(path)
-    family = find_family(container)
-    return ImageReader(family.decode)(map_channels(family.container).target)
-
-
-def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
-    """Return the labels of the image that viewers show and of the noisy pass beside it; None where there is one image.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    MissingChannelError
-        If there is no image.
-    """
-    container = read_container(path)
-    if is_own(container):
-        return None
-    channels = map_channels(find_family(container).container)
-    return None if channels.shown is None else (channels.shown.label, channels.roles["color"].label)
+    return import_file(
+        path,
+        preset=preset,
+        mapping=mapping,
+        camera=camera,
+        half=half,
+        lobe_tables=lobe_tables,
+        light_passes=light_passes,
+    ).frame
 
 
 def import_file(
@@ -177,7 +165,8 @@ def import_file(
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
-        found = Imported(frame if camera is None else frame.with_changes(camera=camera), container)
+        frame = frame if camera is None else frame.with_changes(camera=camera)
+        found = Imported(frame, container, findings=check_own_mark(container))
     else:
         if lobe_tables is not None:
             raise InputError(
@@ -229,7 +218,6 @@ def import_planes(
     window = Window(0, 0, width - 1, height - 1)
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
-
     read = ImageReader(lambda part, names: planes)
     return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
 
@@ -248,7 +236,9 @@ def _leave_passes(found: Imported) -> Imported:
 
 
 def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
+    channels, marks = check_mark(container, channels)
     read.expect(channels)
+    compressed = check_compression(channels, read)
     images = {role: read(found) for role, found in channels.roles.items()}
     color = images["color"]
     beauty = channels.roles["color"].source.part
@@ -266,8 +256,13 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     if "albedo" in images:
         lend_albedo(light, images["albedo"])
     located = read_camera_attributes(container.parts, beauty)
-    places = place_surfaces(images, guides.roles, camera, located)
-    findings = [*guides.findings, *check_places(places, guides, located.camera if located else None)]
+    places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
+    findings = [
+        *compressed,
+        *marks,
+        *guides.findings,
+        *check_places(places, guides, located.camera if located else None),
+    ]
     shape = color.shape[0], color.shape[1]
     normal = places.normal if places.normal is not None else derive_normal(places, shape)
     spp = read_sample_count(container.parts, channels.preset)
@@ -291,7 +286,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         mean_specular_albedo=None if coverage is None else specular_albedo,
     )
     frame = Frame(
-        _make_radiance(color, images, light),
+        make_radiance(color, images, light),
         gbuffer,
         places.camera,
         variance=_take_variance(images, channels, spp),
@@ -302,8 +297,10 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     notes += name_assumption(channels)
     noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
-    lacks = list_lacks(channels, frame)
-    notes += [*places.notes, *(one.told for one in (*findings, *noise)), *light.notes, *(one.told for one in lacks)]
+    findings += noise
+    lacks = list_lacks(channels, frame, findings)
+    notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
+    notes += describe_alone(channels, frame) or [one.told for one in lacks]
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
@@ -311,9 +308,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         notes.append("Passes in files of their own stay as they are there: only the image is written.")
         outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
     shown = None if channels.shown is None else read(channels.shown)
-    return Imported(
-        frame, container, channels, tuple(notes), outputs, (*findings, *noise), shown=shown, lacks=tuple(lacks)
-    )
+    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings), shown=shown, lacks=tuple(lacks))
 
 
 def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:
@@ -321,14 +316,6 @@ def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Re
     if "diffuse" in images and "specular" in images:
         return Light()
     return take_layers(images["color"], channels.layers, read)
-
-
-def _make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
-    if not light.layers:
-        return Radiance(color, images.get("diffuse"), images.get("specular"))
-    nothing = np.zeros_like(color)
-    diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
-    return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
 
 
 def _take_alpha(

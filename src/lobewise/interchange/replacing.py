@@ -45,7 +45,8 @@ def write_result(
     channels, where both the file and the result have them. Everything else stays: the other parts byte for byte, the
     other channels in their pixel types, every attribute, the windows and the compression (but a lossy one, where it
     would change channels that are not touched). A channel stored as 16-bit float stays one, and values beyond its range
-    become 65504. One attribute is added, ``lobewise/denoised``, with the settings as JSON.
+    become 65504. One attribute is added, ``lobewise/denoised``, with the settings and the channels that
+    were replaced as JSON: `import_file` finds by it that an image is a result already.
 
     Parameters
     ----------

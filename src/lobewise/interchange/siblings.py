@@ -58,6 +58,13 @@ def find_family(container: Container) -> Family:
     return Family(container)
 
 
+def list_family(path: Path) -> list[Path]:
+    """Return a file and those beside it that are read with it; the file alone where it cannot be read."""
+    container = _read(path)
+    homes = () if container is None else find_family(container).homes.values()
+    return [path, *(other.path for other, _ in homes)]
+
+
 def _find_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
     """Return the passes of a preset that lie beside a file named by ``word``."""
     found = {}

@@ -34,6 +34,8 @@ MAX_DOTS_IN_LINE = 256
 
 _STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*(?:"|\\?\Z)', re.DOTALL)
 _HALF_OF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
+# Where tomllib stopped; at the end of the document it gives no line.
+_PLACE = re.compile(r"\(at (?:(line \d+, column \d+)|end of document)\)")
 _BESIDE_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
@@ -112,13 +114,26 @@ def _parse(parse: Callable[[], Any], kind: str, what: str, action: str) -> Any:
         return parse()
     except RecursionError:
         got = f"lists or objects more than {MAX_DEPTH} deep"
+    except _Refused as problem:
+        got = str(problem)
     except ValueError as problem:
-        # Parsers quote what they stumble on, which may be anything.
-        told = " ".join(str(problem).split())[:200]
-        got = told if isinstance(problem, _Refused) else f"no {kind}: {told}"
+        # Parsers say what they stumble on in words of their own, which change from version to version.
+        got = f"text that is no {kind}{_find_place(problem)}"
     except MemoryError:
         got = "more than there is memory for"
     raise FileError(what, expected=kind, got=_make_printable(got), action=action)
+
+
+def _find_place(problem: ValueError) -> str:
+    """Return where a parser stopped, as far as it says: " from line 1, column 20 on"."""
+    if isinstance(problem, json.JSONDecodeError):
+        if not problem.doc[problem.pos :].strip():
+            return f": it ends too soon, in line {problem.lineno}"
+        return f" from line {problem.lineno}, column {problem.colno} on"
+    place = _PLACE.search(str(problem))
+    if place is None:
+        return ""
+    return f" from {place[1]} on" if place[1] else ": it ends too soon"
 
 
 def _decode(data: bytes) -> str:

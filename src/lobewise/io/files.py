@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -41,8 +41,10 @@ def refusing(name: str, expected: str, action: str) -> Iterator[None]:
         raise FileError(name, expected=expected, got=say_reason(problem), action=action) from problem
 
 
-def require_readable(path: PathLike, *, what: str = "input", holds: str = "an image") -> Path:
+def require_readable(path: PathLike, *, what: str = "input", holds: str = "") -> Path:
     """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
+
+    Without it an input should hold an image, and any other file what it is called.
 
     Raises FileError if it does not exist, is a directory or a device, is empty, or may not be read.
     """
@@ -54,6 +56,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "an im
         elif not stat.S_ISREG(mode.st_mode):
             expected, got, action = "a regular file", "a device or pipe", "copy it to a file"
         elif mode.st_size == 0:
+            holds = holds or ("an image" if what == "input" else f"a {what}")
             expected, got, action = holds, "an empty file of 0 bytes", "write it again"
         else:
             with file.open("rb"):
@@ -108,6 +111,40 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
     except (OSError, ValueError) as problem:
         expected, got, action = "a path that can be written", say_reason(problem), "choose another path"
     raise FileError(f"{what} {str(path)!r}", expected=expected, got=got, action=action)
+
+
+def require_other_files(
+    outputs: Iterable[PathLike],
+    inputs: Iterable[PathLike],
+    *,
+    what: str = "output",
+    action: str = "choose another name",
+) -> None:
+    """Raise InputError if an output is a file that is read, by whichever name: a link of either kind, another spelling.
+
+    Any other file that exists may be replaced. A path that names no file is no input.
+    """
+    known = {place: path for path in inputs if (place := _find_place(path)) is not None}
+    for path in outputs:
+        place = _find_place(path)
+        if place in known:
+            read = known[place]
+            by = "" if str(read) == str(path) else f" {str(read)!r}"
+            raise InputError(
+                f"{what} {str(path)!r}",
+                expected="a file that is not read, as its content would be lost",
+                got=f"the input{by}",
+                action=action,
+            )
+
+
+def _find_place(path: PathLike) -> tuple[int, int] | None:
+    """Return what a file has alone whatever it is called, its device and number; None if there is none."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
 
 
 EXR_NAMES = (".exr", ".sxr", ".mxr", "")

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from lobewise.errors import FileError, InputError
+from lobewise.errors import FileError, InputError, find_nearest
 from lobewise.io.files import PathLike, say_reason
 
 # The run of digits: signs as Blender writes them, or a number's format as C and ffmpeg write it.
@@ -91,9 +91,20 @@ class FramePattern:
         )
 
     def _find_near(self, names: list[str]) -> str | None:
-        """Return the pattern of other numbered files whose name is nearest, if one is near."""
-        import difflib
+        """Return the pattern of other numbered files whose name is nearest, if one is near.
 
-        patterns = {re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), name) for name in names}
-        near = difflib.get_close_matches(Path(str(self)).name, sorted(patterns - set(names)), n=1, cutoff=0.6)
-        return str(self.folder / near[0]) if near else None
+        Compared are the letters: all such names have a run of # and an ending in common.
+        """
+        wanted = Path(str(self))
+        patterns: dict[str, str] = {}
+        for name in sorted(names):
+            other = re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), name)
+            if other != name and Path(other).suffix.casefold() == wanted.suffix.casefold():
+                patterns.setdefault(_take_letters(other), other)
+        near = find_nearest(_take_letters(wanted.name), patterns)
+        return str(self.folder / patterns[near]) if near is not None else None
+
+
+def _take_letters(name: str) -> str:
+    """Return the letters and digits of a name before its ending, in lower case."""
+    return re.sub(r"[\W_]", "", Path(name).stem).casefold()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError
+from lobewise.errors import InputError, name_value
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4
@@ -144,7 +144,7 @@ def set_camera(scene: Any, camera: Camera) -> None:
     width, height = get_image_size(scene)
     if not np.allclose(camera.shift, get_camera(scene).shift, atol=RAY_TOLERANCE):
         action = "give the sensor principal_point_offset_x and _y"
-        raise InputError("camera shift", expected="that of the sensor", got=str(camera.shift), action=action)
+        raise InputError("camera shift", expected="that of the sensor", got=name_value(camera.shift), action=action)
     half_width, half_height = camera.get_half_extent(width, height)
     if not np.isclose(half_width * height, half_height * width, rtol=RAY_TOLERANCE):
         expected = f"square pixels on an image of {width}x{height}"

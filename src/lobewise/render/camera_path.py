@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, require_choice
+from lobewise.errors import InputError, name_value, require_choice
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
 from lobewise.io.files import PathLike
 from lobewise.render.bridge import mi
@@ -60,7 +60,7 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
         ("degrees_per_frame", degrees_per_frame, "a finite number", np.isfinite(degrees_per_frame)),
     ):
         if not good:
-            raise InputError(name, expected=expected, got=str(got), action="pass another")
+            raise InputError(name, expected=expected, got=name_value(got), action="pass another")
 
     def turn(vector: Vector, angle: float) -> Vector:
         """Rodrigues' rotation about the camera's up."""

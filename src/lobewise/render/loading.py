@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import FileError, InputError, require_choice, require_integer
+from lobewise.errors import FileError, InputError, find_nearest, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
 from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes
 
@@ -223,14 +222,14 @@ def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> N
     if not unused or "unused" not in problem:
         return
     known = sorted(set(re.findall(r"\$\{?(\w+)", path.read_text("utf-8", "replace"))))
-    near = difflib.get_close_matches(unused[0], known, n=1, cutoff=0.0)
+    near = find_nearest(unused[0], known)
     raise InputError(
         f"parameter {unused[0]!r}",
         expected=f"one of {', '.join(known)}, which {str(path)!r} uses"
         if known
         else f"none, as {str(path)!r} uses none",
         got=f"{unused[0]}={parameters[unused[0]]!r}",
-        action=f"did you mean {near[0]!r}?" if near else "leave it out",
+        action=f"did you mean {near!r}?" if near else "leave it out",
     )
 
 

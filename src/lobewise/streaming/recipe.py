@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +21,17 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
-from lobewise.denoising.guided import make_bounded_layers, measure_layer
 from lobewise.denoising.inputs import list_images, list_unused
+from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, Rows, describe_loss, sum_light
+from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
-from lobewise.errors import InputError
+from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
+from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.exr.parsing import read_container
@@ -52,7 +54,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]
 """Told what is done, how many rows of it are, and how many there are."""
-Rows = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -150,18 +151,23 @@ def denoise_file(
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         levels = measure().levels if guided else None
         finisher = _Finisher(lambda: measure().mean_color, chosen.device)
-        unusable: list[Unusable] = []
-        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell, unusable)
+        share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
+        seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED)
+        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell, seen)
         require_some_good(bad_count, reader.shape[0] * reader.shape[1], "pixel")
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
         bad_pixel_count=bad_count,
-        energy_lost=find_energy_lost(measure().tallies) if guided else 0.0,
+        energy_lost=share_bounded,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=tuple(map(str, join_unusable(unusable))),
+        notes=(
+            *(one.told for one in check_own_mark(reader.container)),
+            *map(str, join_unusable(seen.unusable)),
+            *describe_loss(seen.join_light(), share_bounded),
+        ),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
     )
 
@@ -175,9 +181,11 @@ def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: f
             action="leave it out, or denoise the frame as a whole",
         )
     if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
-        raise InputError("rows", expected="an integer of at least 1", got=repr(rows), action="leave it out")
+        raise InputError("rows", expected="an integer of at least 1", got=name_value(rows), action="leave it out")
     if not 0.0 < memory < float("inf"):
-        raise InputError("memory", expected="a finite number of GiB above 0", got=repr(memory), action="leave it out")
+        raise InputError(
+            "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
+        )
     if not is_own(read_container(source)):
         raise InputError(
             f"input {str(source)!r}",
@@ -195,6 +203,20 @@ class _Measured:
     tallies: tuple[Rows, ...]
     variances: Rows
     mean_color: FloatArray
+
+
+@dataclass
+class _Seen:
+    """What is seen of the bands as they are filtered, to be told at the end."""
+
+    measures_light: bool
+    """Whether so much was taken from fireflies that the light before and after is compared."""
+    light: list[Rows] = field(default_factory=list)
+    unusable: list[Unusable] = field(default_factory=list)
+
+    def join_light(self) -> Rows:
+        """Return the sums of all rows, (rows, 3)."""
+        return np.concatenate(self.light) if self.light else np.zeros((0, 3))
 
 
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
@@ -238,11 +260,11 @@ def _filter(
     levels: Sequence[float] | None,
     bands: Bands,
     tell: Progress,
-    unusable: list[Unusable],
+    seen: _Seen,
 ) -> int:
     """Filter band after band and hand what is finished to the writer; return how many pixels were bad.
 
-    What is wrong with the guides of each band is added to ``unusable``.
+    What is to be told of each band is added to ``seen``.
     """
     height, _ = reader.shape
     reach, bad_count = find_reach(settings), 0
@@ -250,7 +272,7 @@ def _filter(
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
-        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core, unusable)
+        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core, seen)
         finisher.add(images, holes)
         bad_count += bad
         del images, holes
@@ -269,17 +291,19 @@ def _filter_band(
     levels: Sequence[float] | None,
     rows: tuple[int, int],
     core: slice,
-    unusable: list[Unusable],
+    seen: _Seen,
 ) -> tuple[dict[str, FloatArray], NDArray[np.bool_], int]:
     """Return the images of the rows of ``core`` by their fields, where the total is none, and how many were bad."""
     frame = reader.read_frame(*rows)
-    unusable += find_unusable(frame, core)
+    seen.unusable += find_unusable(frame, core)
     frame = bound_guides(frame)
     if forgets(settings):
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), levels)
     bad = find_bad_pixels(frame)
     holes = found.find_holes(bad)[core].copy()
+    if seen.measures_light:
+        seen.light.append(sum_light(frame, found.image, bad, core))
     images = {"color": found.image[core].copy()}
     if len(found.parts) == 2:
         for field, part in zip(("diffuse", "specular"), found.parts, strict=True):

@@ -2,4 +2,5 @@
 
 from .looks import FrameLook as FrameLook
 from .looks import SceneLook as SceneLook
+from .messages import FrameReading as FrameReading
 from .server import Viewer as Viewer

@@ -41,7 +41,7 @@ class Audience:
         self.found: Description | None = None
         self.cameras: CameraMap | None = None
         self.failure: Exception | None = None
-        self.over = threading.Event()
+        self.opened, self.over = threading.Event(), threading.Event()
         self.controls: dict[str, Control] = {}
         self._fixed_size, self._changes, self._tell_starter = fixed_size, changes, tell
         self._lock = threading.RLock()
@@ -204,8 +204,9 @@ class Audience:
             guests = list(self._guests.values())
             for guest in guests:
                 self._furnish(guest)
-        if found.unseen:
-            self._tell_starter(found.unseen)
+        for note in (*found.notes, *([found.unseen] if found.unseen else [])):
+            self._tell_starter(note)
+        self.opened.set()
         for guest in guests:
             self._ask(guest)
 

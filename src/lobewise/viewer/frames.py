@@ -12,13 +12,13 @@ import numpy as np
 
 from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.errors import LobewiseError, MissingChannelError
+from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.interactive.views import SHARPEST
-from lobewise.interchange import read_frame, write_result
+from lobewise.interchange import Imported, import_file, write_result
 from lobewise.io.exr import write_frame
-from lobewise.io.exr.layout import require_beauty
+from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.exr.sparse import read_sparse_frame
@@ -27,7 +27,7 @@ from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look
-from lobewise.viewer.messages import Description, Request
+from lobewise.viewer.messages import Description, FrameReading, Request
 from lobewise.viewer.pictures import MOST_SAMPLES
 from lobewise.viewer.shots import Shot
 
@@ -35,15 +35,29 @@ _MOST_RESULTS = 8
 
 
 class FrameTarget:
-    """An EXR file with guides, shaded everywhere or sparsely; all browsers share its results.
+    """An EXR file of any renderer, or one of lobewise's that was shaded sparsely; all browsers share its results.
 
-    Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`.
+    Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`, or if a sparse file is to be read in
+    another way than it tells.
     """
 
-    def __init__(self, path: str) -> None:
-        self._path = path
-        sparse = require_beauty(read_container(path)).get(SPARSE) is not None
-        self._frame: Frame | SparseFrame = read_sparse_frame(path) if sparse else read_frame(path)
+    def __init__(self, path: str, reading: FrameReading | None = None) -> None:
+        self._path, self._reading = path, reading or FrameReading()
+        self._frame: Frame | SparseFrame
+        self._notes: tuple[str, ...] = ()
+        beauty = find_beauty(read_container(path).parts)
+        if beauty is not None and beauty.get(SPARSE) is not None:
+            if self._reading.is_given:
+                raise InputError(
+                    "--preset, --map, --camera and --half",
+                    expected="a frame that was shaded everywhere",
+                    got=f"{path!r}, which was shaded sparsely",
+                    action="leave them out",
+                )
+            self._frame = read_sparse_frame(path)
+        else:
+            found = self._read(light_passes=False)
+            self._frame, self._notes = found.frame, found.remarks
         self._noisy = _spread(self._frame)
         self._results: OrderedDict[FrameLook, Result] = OrderedDict()
         self._shown: dict[int, FrameLook] = {}
@@ -78,6 +92,7 @@ class FrameTarget:
             views=tuple(name for name, there in has.items() if there),
             sparse=sparse,
             hit_distance=lobes and guides.hit_distance is not None,
+            notes=self._notes,
         )
 
     def is_slow(self, request: Request) -> bool:
@@ -102,16 +117,35 @@ class FrameTarget:
         self._shown.pop(client, None)
 
     def write(self, client: int, folder: Path) -> Path:
-        """Return the EXR file, in ``folder``, of what a browser sees: the source with the filtered radiance."""
-        result, frame = self._get_result(self._shown.get(client, FrameLook("none"))), self._frame
+        """Return the EXR file, in ``folder``, of what a browser sees: the source with the filtered radiance.
+
+        It is what ``lobewise denoise`` writes with the same settings. The passes of light are read and filtered for the
+        file alone: while settings are tried they would take time and memory.
+        """
+        look, frame = self._shown.get(client, FrameLook("none")), self._frame
+        result = self._get_result(look)
         path = folder / f"{Path(self._path).stem}-lobewise.exr"
         if isinstance(frame, SparseFrame):
             radiance = Radiance(result.image, diffuse=result.diffuse, specular=result.specular)
             whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
             write_frame(path, whole)
         else:
-            write_result(path, result, source=self._path)
+            found = self._read(light_passes=True)
+            if look.similarity != "none" and any(layer.parts for layer in found.frame.layers):
+                result = denoise(found.frame, DenoiseSettings(**asdict(look)))
+            write_result(path, result, source=found)
         return path
+
+    def _read(self, *, light_passes: bool) -> Imported:
+        given = self._reading
+        return import_file(
+            self._path,
+            preset=given.preset,
+            mapping=given.mapping,
+            camera=given.camera,
+            half=given.half,
+            light_passes=light_passes,
+        )
 
     def _filter(self, look: Look) -> Shot:
         assert isinstance(look, FrameLook)

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
+from lobewise.io.files import PathLike
 from lobewise.viewer.looks import Look
+
+
+@dataclass(frozen=True)
+class FrameReading:
+    """How the file of a finished frame is read, where it does not tell: as `lobewise.read_frame` takes it."""
+
+    preset: PathLike | None = None
+    mapping: Mapping[str, str] | None = None
+    camera: Camera | None = None
+    half: PathLike | None = None
+
+    @property
+    def is_given(self) -> bool:
+        """Whether anything is said of the file."""
+        return any((self.preset, self.mapping, self.camera, self.half))
 
 
 @dataclass(frozen=True)
@@ -21,6 +38,8 @@ class Target:
     """Whether it is a finished frame."""
     size: tuple[int, int] | None = None
     """Columns and rows of a rendered scene, None for those of the scene."""
+    reading: FrameReading = field(default_factory=FrameReading)
+    """Of a finished frame."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +64,8 @@ class Description:
     # Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
     sparse: bool = False
     hit_distance: bool = False
+    notes: tuple[str, ...] = ()
+    """What was found in the file of a finished frame, converted, or is missing, in sentences."""
     unseen: str = ""
     """What of a scene the pictures do not show, in a sentence."""
 

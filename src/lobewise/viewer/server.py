@@ -17,7 +17,7 @@ from lobewise.errors import InputError, MissingDependencyError
 from lobewise.io.files import say_reason
 from lobewise.viewer.audience import Audience
 from lobewise.viewer.door.access import Access, is_loopback
-from lobewise.viewer.messages import Target
+from lobewise.viewer.messages import FrameReading, Target
 
 LOOPBACK = "127.0.0.1"
 _LAST_PORT_AFTER = 100
@@ -44,8 +44,10 @@ class Viewer:
         The secret in the URL without which nobody gets the page: 16 or more letters, digits and any of ``. _ ~ -``; by
         default a random one.
     tell : callable, optional
-        Called from any thread with sentences for whoever started the viewer: what of the scene is not shown, which
-        browser was disconnected and why. By default they are logged as warnings.
+        Called from any thread with sentences for whoever started the viewer: how the file was read, what of the scene
+        is not shown, which browser was disconnected and why. By default they are logged as warnings.
+    reading : FrameReading, optional
+        Of an EXR file: whose conventions it follows, which channels are what, the camera, the second render.
 
     Raises
     ------
@@ -71,11 +73,13 @@ class Viewer:
         changes: dict[str, Any] | None = None,
         token: str | None = None,
         tell: Callable[[str], None] | None = None,
+        reading: FrameReading | None = None,
     ) -> None:
         self._host, self._asked_port = host, port
         self._access = Access(host, token)
         self._tell = tell or logging.getLogger(__name__).warning
-        self._audience = Audience(Target(target, is_frame, size), fixed_size, dict(changes or {}), self._tell)
+        shown = Target(target, is_frame, size, reading or FrameReading())
+        self._audience = Audience(shown, fixed_size, dict(changes or {}), self._tell)
         self._server: Any = None
         self._ticker = threading.Thread(target=self._audience.watch, name="lobewise-viewer", daemon=True)
 
@@ -127,6 +131,18 @@ class Viewer:
         """Figures for tests and benchmarks; see `Audience.statistics`."""
         return self._audience.statistics
 
+    def wait_until_open(self) -> None:
+        """Return when the target is open, or the viewer was stopped.
+
+        Raises
+        ------
+        LobewiseError, RuntimeError
+            As `wait`.
+        """
+        while not self._audience.opened.wait(0.05) and not self._audience.over.is_set():
+            pass
+        self._require_success()
+
     def wait(self) -> None:
         """Return when the viewer was stopped.
 
@@ -140,6 +156,9 @@ class Viewer:
         # With a timeout Ctrl-C gets through on every system.
         while not self._audience.over.wait(0.5):
             pass
+        self._require_success()
+
+    def _require_success(self) -> None:
         if self._audience.failure is not None:
             raise self._audience.failure
 

@@ -86,7 +86,7 @@ class Worker:
         if target.is_frame:
             from lobewise.viewer.frames import FrameTarget
 
-            return FrameTarget(target.name)
+            return FrameTarget(target.name, target.reading)
         self._send(Progress(f"Loading {Path(target.name).name}"))
         from lobewise.viewer.scenes import SceneTarget
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Remarks:
-    """What is said of results beside their figures, each sentence once."""
+    """What is said of results beside their figures, each sentence once; of its own figures those of the first frame."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()
@@ -25,9 +26,10 @@ class Remarks:
         done = result.done if isinstance(result, FileInBands) else result
         unused = f"Not used with these settings: {', '.join(done.unused)}."
         for note in (*done.notes, *([unused] if done.unused else [])):
-            if note not in self._told:
+            key = re.sub(r"\d+(\.\d+)?", "#", note)
+            if key not in self._told:
                 print_note(note)
-            self._told.add(note)
+            self._told.add(key)
 
 
 def describe(result: Result | FileInBands) -> str:

@@ -12,7 +12,7 @@ from rich.table import Table
 from lobewise.cli.output import make_text, open_console
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
-from lobewise.io.exr.describe import REFUSED, ChannelDescription, Lack, PartDescription
+from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
 
 MAX_NOTES = 6
 """Notes in the summary; `inspect --all` prints all of them."""
@@ -53,14 +53,18 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True, style="bold")
     grid.add_column(overflow="fold")
-    told = {lack.told for lack in found.lacks}
-    rows = [
+    told = {found.alone, *found.unusable, *found.refusals, *(lack.told for lack in found.lacks)}
+    rows: list[tuple[str, Sequence[str]]] = [("Refused", found.refusals), ("Unusable", found.unusable)]
+    usual = [
         ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
-        ("Missing", [_describe_lack(lack) for lack in found.lacks]),
+        # Of an image alone the expected quality says what to switch on.
+        ("Missing", [] if found.alone else [_describe_lack(lack) for lack in found.lacks]),
         ("Noted", _shorten([note for note in found.notes if note not in told])),
         ("Result", [_describe_result(found)] if found.outputs else []),
     ]
+    # Nothing is used of a file that is refused.
+    rows += [] if found.refusals else usual
     for label, texts in rows:
         for number, text in enumerate(texts):
             grid.add_row(make_text("" if number else label), make_text(text))
@@ -73,6 +77,8 @@ def describe_quality(found: FileDescription) -> str:
     lacks = [lack.role for lack in found.lacks]
     if not _can_be_denoised(found):
         return f"none. {_say_obstacle(found)}"
+    if found.alone:
+        return f"weak. {found.alone}"
     if not lacks:
         return "best. The light is split, and normals, positions, roughness and colors tell surfaces apart."
     if "normal" in lacks and "camera" in lacks:
@@ -85,22 +91,18 @@ def describe_quality(found: FileDescription) -> str:
 
 def _can_be_denoised(found: FileDescription) -> bool:
     # A frame of another renderer gets normals from its surfaces, or of none.
-    return bool(found.roles or (found.similarities and found.outputs)) and not _list_refusals(found)
-
-
-def _list_refusals(found: FileDescription) -> list[str]:
-    return [note for note in found.notes if note.startswith(REFUSED)]
+    return bool(found.roles or (found.similarities and found.outputs)) and not found.refusals
 
 
 def _say_obstacle(found: FileDescription) -> str:
-    if _list_refusals(found):
+    if found.refusals:
         return "The file is refused: see below."
     return "There are no normals." if found.outputs else "There is no image that could be denoised."
 
 
 def _describe_origin(found: FileDescription) -> str:
     """Return whose file it is and how large."""
-    titles = {"lobewise": "lobewise's own names", "no renderer that is known": "unknown renderer"}
+    titles = {"lobewise": "lobewise's own names", "an unknown renderer": "unknown renderer"}
     renderer = titles.get(found.preset, found.preset)
     if found.version:
         renderer += f" ({found.version})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,14 @@ from lobewise.errors import FileError, InputError
 from lobewise.interchange.cameras.gltf import read_gltf_camera
 from lobewise.interchange.cameras.mitsuba import read_mitsuba_camera
 from lobewise.interchange.cameras.usd import read_usd_camera
-from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
+from lobewise.io.documents import (
+    describe_kind,
+    parse_json,
+    read_document,
+    require_number,
+    require_numbers,
+    show_value,
+)
 from lobewise.io.files import PathLike
 
 MAX_JSON_BYTES = 1 << 20
@@ -23,8 +31,8 @@ _KEYS = ("position", "forward", "target", "up", "fov_y", "fov_x", "shift")
 def read_camera_file(path: PathLike) -> Camera:
     """Return the camera of a file.
 
-    By the end of its name: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and one of
-    ``fov_y``, ``fov_x`` or both, in degrees, perhaps ``shift``; of a Mitsuba scene (``.xml``) the first sensor is
+    By the end of its name: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and
+    ``fov_y``, perhaps ``fov_x``, both in degrees, and ``shift``; of a Mitsuba scene (``.xml``) the first sensor is
     taken, of glTF (``.gltf``, ``.glb``) the first node with a camera, of USD (``.usd``, ``.usda``, ``.usdc``,
     ``.usdz``; with ``usd-core``) the first camera, at the first of its times.
 
@@ -72,20 +80,28 @@ def _read_json(path: Path) -> Camera:
         for name in ("position", "forward", "target", "up")
         if name in given
     }
-    angles = {
-        name: math.radians(require_number(f"{what}, {name}", given[name], expected="an angle in degrees"))
-        for name in ("fov_y", "fov_x")
-        if name in given
-    }
-    if not angles:
-        raise InputError(what, expected="fov_y or fov_x, in degrees", got="neither", action="add one")
+    angles = {name: _read_angle(f"{what}, {name}", given[name]) for name in ("fov_y", "fov_x") if name in given}
+    if "fov_y" not in angles:
+        got = "fov_x alone" if angles else "neither fov_y nor fov_x"
+        action = "add fov_y: the vertical angle of view, or both"
+        raise InputError(what, expected="fov_y, in degrees", got=got, action=action)
     shift = require_numbers(f"{what}, shift", given.get("shift", [0.0, 0.0]), 2)
     position, up = vectors["position"], vectors.get("up", np.array([0.0, 1.0, 0.0]))
     with np.errstate(over="ignore"):  # the camera refuses what is not finite
         forward = vectors["forward"] if "forward" in vectors else vectors["target"] - position
-    return Camera(
-        position, forward, up, angles.get("fov_y", 1.0), angles.get("fov_x"), (float(shift[0]), float(shift[1]))
-    )
+    if "target" in vectors and not forward.any():
+        expected, got = "another point than position", f"{show_value(given['target'])} for both"
+        raise InputError(f"{what}, target", expected=expected, got=got, action="write the point that the camera sees")
+    return Camera(position, forward, up, angles["fov_y"], angles.get("fov_x"), (float(shift[0]), float(shift[1])))
+
+
+def _read_angle(what: str, value: Any) -> float:
+    """Return in radians an angle of view that stands in degrees."""
+    known = "an angle between 0 and 180 degrees"
+    angle = require_number(what, value, expected=known, action="40 is usual")
+    if not 0.0 < angle < 180.0:
+        raise InputError(what, expected=known, got=f"{angle:g}", action="40 is usual")
+    return math.radians(angle)
 
 
 _READERS: dict[str, Callable[[Path], Camera]] = {

@@ -58,13 +58,13 @@ def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -
     return float(np.median(np.where(np.isfinite(apart), apart, np.inf)))
 
 
-def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | None:
+def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float = 1.0) -> CameraFit | None:
     """Return the pinhole camera that sees given points at given pixels; None where none does.
 
     The camera is first solved for as a projective one, from equations that are linear in its matrix (the direct linear
-    transform, Hartley and Zisserman 2003, section 7.1), then as one with square pixels by Gauss-Newton steps, points
-    that are further off than most counting less (Huber's weights): a position of one sample is not that of the pixel's
-    centre, and at silhouettes it may be that of another surface.
+    transform, Hartley and Zisserman 2003, section 7.1), then as one with pixels of a known shape by Gauss-Newton steps,
+    points that are further off than most counting less (Huber's weights): a position of one sample is not that of the
+    pixel's centre, and at silhouettes it may be that of another surface.
 
     Parameters
     ----------
@@ -72,8 +72,10 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | Non
         World positions.
     mask : array, shape (height, width)
         Where there are any.
+    pixel_aspect : float
+        Width of a pixel over its height.
     """
-    points = _gather(position, mask)
+    points = _gather(position, mask, pixel_aspect)
     if points is None:
         return None
     world, x, y = points
@@ -92,13 +94,14 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_]) -> CameraFit | Non
             return None
         rotation, eye, focal = state
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
+        camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
         error = measure_fit(camera, (turn * position).astype(np.float32), mask)
         return CameraFit(camera, error, mirrored) if error < WORST_FIT else None
     return None
 
 
 def fit_orthographic(
-    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None = None
+    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None = None, pixel_aspect: float = 1.0
 ) -> CameraFit | None:
     """Return a far pinhole camera that sees what an orthographic one sees; None where no such camera does.
 
@@ -108,12 +111,12 @@ def fit_orthographic(
 
     Parameters
     ----------
-    position, mask
+    position, mask, pixel_aspect
         As in `fit_camera`.
     depth : array, shape (height, width), optional
         Distances along the camera's axis, growing away from it.
     """
-    points = _gather(position, mask)
+    points = _gather(position, mask, pixel_aspect)
     if points is None:
         return None
     world, x, y = points
@@ -146,30 +149,35 @@ def fit_orthographic(
     middle = center - lines[3, 0] * half_height * right - lines[3, 1] * half_height * up
     eye = middle - FAR * size * forward
     camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / (FAR * size))))
+    camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
     shown = measure_fit(camera, (turn * position).astype(np.float32), mask)
     return CameraFit(camera, shown, mirrored, orthographic=True) if shown < WORST_FIT else None
 
 
-def find_camera(position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None) -> CameraFit | None:
+def find_camera(
+    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None, pixel_aspect: float = 1.0
+) -> CameraFit | None:
     """Return the camera that sees given points at given pixels, a pinhole where that explains them as well.
 
     Parameters are those of `fit_orthographic`.
     """
-    pinhole, parallel = fit_camera(position, mask), fit_orthographic(position, mask, depth)
+    pinhole = fit_camera(position, mask, pixel_aspect)
+    parallel = fit_orthographic(position, mask, depth, pixel_aspect)
     if pinhole is None or parallel is None:
         return pinhole or parallel
     # Far enough away, either can imitate the other.
     return parallel if parallel.error < 0.5 * pinhole.error else pinhole
 
 
-def _gather(position: FloatArray, mask: NDArray[np.bool_]) -> tuple[Matrix, Matrix, Matrix] | None:
+def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) -> tuple[Matrix, Matrix, Matrix] | None:
     """Return points and where they are seen, columns to the right and rows upwards in units of half the height."""
     rows, columns = _choose_pixels(mask)
     points = position[rows, columns].astype(np.float64)
     if len(rows) < 100 or not np.isfinite(points).all() or not points.std() > 0.0:
         return None
     height, width = mask.shape
-    return points, (columns + 0.5 - 0.5 * width) / (0.5 * height), (0.5 * height - rows - 0.5) / (0.5 * height)
+    x = (columns + 0.5 - 0.5 * width) / (0.5 * height) * pixel_aspect
+    return points, x, (0.5 * height - rows - 0.5) / (0.5 * height)
 
 
 def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -213,7 +221,7 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
 def _refine(
     points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float
 ) -> tuple[Matrix, Matrix, float] | None:
-    """Return the camera with square pixels and a centred image that fits best, found from a near one."""
+    """Return the camera with a centred image, as wide as high in its units, that fits best, found from a near one."""
     for _ in range(ROUNDS):
         local = (points - eye) @ rotation.T
         ahead = local[:, 2] > 1e-6

@@ -38,13 +38,16 @@ def read_gltf_camera(path: Path) -> Camera:
         If there is no camera in it, or one that is no pinhole.
     """
     what = f"camera {str(path)!r}"
-    scene = parse_json(_read_text(path, what), what=what)
+    scene = parse_json(_read_text(path, what), what=what, action="export it again")
     nodes = _take(scene, "nodes", list, what)
     found = [number for number, node in enumerate(nodes) if isinstance(node, dict) and "camera" in node]
     if not found:
         raise InputError(what, expected="a node with a camera", got="none", action="export cameras as well")
     cameras = _take(scene, "cameras", list, what)
     index = nodes[found[0]]["camera"]
+    if not cameras:
+        expected, got = "the camera that a node names", "no cameras at all"
+        raise InputError(what, expected=expected, got=got, action="export it again")
     lens = cameras[require_integer(f"{what}, camera of node {found[0]}", index, 0, len(cameras) - 1)]
     kind = _take(lens, "type", str, what)
     if kind != "perspective":
@@ -120,9 +123,11 @@ def _make_transform(node: dict[str, Any], what: str) -> Matrix:
 
 
 def _take(given: Any, key: str, kind: type, what: str) -> Any:
-    value = given.get(key, [] if kind is list else None) if isinstance(given, dict) else None
+    if not isinstance(given, dict):
+        expected, got = f"an object that has {key!r}", describe_kind(given)
+        raise InputError(what, expected=expected, got=got, action="export it again")
+    value = given.get(key, [] if kind is list else None)
     if not isinstance(value, kind):
         word = describe_kind(kind())
-        got = describe_kind(value) if isinstance(given, dict) else f"{describe_kind(given)} around it"
-        raise InputError(f"{what}, {key}", expected=word, got=got, action="export it again")
+        raise InputError(f"{what}, {key}", expected=word, got=describe_kind(value), action="export it again")
     return value

@@ -19,6 +19,7 @@ from lobewise.camera import Camera
 from lobewise.interchange.cameras.fitting import mirror
 from lobewise.interchange.preset import Preset
 from lobewise.io.exr.container import Attribute, Part, Window
+from lobewise.io.exr.header import read_pixel_aspect
 
 Matrix = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
     """Return the camera that a file's header tells, for the data window of ``part``; else None."""
     found = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
     size = part.display_window
-    aspect = _read(part.get("pixelAspectRatio"), "f", (1.0,))[0]
+    aspect = read_pixel_aspect(part) or 1.0
     located = None
     if "worldToCamera" in found:
         located = _read_matrices(found, size, aspect)
@@ -48,11 +49,11 @@ def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
     return None if located is None else replace(located, camera=_crop(located.camera, size, part.data_window))
 
 
-def _read(item: Attribute | None, kinds: str, default: tuple[float, ...] = ()) -> tuple[float, ...]:
-    """Return the numbers of an attribute of floats or doubles; ``default`` where it is none of so many."""
+def _read(item: Attribute | None, kinds: str) -> tuple[float, ...]:
+    """Return the numbers of an attribute of floats or doubles; none where it is none of so many."""
     if item is not None and len(item.value) in {struct.calcsize(f"<{kinds}")}:
         return struct.unpack(f"<{kinds}", item.value)
-    return default
+    return ()
 
 
 def _read_matrix(item: Attribute | None) -> Matrix | None:

@@ -81,7 +81,13 @@ def _parse(data: bytes, what: str) -> Element:
     try:
         parser.Parse(data, True)
         return builder.close()
-    except (expat.ExpatError, LookupError, ValueError) as problem:
+    except expat.ExpatError as problem:
+        # In the words of one's own: the parser's are terse.
+        ended = problem.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]
+        place = f": it ends too soon, in line {problem.lineno}" if ended else ""
+        told = f"text that is no XML{place or f' from line {problem.lineno}, column {problem.offset + 1} on'}"
+        raise FileError(what, expected="a Mitsuba scene in XML", got=told, action="mend the file") from None
+    except (LookupError, ValueError) as problem:
         told = " ".join(str(problem).split())[:200]
         raise FileError(what, expected="a Mitsuba scene in XML", got=told, action="mend the file") from None
 
@@ -194,6 +200,9 @@ def _make_step(step: Element, defaults: _Defaults, what: str) -> Matrix:
         return take("value", "", 16).reshape(4, 4)
     if step.tag == "lookat":
         origin, target, up = take("origin", "0, 0, 0", 3), take("target", "0, 0, 0", 3), take("up", "0, 1, 0", 3)
+        if (target == origin).all():
+            expected, got = "another point than the origin", "the same"
+            raise InputError(f"{what}, target", expected=expected, got=got, action="write the point that it sees")
         forward = (target - origin) / np.linalg.norm(target - origin)
         left = np.cross(up, forward)
         left /= np.linalg.norm(left)

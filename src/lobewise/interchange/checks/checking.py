@@ -149,8 +149,7 @@ def _check_grain(places: Places, guides: Guides) -> list[Finding]:
     if "position" not in guides.images or not (grain := measure_grain(guides.images["position"])).is_coarse:
         return []
     told = (
-        f"{guides.roles['position'].label} is stored in {grain.bits}-bit floats, whose steps here are "
-        f"{grain.coarseness:.1f} times as far apart as neighbouring pixels: "
+        f"{guides.roles['position'].label} is stored in {grain.bits}-bit floats, whose steps here are {grain.tell()}: "
     )
     depth = guides.images.get("depth")
     fine = depth is not None and measure_grain(depth, grain.distance).coarseness < 0.5 * grain.coarseness

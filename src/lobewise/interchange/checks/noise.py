@@ -28,13 +28,14 @@ SCATTERED = 0.25
 LEAST_SHARED = -0.62
 """That of the lowest tile of all, above which a filter is the cause."""
 SMOOTH = -0.3
-"""That of the lowest quarter from which on no noise of samples is left."""
+"""That of the lowest quarter from which on a denoiser is the cause, where the number of samples is not known."""
 STRONG, STRONG_ALONE = 0.034, 0.02
 """Noise over brightness that samples leave: times the root of their number, and where that is not known."""
-WEAK = 0.03
-"""The first below which samples of which pixels share some cannot be the cause."""
-NONE = 0.004
-"""That below which those of independent pixels cannot."""
+MAX_NOISE_OF_DENOISED, MAX_NOISE_OF_DENOISED_SAMPLE = 0.007, 0.03
+"""The same of the noisiest tenth of the tiles, up to which a denoiser is the cause: of the image, where the number of
+samples is not known, else times its root. A backdrop before a lamp has as little noise, a whole frame not."""
+MIN_TILES_OF_DENOISED = 12
+"""Tiles below which a small or cropped frame may show such a backdrop only."""
 FAINTEST = 0.002
 """Noise over brightness below which shadows look like it."""
 MANY = 1024
@@ -81,11 +82,15 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
             "qualities balanced and high judge it two pixels apart."
         )
         return [Finding(SHARED, told, mended=True)]
-    if (count or 1) < MANY and ((alike and low > SMOOTH) or (count and strength < (WEAK if alike else NONE))):
+    # A wrong alarm costs more than none: what is left must be the noise of a filter, and weak wherever it is looked at.
+    most = float(np.quantile(noise, 0.9))
+    limit = MAX_NOISE_OF_DENOISED_SAMPLE / float(np.sqrt(count)) if count else MAX_NOISE_OF_DENOISED
+    filtered = alike if count else low > SMOOTH
+    if filtered and most < limit and len(noise) >= MIN_TILES_OF_DENOISED and (count or 1) < MANY:
         left = f"{count} samples per pixel leave" if count else "samples leave"
         told = (
-            f"The image has noise of {100.0 * typical:.2g} % inside surfaces, less than {left}, or smoother: it seems "
-            "to be denoised already; give the noisy one (--map color=...)."
+            f"The image has noise of at most {100.0 * most:.2g} % inside surfaces, less than {left} and shared by "
+            "neighbours: it seems to be denoised already; give the noisy one (--map color=...)."
         )
         return [Finding("denoised already", told, mended=False)]
     return []

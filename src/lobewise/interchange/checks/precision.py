@@ -16,6 +16,8 @@ the error of a filtered frame is some percent higher."""
 APART = 8
 """Pixels between which the distance of neighbours is measured, so that steps of the numbers do not hide it."""
 HALF_BITS, SINGLE_BITS = 10, 23
+LEAST_DISTANCE = 1e-30
+"""Stands for the distance between pixels whose numbers are the same, so that ratios of grains stay finite."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,13 @@ class Grain:
         """Whether neighbouring pixels cannot be told apart by them."""
         return self.coarseness > COARSE
 
+    def tell(self) -> str:
+        """Return how coarse it is, as what follows "whose steps here are"."""
+        if self.distance <= LEAST_DISTANCE:
+            return "so wide that most neighbouring pixels have the same position"
+        times = f"{self.coarseness:.1f}" if self.coarseness < 100.0 else f"{self.coarseness:.0f}"
+        return f"{times} times as far apart as neighbouring pixels"
+
 
 def measure_grain(position: FloatArray, distance: float | None = None) -> Grain:
     """Return how finely positions (height, width, 3), or depths (height, width), were stored, whatever type they have.
@@ -60,5 +69,5 @@ def measure_grain(position: FloatArray, distance: float | None = None) -> Grain:
     steps = np.exp2(np.floor(np.log2(np.abs(here).max(axis=-1))) - (HALF_BITS if half else SINGLE_BITS))
     if distance is None:
         distance = float(np.median(np.linalg.norm(there - here, axis=-1))) / APART
-    distance = max(distance, 1e-30)
+    distance = max(distance, LEAST_DISTANCE)
     return Grain(16 if half else 32, float(np.median(steps)) / distance, distance)

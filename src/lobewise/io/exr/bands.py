@@ -234,7 +234,8 @@ class BandWriter:
         Raises FileError if the path cannot be written.
         """
         container = self._reader.container
-        headers = make_headers(container, self._reader.beauty, settings)
+        replaced = {each.part.index: [name for slot in each.slots for name in slot.channels] for each in self._written}
+        headers = make_headers(container, self._reader.beauty, settings, replaced)
         chunks = {each.part.index: self._list_chunks(each) for each in self._written}
         with container.path.open("rb") as stream, open_atomic(path) as out:
             write_container(out, container, stream, headers, chunks)

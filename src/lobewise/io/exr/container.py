@@ -47,6 +47,11 @@ class Channel:
     x_sampling: int
     y_sampling: int
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has a value for every pixel."""
+        return self.x_sampling == self.y_sampling == 1
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -126,6 +131,14 @@ class Part:
     def view(self) -> str:
         """The part's view, for example ``left``; empty where it has none."""
         return self.get_text("view")
+
+    def find_obstacle(self, channel: Channel) -> str:
+        """Return why no image can be made of a channel, as what the channel "is"; empty where one can."""
+        if self.deep:
+            return "deep, with any number of samples in each pixel"
+        if not channel.is_whole:
+            return f"subsampled, with one value for {channel.x_sampling}x{channel.y_sampling} pixels"
+        return ""
 
     def get(self, name: str) -> Attribute | None:
         """Return the attribute ``name``, or None."""

@@ -72,8 +72,6 @@ COSTS = {
     "albedo": "textures are filtered like noise",
 }
 """What follows where a frame lacks something."""
-REFUSED = "Denoising will refuse this file"
-"""What the note begins with that says why."""
 REMEDY = "lobewise render, which writes every guide in one pass"
 """What gives a file in lobewise's names the images that it lacks."""
 USES = (*COSTS, "silhouettes", "halves", "variance")
@@ -146,6 +144,12 @@ class FileDescription:
         What is missing, and how to have it.
     outputs : tuple of str
         The images that the result is written into, first the one that people look at; empty where there is none.
+    refusals : tuple of str
+        The notes that say why the command ``lobewise denoise`` refuses the file; empty where it does not.
+    unusable : tuple of str
+        The notes that say which passes are there but cannot be used, and why.
+    alone : str
+        The note that says what to expect where there is nothing to denoise by but the image; empty where there is.
     """
 
     path: str
@@ -167,6 +171,9 @@ class FileDescription:
     exact: tuple[str, ...] = ()
     lacks: tuple[Lack, ...] = ()
     outputs: tuple[str, ...] = ()
+    refusals: tuple[str, ...] = ()
+    unusable: tuple[str, ...] = ()
+    alone: str = ""
 
 
 def describe_file(path: PathLike) -> FileDescription:
@@ -180,6 +187,7 @@ def describe_file(path: PathLike) -> FileDescription:
     container = read_container(path)
     beauty = find_beauty(container.parts)
     notes: list[str] = []
+    refusals: list[str] = []
     used: dict[tuple[int, str], str] = {}
     found: set[tuple[str, str]] = set()
     camera: Camera | None = None
@@ -195,7 +203,7 @@ def describe_file(path: PathLike) -> FileDescription:
             camera = read_camera(beauty)
             tables = read_lobe_tables(beauty)
         except LobewiseError as problem:
-            notes.append(f"{REFUSED}: {problem}")
+            refusals.append(f"Denoising will refuse this file: {problem}")
     gbuffer = {field for owner, field in found if owner == "gbuffer"}
     similarities = list_similarities(gbuffer, camera)
     uses = _list_uses(found, camera)
@@ -204,6 +212,7 @@ def describe_file(path: PathLike) -> FileDescription:
         told = _note_lobes(gbuffer, camera, similarities)
         lacks = [Lack(role, COSTS[role], REMEDY, told=told) for role in COSTS if role not in uses]
         notes += [*([told] if told else []), *_note_what_lacks(container, beauty, gbuffer)]
+    notes = [*refusals, *notes]
     return FileDescription(
         path=str(path),
         bytes=container.path.stat().st_size,
@@ -222,6 +231,7 @@ def describe_file(path: PathLike) -> FileDescription:
         layers=("diffuse", "specular") if "layers" in uses else (),
         lacks=tuple(lacks),
         outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in found),
+        refusals=tuple(refusals),
     )
 
 

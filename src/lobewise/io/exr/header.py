@@ -4,26 +4,67 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
+from lobewise.io.documents import parse_json
 from lobewise.io.exr.container import Attribute, Container, Part
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SPP
 from lobewise.io.materials import lobe_table_from_json
 from lobewise.lobe_table import LobeTable
 
+MAX_PIXEL_ASPECT = 100.0
+"""Width over height of pixels, or height over width, beyond which no camera has them."""
+REPLACED = "replaced"
+"""Beside the settings: the channels that are denoised, by the name of their part."""
 
-def make_headers(container: Container, beauty: Part, settings: Mapping[str, Any]) -> list[list[Attribute]]:
-    """Return the attributes of every part of a denoised copy: as they were, and the settings."""
+
+def make_headers(
+    container: Container, beauty: Part, settings: Mapping[str, Any], replaced: Mapping[int, Iterable[str]]
+) -> list[list[Attribute]]:
+    """Return the attributes of every part of a denoised copy: as they were, the settings, and which channels are new.
+
+    ``replaced`` names, by the index of a part, the channels whose values are denoised. Those that were so before stay
+    in the list.
+    """
     headers = [list(part.attributes) for part in container.parts]
-    note = json.dumps(settings, sort_keys=True, default=str).encode("utf-8")
+    before = read_replaced(container) or {}
+    both = {index: {*replaced.get(index, ()), *before.get(index, ())} for index in {*replaced, *before}}
+    named = {container.parts[index].name: sorted(names) for index, names in both.items() if names}
+    note = json.dumps({**settings, REPLACED: named}, sort_keys=True, default=str).encode("utf-8")
     headers[beauty.index] = [item for item in headers[beauty.index] if item.name != DENOISED]
     headers[beauty.index].append(Attribute(DENOISED, "string", note))
     return headers
+
+
+def read_replaced(container: Container) -> dict[int, frozenset[str]] | None:
+    """Return by the index of a part the channels that lobewise denoised; None for a file without its mark.
+
+    A mark without a list, as of earlier versions, stands for all channels: any of them may be.
+    """
+    marks = [item for part in container.parts if (item := part.get(DENOISED)) is not None]
+    if not marks:
+        return None
+    everything = {part.index: frozenset(channel.name for channel in part.channels) for part in container.parts}
+    found: dict[int, set[str]] = {}
+    for item in marks:
+        try:
+            told = parse_json(item.value, what=f"attribute {DENOISED}")
+        except FileError:
+            return everything
+        named = told.get(REPLACED) if isinstance(told, dict) else None
+        if not isinstance(named, dict):
+            return everything
+        for part in container.parts:
+            names = named.get(part.name)
+            found.setdefault(part.index, set()).update(
+                name for name in (names if isinstance(names, list) else ()) if isinstance(name, str)
+            )
+    return {index: there for index, names in found.items() if (there := frozenset(names) & everything[index])}
 
 
 def read_camera(part: Part) -> Camera | None:
@@ -46,7 +87,15 @@ def read_camera(part: Part) -> Camera | None:
             )
         if numbers is not None:
             values[name] = numbers if size > 1 else numbers[0]
-    return Camera(**values)
+    window = part.data_window
+    return Camera(**values).with_pixel_aspect(window.width, window.height, read_pixel_aspect(part) or 1.0)
+
+
+def read_pixel_aspect(part: Part) -> float | None:
+    """Return the width of a part's pixels over their height; None where the header says what no pixels have."""
+    item = part.get("pixelAspectRatio")
+    aspect = 1.0 if item is None else float(struct.unpack("<f", item.value)[0])
+    return aspect if 1.0 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT else None
 
 
 def read_spp(part: Part) -> int | None:

@@ -23,7 +23,7 @@ from lobewise.lobe_table import LobeTable
 def find_beauty(parts: Iterable[Part]) -> Part | None:
     """Return the part that holds the image: the first with channels R, G and B and one value per pixel."""
     for part in parts:
-        names = {channel.name for channel in part.channels if channel.x_sampling == channel.y_sampling == 1}
+        names = {channel.name for channel in part.channels if channel.is_whole}
         if not part.deep and names.issuperset(BEAUTY.channels):
             return part
     return None
@@ -47,6 +47,8 @@ def build_frame(
 
 
 MAX_HALF = 65504.0
+CHROMA = frozenset(("Y", "RY", "BY"))
+"""Channels of an image of luminance and chroma. Source: "Technical Introduction to OpenEXR"."""
 
 
 def require_shaded(container: Container) -> None:
@@ -134,14 +136,39 @@ def require_beauty(container: Container) -> Part:
     part = find_beauty(container.parts)
     if part is not None:
         return part
+    action = "rename the channels of the image to R, G and B"
+    raise refuse_missing_image(container, expected="channels R, G and B", action=action)
+
+
+def refuse_missing_image(container: Container, *, expected: str, action: str) -> MissingChannelError:
+    """Return the error of a file without an image that can be read; ``action`` helps where channels are but misnamed.
+
+    Where there is an image in a form that is not read (deep, luminance and chroma, subsampled), that is said.
+    """
+    what = f"input {str(container.path)!r}"
     names = [channel.name for part in container.parts for channel in part.channels]
     shown = ", ".join(map(show_name, names[:8])) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-    raise MissingChannelError(
-        f"input {str(container.path)!r}",
-        expected="channels R, G and B",
-        got=f"only {shown}",
-        action="rename the channels of the image to R, G and B",
-    )
+    if all(part.deep for part in container.parts):
+        return MissingChannelError(
+            what,
+            expected="a flat image",
+            got=f"a deep one, with any number of samples in each pixel ({shown})",
+            action="flatten it, or render it without deep output",
+        )
+    if any(CHROMA.issubset(channel.name for channel in part.channels) for part in container.parts):
+        return MissingChannelError(
+            what,
+            expected="channels R, G and B",
+            got="luminance and chroma (Y, RY, BY), which are not read",
+            action="save it as RGB",
+        )
+    odd = [
+        channel.name for part in container.parts for channel in part.channels if not part.deep and not channel.is_whole
+    ]
+    if set(odd).intersection(BEAUTY.channels):
+        told = f"{', '.join(map(show_name, odd[:8]))} with less than one value for each pixel"
+        return MissingChannelError(what, expected=expected, got=told, action="save it without subsampling")
+    return MissingChannelError(what, expected=expected, got=f"only {shown}", action=action)
 
 
 def _list_readable(container: Container, beauty: Part) -> Iterable[Part]:

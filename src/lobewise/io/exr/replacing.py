@@ -48,7 +48,7 @@ def write_copy(
         By the index of a part and the name of a channel: values that replace those of the file, in the type that the
         channel is stored in; and channels that it does not have, of 32 bits.
     settings : mapping
-        Goes into the header of ``beauty``.
+        Goes into the header of ``beauty``, with the names of the channels that are ``changed``.
     only : bool
         Whether the copy shall have these channels alone, and no part without any.
 
@@ -61,7 +61,7 @@ def write_copy(
     """
     require_writable(path)
     more = added or {}
-    headers = make_headers(container, beauty, settings)
+    headers = make_headers(container, beauty, settings, changed)
     spools: dict[int, ChunkSpool] = {}
     told: list[str] = []
     version, parts = container.version, list(container.parts)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, require_integer
+from lobewise.errors import InputError, name_value, require_integer
 from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.camera import get_image_size
 from lobewise.render.materials.bsdfs import Material
@@ -289,11 +289,11 @@ def find_sharpness_limit(lights: float) -> float:
     sharper. `VirtualLights.count_lights_seen` counts them; InputError where they are not above 0.
     """
     if not (math.isfinite(lights) and lights > 0.0):
-        raise InputError("lights", expected="a number above 0", got=repr(lights), action="count those of a pixel")
+        raise InputError("lights", expected="a number above 0", got=name_value(lights), action="count those of a pixel")
     return min(1.0 / math.sqrt(2.0 * lights), 1.0)
 
 
 def _require_part(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
         expected = "a part of the scene's diagonal, 0 to 1"
-        raise InputError(name, expected=expected, got=repr(value), action="0.05 is usual")
+        raise InputError(name, expected=expected, got=name_value(value), action="0.05 is usual")

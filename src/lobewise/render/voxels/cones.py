@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.errors import InputError, require_integer
+from lobewise.errors import InputError, name_value, require_integer
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
@@ -90,7 +90,7 @@ class VoxelCones:
     ) -> None:
         if resolution not in RESOLUTIONS:
             expected = "one of " + ", ".join(map(str, RESOLUTIONS))
-            raise InputError("resolution", expected=expected, got=repr(resolution), action="pass resolution=128")
+            raise InputError("resolution", expected=expected, got=name_value(resolution), action="pass resolution=128")
         require_integer("bounces", bounces, 0, 16)
         require_integer("light_samples", light_samples, 1, 1024)
         self._scene = scene

@@ -1,0 +1,160 @@
+"""The layers of a frame in two halves of their samples: what is filtered, and what is known of its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import Image, download
+from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
+from lobewise.denoising.plans import DIFFUSE, SPECULAR, Plan
+from lobewise.features import Feature, SeenFeature
+from lobewise.filters.dual_buffer import filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
+from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
+from lobewise.filters.highlights import split_highlights
+from lobewise.filters.noise_guides import find_level, measure_light
+from lobewise.filters.residuals import find_squared_residual
+from lobewise.frame import FloatArray, Frame
+from lobewise.guides.halves import find_halves
+from lobewise.settings import DenoiseSettings, ResolvedSettings
+
+SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
+"""Kernel over which what reflections see is averaged: radius and sigma in pixels."""
+SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
+"""Sharpness with which its albedo and its normal are compared."""
+WIDEST = 30.0
+"""Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
+
+
+@dataclass(frozen=True)
+class BoundedLayer:
+    """One radiance in two halves, fireflies bounded."""
+
+    layer: Layer
+    plan: Plan
+    bounded: BoundedHalves
+    is_whole: bool
+    """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
+    noise_is_shared: bool
+    """As of `lobewise.Frame`."""
+
+    @property
+    def name(self) -> str:
+        """That of the layer."""
+        return self.layer.name
+
+    @property
+    def halves(self) -> tuple[Image, Image]:
+        """Both halves, (height, width, 3) each."""
+        return self.bounded.a, self.bounded.b
+
+
+@dataclass(frozen=True)
+class NoisyLayer(BoundedLayer):
+    """The same with what it is compared by."""
+
+    pilot_features: tuple[Feature, ...]
+    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
+    seen: tuple[Feature, ...]
+    level: float
+    """Mean light of the whole image's samples, radiance over albedo, which says what is dark."""
+    samples: tuple[Image, Image]
+    """What a dense pass averages: the halves; or of an image without any itself, and the square of its residual."""
+    kept: FloatArray | None = None
+    """Light of highlights, (height, width, 3), which is in none of the samples and is added to the result."""
+
+
+def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
+    """Return the layers of a frame with both their halves."""
+    halves = find_halves(frame)
+    found = []
+    for layer in make_lobe_layers(frame, settings, finest=True, spread=True):
+        bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
+        plan = DIFFUSE if layer.is_diffuse else SPECULAR
+        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file", frame.noise_is_shared))
+    return found
+
+
+def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
+    """Return what the rows of a layer add to its level; see `measure_light`."""
+    return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
+
+
+def make_noisy_layers(
+    frame: Frame, settings: ResolvedSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
+) -> list[NoisyLayer]:
+    """Return the layers of a frame with what they are compared by; ``extra`` features count like the lobes.
+
+    ``levels`` are those of the layers of the whole image, where the frame is a part of it.
+    """
+    found = []
+    bounded = make_bounded_layers(frame, settings)
+    for number, bright in enumerate(bounded):
+        level = levels[number] if levels is not None else find_level(measure_layer(bright, settings))
+        each, kept = _split_layer(bright, settings)
+        pilot: Sequence[Feature] = each.layer.features
+        is_specular = each.layer.is_reflected and each.name != "color"
+        if each.layer.is_reflected and settings.similarity in ("ggx", "asg"):
+            simple = replace(settings, similarity="sg")
+            pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color", spread=True)
+        found.append(
+            NoisyLayer(
+                replace(each.layer, features=(*each.layer.features, *extra)),
+                each.plan,
+                each.bounded,
+                each.is_whole,
+                each.noise_is_shared,
+                (*pilot, *extra),
+                find_seen(frame, each.layer.mask, settings) if is_specular else (),
+                level,
+                each.halves if each.is_whole else _find_samples(each),
+                kept,
+            )
+        )
+    return found
+
+
+def _split_layer(each: BoundedLayer, settings: ResolvedSettings) -> tuple[BoundedLayer, FloatArray | None]:
+    """Return a layer without the light of highlights, and that light; None for none."""
+    layer = each.layer
+    found = split_highlights(each.halves, layer.albedo, layer.mask, shared=each.noise_is_shared, device=settings.device)
+    kept = download(found.kept)
+    if not kept.any():
+        return each, None
+    return replace(each, bounded=BoundedHalves(found.a, found.b, each.bounded.tally)), kept
+
+
+def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
+    """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
+    even, odd = map(download, each.halves)
+    image = np.where(np.isnan(even), odd, even)
+    return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
+
+
+def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
+    """Return the feature of what lobes see; nothing where the frame does not tell.
+
+    What few samples hit is noise like radiance, so it is first averaged over near pixels.
+    """
+    albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
+    if albedo is None or normal is None:
+        return ()
+    # A pass takes what is not negative: normals are moved there and back.
+    images = albedo, np.float32(0.5) + np.float32(0.5) * normal
+    place = make_pass_features(frame, settings, SEEN_SIGMA)
+    near = [Exponents(1.0, 1.0)]
+    (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
+    normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
+    sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
+    return (SeenFeature(mean.a, normal, **sharpness),)
+
+
+def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
+    """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
+    screen = max(sigma * settings.screen_sigma / WIDEST, 0.5)
+    position = screen * settings.position_sigma / DenoiseSettings.position_sigma
+    return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))

@@ -1,0 +1,89 @@
+"""What compression with loss did to a foreign frame: light below 0, surfaces that are moved."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lobewise.interchange.checks.finding import Finding, list_names
+
+if TYPE_CHECKING:
+    from lobewise.interchange.imported import ImageReader
+    from lobewise.interchange.mapping import ChannelMap, Found
+    from lobewise.io.exr.container import Channel, Part
+
+DWA_NAMES = ("R", "G", "B", "Y", "RY", "BY")
+"""Last words of the channels that DWAA and DWAB compress with loss, in this case of letters: of positions and normals
+it is y. All others they keep. Source: OpenEXR's src/lib/OpenEXRCore/internal_dwa_classifier.h."""
+MAX_DIP = 0.01
+"""How far below 0 light may be by compression: DWA rounds the 2.2th root of dark values to some hundredths."""
+LIGHT = ("color", "diffuse", "specular", "albedo", "diffuse_albedo", "specular_albedo")
+"""Roles that are never below 0."""
+SURFACES = ("normal", "position", "depth", "roughness")
+
+
+def is_lossy(part: Part, channel: Channel) -> bool:
+    """Return whether the compression of a part changes a channel; PXR24, which keeps 15 bits of mantissa, does not."""
+    if part.compression in ("dwaa", "dwab"):
+        return channel.pixel_type != "uint" and channel.name.rpartition(".")[2] in DWA_NAMES
+    return part.compression in ("b44", "b44a") and channel.pixel_type == "half"
+
+
+def check_compression(channels: ChannelMap, read: ImageReader) -> list[Finding]:
+    """Return what was found of compression with loss, after light just below 0 was set to 0 in what ``read`` gives.
+
+    Parameters
+    ----------
+    channels : ChannelMap
+        What the file holds.
+    read : ImageReader
+        Gives the pixels of an image; nobody has used its images of light yet.
+    """
+    lossy = {
+        (part.index, channel.name): part.compression
+        for part in {one.source.part.index: one.source.part for one in _list_images(channels)}.values()
+        for channel in part.channels
+        if is_lossy(part, channel)
+    }
+    if not lossy:
+        return []
+
+    def is_changed(found: Found) -> bool:
+        return any((found.source.part.index, name) in lossy for name in found.channels)
+
+    kinds = " and ".join(sorted(set(lossy.values())))
+    findings = []
+    changed = [
+        channels.roles[role].label
+        for role in ("color", *SURFACES)
+        if role in channels.roles and is_changed(channels.roles[role])
+    ]
+    if changed:
+        told = (
+            f"Compression with loss ({kinds}) altered {list_names(changed)}, so that surfaces lie a little off: save "
+            "the multilayer file with ZIP."
+        )
+        findings.append(Finding("compressed with loss", told, mended=False))
+    light = [channels.roles[role] for role in LIGHT if role in channels.roles]
+    light += [one for layer in channels.layers for one in (*layer.light, layer.albedo) if one is not None]
+    dark, lowest = np.zeros((1, 1), np.bool_), 0.0
+    for found in filter(is_changed, light):
+        image = read(found)
+        dips = (image < 0.0) & (image > -MAX_DIP)
+        if dips.any():
+            lowest = min(lowest, float(image.min(where=dips, initial=0.0)))
+            read.replace(found, np.where(dips, np.float32(0.0), image))
+            dark = np.asarray(dark | dips.any(axis=-1))
+    if dark.any():
+        told = (
+            f"Compression with loss ({kinds}) left light or albedos below 0 (down to {lowest:.2g}) at "
+            f"{np.count_nonzero(dark)} pixels: they count as 0."
+        )
+        findings.append(Finding("light below 0 by compression", told, mended=True))
+    return findings
+
+
+def _list_images(channels: ChannelMap) -> list[Found]:
+    layers = [one for layer in channels.layers for one in (*layer.light, layer.albedo) if one is not None]
+    return [*channels.roles.values(), *layers]

@@ -1,0 +1,131 @@
+"""No command replaces a file that it reads, unless it is told to; any other file it may replace."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.io import read_frame, write_frame, write_sparse_frame
+from lobewise.sparse_frame import SparseFrame
+
+ENDS = "expected a file that is not read, as its content would be lost, got the input"
+SIZE = 12, 16
+FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
+
+
+def make_frame(rng: np.random.Generator) -> Frame:
+    """Return a noisy wall."""
+    normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SIZE, 3))
+    return Frame(Radiance(rng.gamma(1.0, 1.0, (*SIZE, 3)).astype(np.float32)), GBuffer(normal=normal), spp=4)
+
+
+@pytest.fixture
+def noisy(rng: np.random.Generator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a noisy file in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    path = Path("noisy.exr")
+    write_frame(path, make_frame(rng))
+    return path
+
+
+def refuse(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    """Run a line that must fail; return its sentence."""
+    assert run([str(word) for word in words]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("name", ["noisy.exr", "./noisy.exr", "link.exr", "hard.exr", "{folder}/noisy.exr"])
+@pytest.mark.parametrize("bands", ["auto", "4"])
+def test_the_noisy_file_is_not_replaced_by_any_name(
+    name: str, bands: str, noisy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = noisy.read_bytes()
+    Path("link.exr").symlink_to(noisy)
+    if name == "hard.exr":
+        os.link(noisy, name)
+    line = ["denoise", "noisy.exr", "-o", name.format(folder=tmp_path), "--bands", bands, "--quality", "fast"]
+    told = refuse(capsys, *line)
+    assert ENDS in told
+    assert told.endswith("; choose another name, or add --overwrite to replace it.\n")
+    assert noisy.read_bytes() == before
+    # Of a hard link only the name is replaced, which is a warning and so an error here.
+    if name != "hard.exr":
+        assert run([*line, "--overwrite"]) == 0
+        assert noisy.read_bytes() != before
+
+
+def test_any_other_file_is_replaced_as_it_was(noisy: Path) -> None:
+    Path("clean.exr").write_text("an earlier result")
+    assert run(["denoise", "noisy.exr", "-o", "clean.exr"]) == 0
+    assert read_frame("clean.exr").shape == SIZE
+
+
+def test_a_sparse_frame_is_not_replaced(noisy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    full = read_frame(noisy)
+    shaded = Radiance(full.radiance.color[::2, ::2])
+    write_sparse_frame("sparse.exr", SparseFrame(shaded, full.gbuffer, scale=2, place=(0, 0)))
+    assert ENDS in refuse(capsys, "upsample", "sparse.exr", "-o", "./sparse.exr")
+    assert run(["upsample", "sparse.exr", "-o", "./sparse.exr", "--overwrite"]) == 0
+
+
+def test_what_is_read_besides_is_not_replaced(
+    noisy: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_frame("second.exr", make_frame(rng))
+    Path("camera.json.exr").write_text("{}")
+    for words in (
+        ["--half", "second.exr", "-o", "second.exr"],
+        ["--camera", "camera.json.exr", "-o", "camera.json.exr"],
+    ):
+        assert ENDS in refuse(capsys, "denoise", "noisy.exr", *words)
+
+
+def test_a_pass_in_a_file_of_its_own_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "luxcore"
+    shutil.copytree(FOREIGN / "luxcore", folder)
+    assert ENDS in refuse(capsys, "denoise", folder / "RGB.exr", "-o", folder / "ALBEDO.exr")
+    assert run(["denoise", str(folder / "RGB.exr"), "-o", str(folder / "OTHER.exr"), "--quality", "fast"]) == 0
+
+
+@pytest.mark.parametrize("output", ["in.%04d.exr", "linked.####.exr", "hard.####.exr", "in.####.exr"])
+def test_a_sequence_replaces_none_of_its_frames(
+    output: str, noisy: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (1, 2):
+        write_frame(f"in.000{number}.exr", make_frame(rng))
+    # Frame 1 would replace what frame 2 is read from.
+    Path("linked.0001.exr").symlink_to("in.0002.exr")
+    os.link("in.0002.exr", "hard.0001.exr")
+    assert ENDS in refuse(capsys, "denoise", "in.####.exr", "-o", output)
+    assert "which could not go on after a stop" in refuse(capsys, "denoise", "in.####.exr", "-o", output, "--overwrite")
+    assert ENDS in refuse(capsys, "denoise", "in.####.exr", "--half", "in.####.exr", "-o", output)
+    assert run(["denoise", "in.####.exr", "-o", "out.####.exr", "--quality", "fast"]) == 0
+
+
+def test_figures_replace_no_image(noisy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_frame("in.0001.exr", read_frame(noisy))
+    assert ENDS in refuse(capsys, "compare", "noisy.exr", "-r", "noisy.exr", "--json", "./noisy.exr")
+    assert ENDS in refuse(capsys, "compare", "in.####.exr", "-r", "in.####.exr", "--json", "in.0001.exr")
+
+
+def test_a_render_and_a_fit_replace_nothing_that_they_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mitsuba")
+    pytest.importorskip("matplotlib")
+    scene = tmp_path / "scene.xml"
+    scene.write_text('<scene version="3.0.0"/>')
+    assert ENDS in refuse(capsys, "render", scene, "-o", scene)
+    assert ENDS in refuse(capsys, "render", scene, "-o", scene, "--scale", "2")
+    assert ENDS in refuse(capsys, "render", scene, "-o", scene, "--frames", "1")
+    assert ENDS in refuse(capsys, "bench", "interactive", scene, "-o", scene)
+    assert ENDS in refuse(capsys, "fit", scene, "-o", scene, "--no-plot")
+    assert ENDS in refuse(capsys, "fit", "--mitsuba", f"{scene}#wall", "-o", tmp_path / "a.lobes", "--plot", scene)
+    assert scene.read_text() == '<scene version="3.0.0"/>'

@@ -1,0 +1,132 @@
+"""Light that is lost with fireflies is told where the noise of the image's mean does not explain it, and only there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.denoising import denoise, light_loss
+from lobewise.denoising.light_loss import MIN_STANDARD_ERRORS, describe_loss, sum_light
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.io import write_frame
+
+SHAPE = 65, 65
+
+
+def make_frame(rng: np.random.Generator, spots: int, total: float) -> Frame:
+    """Return a gray wall with little noise and some equal fireflies far apart, that together have ``total`` of it."""
+    light = rng.normal(1.0, 0.02, SHAPE)
+    rows, columns = np.meshgrid(np.arange(6, 65, 13), np.arange(6, 65, 13))
+    light[rows.flat[:spots], columns.flat[:spots]] += total * light.size / spots
+    normal = np.broadcast_to([0.0, 0.0, 1.0], (*SHAPE, 3))
+    return Frame(Radiance(np.repeat(light[..., None], 3, axis=-1)), GBuffer(normal=normal))
+
+
+def list_losses(frame: Frame) -> list[str]:
+    """Return what is told of lost light."""
+    return [note for note in denoise(frame, quality="balanced").notes if "darker than the noisy image" in note]
+
+
+@pytest.mark.parametrize(
+    ("spots", "total", "told"),
+    [
+        # The mean of the scene may be right without it as well as with it.
+        (1, 0.04, False),
+        (4, 0.04, False),
+        # What the mean has of so many is known to a fifth of it.
+        (25, 0.04, True),
+        (25, 0.2, True),
+        # Nobody misses so little.
+        (25, 0.008, False),
+        (0, 0.0, False),
+    ],
+)
+def test_only_what_was_clearly_lost_is_told(spots: int, total: float, told: bool, rng: np.random.Generator) -> None:
+    frame = make_frame(rng, max(spots, 1), total)
+    result = denoise(frame, quality="balanced")
+    # In every case with fireflies, a share of the light was taken.
+    assert result.energy_lost > 1e-3 or not spots
+    found = list_losses(frame)
+    assert len(found) == told
+
+
+@pytest.mark.parametrize(("shared", "ratio"), [(False, 1.0), (True, 1.15)])
+def test_the_error_of_the_mean_is_that_of_repeated_renders(
+    shared: bool, ratio: float, rng: np.random.Generator
+) -> None:
+    """Of heavy-tailed noise on a slope and an edge; shared noise is spread by a Gaussian of half a pixel.
+
+    At whole pixels that has 2.44 pixels' noise in one, and not the 3.2 of a filter that samples see everywhere.
+    """
+    ramp = np.linspace(1.0, 3.0, 48) + np.where(np.arange(48) > 20, 4.0, 0.0)
+    means, errors = [], []
+    for _ in range(150):
+        noise = rng.exponential(1.0, (48, 48))
+        if shared:
+            share = np.exp(-0.5 * (np.arange(-2, 3) / 0.5) ** 2)
+            share /= share.sum()
+            for axis in (0, 1):
+                noise = sum(s * np.roll(noise, k - 2, axis) for k, s in enumerate(share))
+        image = np.repeat((noise * ramp)[..., None], 3, axis=-1).astype(np.float32)
+        frame = Frame(Radiance(image), noise_is_shared=shared)
+        rows = sum_light(frame, image, np.zeros((48, 48), bool))
+        noisy, done, squared = rows.sum(axis=0)
+        assert noisy == pytest.approx(done)
+        means.append(noisy)
+        errors.append(squared)
+    # Pixels at the frame stand for their neighbours, the noise of 150 renders is known to 6 %.
+    assert np.sqrt(np.mean(errors)) == pytest.approx(ratio * np.std(means), rel=0.15)
+
+
+def test_bad_pixels_count_on_neither_side(rng: np.random.Generator) -> None:
+    frame = make_frame(rng, 25, 0.2)
+    whole = sum_light(frame, frame.radiance.color, np.zeros(SHAPE, bool))
+    color = np.array(frame.radiance.color)
+    color[10, 10], color[20, 30], color[40, 40] = np.nan, np.inf, -1.0
+    spoilt = sum_light(
+        frame.with_changes(radiance=Radiance(color)), np.nan_to_num(color, posinf=1e9), ~np.isfinite(color[..., 0])
+    )
+    assert np.isfinite(spoilt).all()
+    assert spoilt[:, 0] == pytest.approx(spoilt[:, 1])
+    np.testing.assert_allclose(spoilt.sum(axis=0), whole.sum(axis=0), rtol=0.01)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 128])
+def test_rows_of_a_part_are_those_of_the_whole(
+    rows: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = make_frame(rng, 25, 0.2)
+    color, bad = frame.radiance.color, np.zeros(SHAPE, bool)
+    part = frame.with_changes(radiance=Radiance(color[8:40]), gbuffer=GBuffer(normal=frame.gbuffer.normal[8:40]))
+    whole = sum_light(frame, color, bad)
+    monkeypatch.setattr(light_loss, "ROWS_AT_ONCE", rows)
+    assert sum_light(frame, color, bad).tobytes() == whole.tobytes()
+    found = sum_light(part, color[8:40], bad[8:40], slice(2, 30))
+    assert found.tobytes() == whole[10:38].tobytes()
+
+
+def test_the_sentence_needs_a_change_beyond_the_errors() -> None:
+    def tell(lost: float, error: float, share: float = 0.1) -> tuple[str, ...]:
+        return describe_loss(np.array([[50.0, 50.0 * (1.0 - lost), 0.5 * (100.0 * error) ** 2]] * 2), share)
+
+    assert tell(0.2, 0.05)[0].startswith(
+        "The result is 20 % darker than the noisy image, more than its noise explains (5 %)"
+    )
+    assert tell(0.2, 0.2 / MIN_STANDARD_ERRORS * 1.01) == ()
+    assert tell(0.2, 0.05, share=0.0) == ()
+    assert tell(0.009, 0.0001) == ()
+    assert tell(-0.2, 0.0) == ()
+    assert tell(np.nan, 0.05) == ()
+    assert describe_loss(np.zeros((0, 3)), 1.0) == ()
+
+
+def test_a_sequence_is_told_once(tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures of its frames differ; the first frame's are told."""
+    for number, total in ((1, 0.2), (2, 0.4)):
+        write_frame(tmp_path / f"in.{number}.exr", make_frame(rng, 25, total))
+    assert run(["denoise", str(tmp_path / "in.#.exr"), "-o", str(tmp_path / "out.#.exr")]) == 0
+    told = capsys.readouterr().err
+    assert told.count("% darker than the noisy image") == 1

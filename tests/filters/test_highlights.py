@@ -1,0 +1,182 @@
+"""Highlights: against the definition in NumPy, what is one and what is none, strange numbers, what adds up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lobewise.errors import InputError
+from lobewise.filters.highlights import (
+    FEWEST_NEIGHBOURS,
+    MIN_BLOCK_RATIO,
+    MIN_CORNER_RATIO,
+    MIN_EDGE_RATIO,
+    RING_RADIUS,
+    SPOT_RADIUS,
+    split_highlights,
+)
+from tests.filters.test_fireflies import SIZES, find_light, make_case
+
+Image = NDArray[np.float32]
+
+
+def find_blocks(least: NDArray[np.float64], row: int, column: int, side: int) -> list[NDArray[np.float64]]:
+    """Return the values of all blocks that hold a pixel, the pixels outside the image as -1."""
+    padded = np.pad(least, side, constant_values=-1.0)
+    corners = [(row - dy + side, column - dx + side) for dy in range(side) for dx in range(side)]
+    return [padded[y : y + side, x : x + side].ravel() for y, x in corners]
+
+
+def find_slowly(
+    halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_], shared: bool
+) -> NDArray[np.float64]:
+    """Return the share of every pixel that is split off, by its definition, pixel by pixel."""
+    lights = np.stack([find_light(half, albedo, mask) for half in halves])
+    known = ~np.isnan(lights)
+    filled = np.where(known, lights, 0.0)
+    count = known.sum(axis=0)
+    both = np.where(count > 0, filled.sum(axis=0) / np.maximum(count, 1), -1.0)
+    least = np.where(known.all(axis=0), filled.min(axis=0), np.where(count > 0, filled.max(axis=0), -1.0))
+    height, width = mask.shape
+    level, core = np.full(mask.shape, np.inf), np.zeros(mask.shape, bool)
+    for y, x in np.ndindex(mask.shape):
+        ring = [
+            both[j, i]
+            for j in range(max(y - RING_RADIUS, 0), min(y + RING_RADIUS + 1, height))
+            for i in range(max(x - RING_RADIUS, 0), min(x + RING_RADIUS + 1, width))
+            if max(abs(j - y), abs(i - x)) > SPOT_RADIUS and both[j, i] >= 0.0
+        ]
+        if len(ring) >= FEWEST_NEIGHBOURS:
+            level[y, x] = np.mean(ring)
+        if least[y, x] < 0.0:
+            continue
+        for block in find_blocks(least, y, x, 3 if shared else 2):
+            lowest, second = np.sort(block)[:2]
+            core[y, x] |= lowest > MIN_BLOCK_RATIO * level[y, x]
+            core[y, x] |= not shared and least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
+    around = np.pad(core, 1)
+    near = np.any(
+        [around[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0
+    )
+    taken = core | (near & (both > MIN_EDGE_RATIO * level))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(taken & (both > level), 1.0 - level / both, 0.0)
+
+
+def make_spots(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image, Image], Image, NDArray[np.bool_]]:
+    """Return noisy halves with spots of all shapes that 3x3 pixels have."""
+    halves, albedo, mask = make_case(size, strange)
+    rng = np.random.default_rng(11)
+    for _ in range(size[0] * size[1] // 150):
+        y, x = rng.integers(0, size[0]), rng.integers(0, size[1])
+        shape = rng.random((3, 3)) < 0.93
+        bright = rng.uniform(60.0, 200.0)
+        for half in halves:
+            part, tint = half[y : y + 3, x : x + 3], albedo[y : y + 3, x : x + 3]
+            where = shape[: part.shape[0], : part.shape[1]]
+            part[where] = np.float32(bright) * tint[where]
+    return halves, albedo, mask
+
+
+@pytest.mark.parametrize("shared", [False, True], ids=["apart", "shared"])
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_against_the_definition(size: tuple[int, int], shared: bool) -> None:
+    # One of the strange numbers outshines every spot: the last size has none.
+    halves, albedo, mask = make_spots(size, strange=size != SIZES[-1])
+    share = find_slowly(halves, albedo, mask, shared)
+    found = split_highlights(halves, albedo, mask, shared=shared)
+    for half, rest in zip(halves, (found.a, found.b), strict=True):
+        with np.errstate(invalid="ignore", over="ignore"):
+            known = ~np.isnan(find_light(half, albedo, mask))
+            wanted = np.where(known[..., None], half * (1.0 - share[..., None]), half)
+        np.testing.assert_allclose(rest, wanted, rtol=2e-4, atol=1e-6)
+    if size == SIZES[-1]:
+        assert 0.005 < (share > 0.0).mean() < 0.3
+
+
+def test_what_is_split_off_and_what_stays_add_up() -> None:
+    halves, albedo, mask = make_spots((60, 50), strange=False)
+    found = split_highlights(halves, albedo, mask)
+    before = 0.5 * (halves[0] + halves[1])
+    after = 0.5 * (found.a + found.b) + found.kept
+    np.testing.assert_allclose(after, before, rtol=1e-5)
+    assert (found.kept > 0.0).any()
+
+
+def put(*pixels: tuple[int, int], value: float = 30.0) -> Image:
+    """Return an even image with some bright pixels."""
+    image = np.full((25, 27, 3), 0.5, np.float32)
+    for y, x in pixels:
+        image[y, x] = value
+    return image
+
+
+SQUARE = ((10, 10), (10, 11), (11, 10), (11, 11))
+
+
+@pytest.mark.parametrize(
+    ("pixels", "expected"),
+    [
+        (SQUARE, True),
+        (SQUARE[:3], True),
+        (((10, 10), (10, 11)), False),
+        (((10, 10), (11, 11)), False),
+        (((10, 10), (12, 12), (10, 12), (12, 10)), False),
+        (((10, 10),), False),
+    ],
+    ids=["square", "corner", "pair", "diagonal", "apart", "firefly"],
+)
+def test_neighbours_must_agree(pixels: tuple[tuple[int, int], ...], expected: bool) -> None:
+    image = put(*pixels)
+    found = split_highlights((image, image), None, np.ones(image.shape[:2], bool))
+    where = np.zeros(image.shape[:2], bool)
+    if expected:
+        where[tuple(zip(*pixels, strict=True))] = True
+    np.testing.assert_array_equal((found.kept > 0.0).all(axis=-1), where)
+    np.testing.assert_allclose(found.kept[where], 29.5, rtol=1e-5)
+
+
+def test_shared_noise_needs_larger_blocks() -> None:
+    everywhere = np.ones((25, 27), bool)
+    nine = [(y, x) for y in (10, 11, 12) for x in (10, 11, 12)]
+    for pixels, expected in ((SQUARE, 0), (nine, 9)):
+        image = put(*pixels)
+        found = split_highlights((image, image), None, everywhere, shared=True)
+        assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+
+
+def test_one_half_alone_proves_nothing() -> None:
+    image, dark = put(*SQUARE), put()
+    found = split_highlights((image, dark), None, np.ones(image.shape[:2], bool))
+    assert not found.kept.any()
+    # Of a checkerboard's colours each pixel has but one.
+    even = (np.add.outer(np.arange(25), np.arange(27)) % 2 == 0)[..., None]
+    found = split_highlights(
+        (np.where(even, image, np.float32(np.nan)), np.where(even, np.float32(np.nan), image)),
+        None,
+        np.ones(image.shape[:2], bool),
+    )
+    assert np.count_nonzero(found.kept.any(axis=-1)) == 4
+    assert np.isnan(found.a[~even[..., 0]]).all()
+
+
+def test_a_wide_light_is_none() -> None:
+    image = put(*[(y, x) for y in range(3, 22) for x in range(3, 24)])
+    found = split_highlights((image, image), None, np.ones(image.shape[:2], bool))
+    assert not found.kept[8:17, 8:19].any()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.37, 1e6])
+def test_exposure_does_not_matter(scale: float) -> None:
+    (a, b), albedo, mask = make_spots((40, 50), strange=False)
+    plain = split_highlights((a, b), albedo, mask)
+    scaled = split_highlights((np.float32(scale) * a, np.float32(scale) * b), albedo, mask)
+    for one, other in zip(scaled, plain, strict=True):
+        np.testing.assert_allclose(one, np.float32(scale) * other, rtol=1e-5)
+
+
+def test_sizes_are_checked() -> None:
+    image = put()
+    with pytest.raises(InputError):
+        split_highlights((image, image[:-1]), None, np.ones(image.shape[:2], bool))

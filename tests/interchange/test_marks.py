@@ -1,0 +1,160 @@
+"""A file that lobewise denoised is not denoised again in silence; its noisy image, where it is still there, serves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from renderers import WRITERS, make_scene, write
+
+from lobewise.cli.main import run
+from lobewise.denoising import denoise
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.interchange import describe_file, import_file, read_frame, write_result
+from lobewise.interchange.checks import MARKED
+from lobewise.io import write_frame
+from lobewise.io.exr.header import REPLACED, read_replaced
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.schema import DENOISED
+from lobewise.streaming import denoise_file
+
+REFUSED = "expected a noisy render, got a result of lobewise, as its attribute 'lobewise/denoised' says; give the noisy"
+
+
+@pytest.fixture
+def own(rng: np.random.Generator, tmp_path: Path) -> Path:
+    """Return a result in lobewise's own names."""
+    normal = np.broadcast_to([0.0, 0.0, 1.0], (12, 16, 3))
+    write_frame(
+        tmp_path / "noisy.exr", Frame(Radiance(rng.gamma(1.0, 1.0, (12, 16, 3))), GBuffer(normal=normal), spp=4)
+    )
+    assert run(["denoise", str(tmp_path / "noisy.exr"), "-o", str(tmp_path / "clean.exr"), "--quality", "fast"]) == 0
+    return tmp_path / "clean.exr"
+
+
+def write_cycles(path: Path, *, denoised: bool, part_each: bool = False) -> Path:
+    """Write a frame of Blender, with its own denoiser on or off."""
+    written = WRITERS["cycles"](make_scene())
+    for name in [name for name in written.channels if denoised and "Combined" in name]:
+        plane = written.channels[name]
+        written.channels[name.replace("Combined", "Noisy Image")] = plane
+        written.channels[name] = np.full_like(plane, plane.mean())
+    write(path, written, part_each=part_each)
+    return path
+
+
+def refuse(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    """Run `denoise` on a line that must fail; return its sentence."""
+    capsys.readouterr()
+    assert run(["denoise", *map(str, words)]) == 2
+    return capsys.readouterr().err
+
+
+def test_a_result_is_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "again.exr"
+    for more in ([], ["--bands", "4"], ["--bands", "off"], ["--suffix", "_x"]):
+        assert REFUSED in refuse(capsys, own, "-o", output, *more)
+    assert REFUSED in refuse(capsys, tmp_path / "noisy.exr", "--half", own, "-o", output)
+    assert not output.exists()
+    # Whoever names the image means it.
+    assert (
+        run(
+            [
+                "denoise",
+                str(own),
+                "-o",
+                str(output),
+                "--map",
+                "color=R,G,B",
+                "--map",
+                "normal=normal.X,normal.Y,normal.Z",
+            ]
+        )
+        == 0
+    )
+    (told,) = (note for note in describe_file(own).notes if "Lobewise has denoised this file" in note)
+    assert told.endswith("give the noisy render.")
+    assert told in denoise_file(own, output).notes
+    assert not any("denoised this" in note for note in describe_file(tmp_path / "noisy.exr").notes)
+
+
+@pytest.mark.parametrize("part_each", [False, True])
+def test_a_result_of_another_renderers_file_is_refused(
+    part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, clean = write_cycles(tmp_path / "a.exr", denoised=False, part_each=part_each), tmp_path / "b.exr"
+    assert run(["denoise", str(source), "-o", str(clean)]) == 0
+    assert REFUSED in refuse(capsys, clean, "-o", tmp_path / "c.exr")
+    (found,) = (one for one in import_file(clean).findings if one.what == MARKED)
+    assert not found.mended
+    assert found.told in describe_file(clean).notes
+    # What it is read as stays: a result has layers, too.
+    assert import_file(clean).frame.layers
+
+
+@pytest.mark.parametrize("part_each", [False, True])
+def test_a_noisy_image_that_is_still_there_is_filtered(
+    part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, clean = write_cycles(tmp_path / "a.exr", denoised=True, part_each=part_each), tmp_path / "b.exr"
+    first = import_file(source).frame
+    assert run(["denoise", str(source), "-o", str(clean)]) == 0
+    capsys.readouterr()
+    assert run(["denoise", str(clean), "-o", str(tmp_path / "c.exr")]) == 0
+    assert capsys.readouterr().err.count("is filtered as a whole, as the light that makes it up is denoised") == 1
+    again = import_file(clean).frame
+    np.testing.assert_array_equal(again.radiance.color, first.radiance.color)
+    assert first.layers
+    assert not again.layers
+    # It stays marked, with all that either run replaced.
+    lists = [read_replaced(read_container(tmp_path / name)) for name in ("b.exr", "c.exr")]
+    assert lists[0] == lists[1]
+    assert sum(map(len, (lists[0] or {}).values())) > 3
+
+
+def test_results_beside_the_noisy_image_leave_it_noisy(own: Path, tmp_path: Path) -> None:
+    noisy, beside = tmp_path / "noisy.exr", tmp_path / "beside.exr"
+    assert run(["denoise", str(noisy), "-o", str(beside), "--suffix", "_clean"]) == 0
+    assert read_replaced(read_container(beside)) == {}
+    assert run(["denoise", str(beside), "-o", str(tmp_path / "again.exr")]) == 0
+
+
+def test_only_the_result_is_named_as_well(tmp_path: Path) -> None:
+    source, clean = write_cycles(tmp_path / "a.exr", denoised=False, part_each=True), tmp_path / "b.exr"
+    assert run(["denoise", str(source), "-o", str(clean), "--only"]) == 0
+    container = read_container(clean)
+    assert read_replaced(container) == {part.index: {one.name for one in part.channels} for part in container.parts}
+
+
+@pytest.mark.parametrize(
+    "mark", ["{}", '{"radius": 8}', "no JSON", '{"replaced": [1]}', '{"replaced": {"": 3}, "replaced": {}}']
+)
+def test_a_mark_without_a_list_stands_for_every_channel(own: Path, mark: str) -> None:
+    container = read_container(own)
+    (part,) = container.parts
+    others = tuple(item for item in part.attributes if item.name != DENOISED)
+    (item,) = set(part.attributes) - set(others)
+    listed = {channel for names in json.loads(item.value)[REPLACED].values() for channel in names}
+    assert listed == set("RGB")
+    assert read_replaced(container) == {0: listed}
+    old = replace(container, parts=(replace(part, attributes=(*others, replace(item, value=mark.encode()))),))
+    assert read_replaced(old) == {0: {channel.name for channel in part.channels}}
+    assert read_replaced(replace(container, parts=(replace(part, attributes=others),))) is None
+
+
+def test_names_that_are_not_there_are_no_channels(own: Path) -> None:
+    """Whoever takes the channels apart leaves the mark: it says nothing of channels with other names."""
+    container = read_container(own)
+    (part,) = container.parts
+    values = json.dumps({REPLACED: {"": ["beauty.R", 3, "G"], "other": ["B"]}}).encode()
+    changed = tuple(replace(item, value=values) if item.name == DENOISED else item for item in part.attributes)
+    assert read_replaced(replace(container, parts=(replace(part, attributes=changed),))) == {0: {"G"}}
+
+
+def test_python_writes_the_same_mark(own: Path, tmp_path: Path) -> None:
+    noisy = tmp_path / "noisy.exr"
+    write_result(tmp_path / "python.exr", denoise(read_frame(noisy), quality="fast"), source=noisy)
+    assert (tmp_path / "python.exr").read_bytes() == own.read_bytes()

@@ -1,0 +1,184 @@
+"""What a file has and denoising cannot use is named with its reason, and never passed over in silence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from renderers import HEIGHT, WIDTH, WRITERS, make_scene, name, write
+
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.interchange.preset import CONVERSIONS, CONVERSIONS_OF, ROLES, find_preset
+from lobewise.interchange.reading import import_file
+
+SCENE = make_scene()
+WHOLE = (np.zeros(2, np.int32), np.array([WIDTH - 1, HEIGHT - 1], np.int32))
+COLOR = name("", SCENE.color)
+
+
+def save(path: Path, *parts: tuple[str, dict[str, Any]], **header: Any) -> Path:
+    """Write a file of one part or several, each a name and its channels, all within one display window."""
+    fields = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, "displayWindow": WHOLE, **header}
+    # The library changes the dictionaries that it is given.
+    made = [OpenEXR.Part(dict(fields), dict(channels), title) for title, channels in parts]
+    (OpenEXR.File(made) if len(made) > 1 else OpenEXR.File(fields, dict(parts[0][1]))).write(str(path))
+    return path
+
+
+def halve(image: np.ndarray) -> dict[str, np.ndarray]:
+    return {key: np.ascontiguousarray(plane[::2, ::2]) for key, plane in name("", image, "XYZ").items()}
+
+
+def write_deep(path: Path) -> Path:
+    samples = np.empty((HEIGHT, WIDTH), dtype=object)
+    for at in np.ndindex(samples.shape):
+        samples[at] = np.ones(2, np.float32)
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    OpenEXR.File(header, dict.fromkeys("RGBAZ", samples)).write(str(path))
+    return path
+
+
+def write_chroma(path: Path, luminance: str = "Y") -> Path:
+    gray = SCENE.color.mean(axis=-1)
+    small = {key: OpenEXR.Channel(key, gray, 2, 2) for key in ("RY", "BY")}
+    return save(path, ("", {luminance: OpenEXR.Channel(luminance, gray, 1, 1), **small}))
+
+
+class TestNoImage:
+    def test_deep(self, tmp_path: Path) -> None:
+        with pytest.raises(MissingChannelError, match=r"expected a flat image, got a deep one, .*; flatten it"):
+            import_file(write_deep(tmp_path / "a.exr"))
+
+    def test_luminance_and_chroma(self, tmp_path: Path) -> None:
+        """No option is advised, because none helps."""
+        path = write_chroma(tmp_path / "a.exr")
+        with pytest.raises(MissingChannelError, match=r"got luminance and chroma \(Y, RY, BY\).*; save it as RGB"):
+            import_file(path)
+        with pytest.raises(InputError, match=r"channel 'RY': .* got one that is subsampled, .* for 2x2 pixels"):
+            import_file(path, mapping={"color": "Y,RY,BY"})
+
+    def test_subsampled_color(self, tmp_path: Path) -> None:
+        planes = {key: OpenEXR.Channel(key, plane, 2, 2) if key == "B" else plane for key, plane in COLOR.items()}
+        path = save(tmp_path / "a.exr", ("", planes))
+        with pytest.raises(MissingChannelError, match="got B with less than one value for each pixel"):
+            import_file(path)
+
+    def test_gray(self, tmp_path: Path) -> None:
+        """The option that is advised is taken."""
+        path = save(tmp_path / "a.exr", ("", {"Y": COLOR["R"]}))
+        with pytest.raises(MissingChannelError, match="only Y; say which it is with --map color=RED,GREEN,BLUE"):
+            import_file(path)
+        assert np.array_equal(import_file(path, mapping={"color": "Y,Y,Y"}).frame.radiance.color[..., 2], COLOR["R"])
+
+
+def list_told(path: Path, **options: Any) -> list[str]:
+    return [note for note in import_file(path, **options).notes if "normal" in note]
+
+
+class TestNormals:
+    def test_half_size_in_another_part(self, tmp_path: Path) -> None:
+        position = "position", name("", SCENE.position, "XYZ")
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), ("normal", halve(SCENE.normal)), position)
+        told = list_told(path)
+        assert "normal.X/Y/Z is not used as normal: it has 24x18 pixels, the image 48x36." in told
+        assert any(note.startswith("No normal that can be used: ") for note in told)
+        assert not any("there is no normal" in note for note in told)
+        with pytest.raises(InputError, match=r"--map normal: .* got one that has 24x18 pixels, the image 48x36"):
+            import_file(path, mapping={"normal": "normal"})
+
+    def test_other_pixels(self, tmp_path: Path) -> None:
+        window = (np.array([0, 1], np.int32), np.array([WIDTH - 1, HEIGHT], np.int32))
+        fields = {"type": OpenEXR.scanlineimage, "displayWindow": WHOLE}
+        moved = OpenEXR.Part({**fields, "dataWindow": window}, name("", SCENE.normal, "XYZ"), "normal")
+        OpenEXR.File([OpenEXR.Part(fields, dict(COLOR), "rgb"), moved]).write(str(tmp_path / "a.exr"))
+        assert any("it covers other pixels than the image" in note for note in list_told(tmp_path / "a.exr"))
+
+    def test_two_components(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "a.exr", ("", COLOR | name("N", SCENE.normal[..., :2], "XY")))
+        assert "N.X/Y is not used as normal: X, Y and Z are needed." in list_told(path)
+
+    def test_subsampled(self, tmp_path: Path) -> None:
+        small = {
+            key: OpenEXR.Channel(key, np.ascontiguousarray(plane), 2, 2)
+            for key, plane in name("N", SCENE.normal, "XYZ").items()
+        }
+        path = save(tmp_path / "a.exr", ("", COLOR | small))
+        assert any("not used as normal: it is subsampled" in note for note in list_told(path))
+
+    def test_channels_of_two_parts_are_refused(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), ("normal", name("", SCENE.normal, "XYZ")))
+        with pytest.raises(InputError, match="--map normal: expected channels of one part, got 'X,Y,R'"):
+            import_file(path, mapping={"normal": "X,Y,R"})
+
+    def test_whole_ones_are_used_in_silence(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), ("normal", name("", SCENE.normal, "XYZ")))
+        assert not any("not used as" in note or "No normal" in note for note in list_told(path)), list_told(path)
+
+
+@pytest.mark.parametrize("renderer", sorted(WRITERS))
+def test_nothing_is_refused_in_honest_files(renderer: str, tmp_path: Path) -> None:
+    write(tmp_path / "a.exr", WRITERS[renderer](SCENE))
+    found = import_file(tmp_path / "a.exr")
+    assert found.map is not None
+    assert dict(found.map.refused) == {}
+
+
+def test_a_layer_that_lacks_a_pass_names_it(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](SCENE)
+    for channel in [channel for channel in written.channels if ".GlossInd." in channel]:
+        del written.channels[channel]
+    write(tmp_path / "a.exr", written)
+    assert "The layer glossy is left out: the file has no pass GlossInd." in import_file(tmp_path / "a.exr").notes
+
+
+class TestPresets:
+    def test_passes_that_match_nothing_are_named(self, tmp_path: Path) -> None:
+        path, preset = tmp_path / "a.exr", tmp_path / "mine.toml"
+        save(path, ("", COLOR | name("N", SCENE.normal, "XYZ")))
+        layer = '[[layer]]\nname = "diffuse"\nlobe = "diffuse"\nlight = ["Lambert"]\n'
+        preset.write_text('normal = ["N"]\nroughness = ["rough", "gloss"]\n' + layer)
+        notes = import_file(path, preset=preset).notes
+        assert "The preset names 'rough' or 'gloss' for roughness, and the file has no such pass." in notes
+        assert "The layer diffuse is left out: the file has no pass Lambert." in notes
+        assert not any("names 'N'" in note for note in notes)
+
+    @pytest.mark.parametrize("text", ["\n", "# nothing\n", 'title = "Mine"\n'])
+    def test_one_without_any_pass_is_refused(self, text: str, tmp_path: Path) -> None:
+        (tmp_path / "mine.toml").write_text(text)
+        with pytest.raises(InputError, match=r"mine\.toml': expected passes for a role or a layer, got none"):
+            find_preset(tmp_path / "mine.toml")
+
+    def test_a_conversion_of_another_role_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "mine.toml").write_text('normal = [{ pass = "N", convert = ["square"] }]\n')
+        with pytest.raises(InputError, match=r"normal, conversion: expected one for normal: .* 'square'"):
+            find_preset(tmp_path / "mine.toml")
+
+    def test_an_unknown_renderer_gives_nothing_by_any_menu(self, tmp_path: Path) -> None:
+        position = "position", name("", SCENE.position, "XYZ")
+        notes = import_file(save(tmp_path / "a.exr", ("rgb", COLOR), position)).notes
+        wanted = "No normal: edges and bumps are guessed from the image; give a pass named normal, in world space."
+        assert wanted in notes
+        assert not any("gives it by" in note for note in notes)
+
+
+class TestConversions:
+    @pytest.mark.parametrize(
+        ("role", "text", "words"),
+        [
+            ("normal", "N.X,N.Y,N.Z:square", "one for normal: camera_space, camera_space_back, encoded, negate, got"),
+            ("normal", "N:y_up", "one for normal"),
+            ("color", "N:encoded", "none for color, got 'encoded'"),
+            ("position", "N:camera_space", "one for position"),
+        ],
+    )
+    def test_only_those_of_the_role_are_taken(self, role: str, text: str, words: str, tmp_path: Path) -> None:
+        path = save(tmp_path / "a.exr", ("", COLOR | name("N", SCENE.normal, "XYZ")))
+        with pytest.raises(InputError, match=rf"--map {role}, conversion: expected {words}"):
+            import_file(path, mapping={role: text})
+
+    def test_every_conversion_is_one_of_a_role(self) -> None:
+        assert {word for words in CONVERSIONS_OF.values() for word in words} == set(CONVERSIONS)
+        assert set(CONVERSIONS_OF) <= set(ROLES)

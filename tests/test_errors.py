@@ -1,0 +1,76 @@
+"""What messages say: a suggestion only where one is near, numbers as people write them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.camera import Camera
+from lobewise.errors import InputError, find_nearest, name_value, require_choice, require_integer
+from lobewise.interchange.preset import find_preset
+from lobewise.settings import DenoiseSettings
+
+QUALITIES = ("auto", "fast", "balanced", "high")
+
+
+def test_blender_is_not_renderman() -> None:
+    with pytest.raises(InputError) as caught:
+        find_preset("blender")
+    assert "cycles" in str(caught.value)
+    assert "did you mean" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "near"), [("hihg", "high"), ("FAST", "fast"), ("balancd", "balanced"), ("best", None), ("zzz", None)]
+)
+def test_only_a_near_name_is_suggested(given: str, near: str | None) -> None:
+    assert find_nearest(given, QUALITIES) == near
+    with pytest.raises(InputError) as caught:
+        require_choice("quality", given, QUALITIES)
+    assert str(caught.value).endswith("; choose one of them." if near is None else f"; did you mean {near!r}?")
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (np.float64(0.0), "0.0"),
+        (np.int32(-3), "-3"),
+        ((np.float64(0.5), np.nan), "(0.5, nan)"),
+        (np.array([0.0, np.inf]), "[0.0, inf]"),
+        (np.zeros(1000), "a ndarray"),
+        ("a", "'a'"),
+    ],
+)
+def test_numbers_of_numpy_are_shown_as_numbers(value: Any, shown: str) -> None:
+    assert name_value(value) == shown
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"position": (np.float64(0.0), np.nan, 1.0)}, r"position: .* got \(0\.0, nan, 1\.0\)"),
+        ({"shift": (np.float64(0.0), np.float64(np.nan))}, r"shift: .* got \(0\.0, nan\)"),
+        ({"fov_y": np.float64(40.0)}, r"got 40\.0; 40 degrees are 0\.6981 radians"),
+        ({"fov_y": np.float64(0.0)}, r"radians, got 0\.0; pass another"),
+        ({"forward": (0, 0, 0)}, "camera forward: expected a direction, got a vector of length 0"),
+        ({"up": (0, 0, 0)}, "camera up: expected a direction, got a vector of length 0"),
+        ({"up": (0, 0, 2)}, "not parallel to forward"),
+    ],
+)
+def test_a_camera_names_what_is_wrong(changes: dict[str, Any], words: str) -> None:
+    good = {"position": (0, 0, 0), "forward": (0, 0, 1), "up": (0, 1, 0), "fov_y": 0.7}
+    Camera(**good)
+    with pytest.raises(InputError, match=words):
+        Camera(**(good | changes))
+
+
+def test_no_message_of_a_setting_has_a_type_of_numpy() -> None:
+    for call in (
+        lambda: DenoiseSettings(beta=np.float64(-1.0)),
+        lambda: require_integer("radius", np.float64(0.0), 1, 8),
+    ):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert "np." not in str(caught.value)
