@@ -12,7 +12,7 @@ import typer
 
 from lobewise.cli.commands import app
 from lobewise.cli.main import run
-from lobewise.cli.terminal.help import EXAMPLES, RARE
+from lobewise.cli.terminal.help import EXAMPLES, RARE, RESULT
 
 MAX_LINES_OF_PLAIN_HELP = 60
 
@@ -88,3 +88,9 @@ def test_examples_stand_whole_and_name_what_there_is(
         assert {word for word in words if word.startswith("-")} <= known
         # It is a command line that the verb takes, but that the files are not there.
         VERBS[(verb,)].make_context(verb, words[2:], resilient_parsing=False)
+
+
+def test_what_is_written_stands_together(capsys: pytest.CaptureFixture[str]) -> None:
+    for verb in ("denoise", "upsample"):
+        group = ask(capsys, verb, "--help").partition(f"\n{RESULT}:\n")[2].partition("\n\n")[0]
+        assert [name in group for name in ("--png", "--exposure", "--overwrite")] == [True] * 3

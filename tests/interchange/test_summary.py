@@ -15,8 +15,11 @@ from renderers import WRITERS, make_scene, write
 
 from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import describe_quality
-from lobewise.interchange import describe_file
+from lobewise.denoising import denoise
+from lobewise.errors import InputError
+from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.preset import load_presets
+from lobewise.io import write_frame
 from lobewise.io.exr.describe import COSTS
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -138,7 +141,84 @@ def test_an_albedo_that_nothing_takes_is_not_called_missing(tmp_path: Path) -> N
 def test_an_image_in_another_file_is_described(capsys: pytest.CaptureFixture[str]) -> None:
     told = ask(capsys, "inspect", FOREIGN / "luxcore" / "RGB.exr", "--map", "color=DIRECT_GLOSSY")
     assert "LuxCoreRender, 48x36 pixels, samples unknown" in told
-    assert "Expected quality: good." in told
+    assert "Expected quality: none. The file is refused: see below." in told
+    assert "image DIRECT_GLOSSY.R/G/B: expected one in 'RGB.exr'" in " ".join(told.split())
+    assert "lobewise denoise" not in told
+
+
+def test_no_result_goes_into_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, clean = FOREIGN / "luxcore" / "RGB.exr", tmp_path / "a.exr"
+    assert run(["denoise", str(source), "--map", "color=DIRECT_GLOSSY", "-o", str(clean)]) == 2
+    assert capsys.readouterr().err == (
+        "lobewise: image DIRECT_GLOSSY.R/G/B: expected one in 'RGB.exr', of which a copy is written, got one in "
+        "another file beside it; give that file, or put all passes into one file.\n"
+    )
+    found = import_file(source, mapping={"color": "DIRECT_GLOSSY"})
+    with pytest.raises(InputError, match=r"expected one in 'RGB\.exr'"):
+        write_result(clean, denoise(found.frame, quality="fast"), source=found)
+    assert not clean.exists()
+
+
+@pytest.mark.parametrize("renderer", ["cycles", "lobewise"])
+def test_a_result_gets_no_command(renderer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    noisy, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    if renderer == "lobewise":
+        write_frame(noisy, read_frame(FOREIGN / "blender_5.2_multipart.exr"))
+    else:
+        write_some(noisy, renderer, without=())
+    assert run(["denoise", str(noisy), "-o", str(clean), "--quality", "fast"]) == 0
+    capsys.readouterr()
+    told = ask(capsys, "inspect", clean)
+    assert "Expected quality: none. The file is refused: see below." in told
+    assert told.count("Lobewise has denoised this file") == 1
+    assert "lobewise denoise" not in told
+    assert run(["denoise", str(clean), "-o", str(tmp_path / "c.exr")]) == 2
+    assert "lobewise denoise" in ask(capsys, "inspect", noisy)
+
+
+def test_whoever_names_the_noisy_image_is_believed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    noisy, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    write_some(noisy, "cycles", without=())
+    assert run(["denoise", str(noisy), "-o", str(clean), "--quality", "fast"]) == 0
+    capsys.readouterr()
+    told = ask(capsys, "inspect", clean, "--map", "color=Combined")
+    assert "Expected quality: best." in told
+    assert "lobewise denoise" in told
+
+
+def test_denoised_passes_of_light_are_not_called_switched_off(tmp_path: Path) -> None:
+    path, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    written = WRITERS["cycles"](make_scene())
+    for name in [name for name in written.channels if "Combined" in name]:
+        written.channels[name.replace("Combined", "Noisy Image")] = written.channels[name]
+    write(path, written)
+    assert run(["denoise", str(path), "-o", str(clean), "--quality", "fast"]) == 0
+    found = describe_file(clean)
+    assert not found.refusals
+    (lack,) = [lack for lack in found.lacks if lack.role == "layers"]
+    assert (lack.remedy, lack.reason) == ("", "the passes of light are denoised by lobewise already")
+
+
+def test_a_pass_that_cannot_be_used_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.exr"
+    write_some(path, "cycles", without=("Normal.Z", "Denoising Normal"))
+    told = " ".join(ask(capsys, "inspect", path).split())
+    assert "Unusable View Layer.001.Normal.X/Y is not used as normal: X, Y and Z are needed." in told
+    assert told.count("is not used as normal") == 1
+    assert "into Combined and 4 more passes of light" in told
+    assert any(note.startswith("No normal that can be used: ") for note in describe_file(path).notes)
+
+
+def test_an_image_alone_is_called_weak_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.exr"
+    OpenEXR.File({}, {name: np.ones((8, 8), "f4") for name in "RGB"}).write(str(path))
+    told = " ".join(ask(capsys, "inspect", path).split())
+    assert "Expected quality: weak. Of a color image alone lobewise makes a weak result" in told
+    assert told.count("a pass named normal, in world space") == 1
+    assert "lobewise denoise" in told
+    found = describe_file(path)
+    assert found.alone in found.notes
+    assert {lack.told for lack in found.lacks} == {""}
 
 
 def test_a_known_camera_is_not_called_missing(tmp_path: Path) -> None:

@@ -140,6 +140,7 @@ class Reading:
     def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
         from lobewise.interchange import import_file
+        from lobewise.interchange.replacing import require_target
 
         given = self.parse()
         found = import_file(
@@ -152,6 +153,7 @@ class Reading:
         )
         if "color" not in given["mapping"]:
             refuse_results(path, found.findings)
+        require_target(found)
         # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
         known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
         for note in found.remarks:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from lobewise.camera import Camera
+from lobewise.errors import InputError
 from lobewise.frame import Frame
 from lobewise.interchange.checks import MARKED, check_own_mark, describe_alone
 from lobewise.interchange.checks.finding import Finding
@@ -14,6 +15,7 @@ from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
+from lobewise.interchange.replacing import require_target
 from lobewise.interchange.siblings import FIRST_INDEX
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.describe import (
@@ -56,8 +58,14 @@ def describe_file(
         return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks))
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
     # Whoever says which image is noisy is believed.
-    refusals = () if "color" in (mapping or {}) else _list_refusals(found.findings)
-    return replace(describe_import(found), refusals=refusals)
+    marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
+    described = describe_import(found)
+    try:
+        require_target(found)
+    except InputError as problem:
+        told = f"Denoising will refuse this: {problem}"
+        return replace(described, notes=(*described.notes, told), refusals=(*marks, told))
+    return replace(described, refusals=marks)
 
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:

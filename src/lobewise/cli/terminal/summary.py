@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
+from os.path import commonprefix
 from pathlib import Path
 
 from rich.console import Console
@@ -54,17 +55,18 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
     grid.add_column(no_wrap=True, style="bold")
     grid.add_column(overflow="fold")
     told = {found.alone, *found.unusable, *found.refusals, *(lack.told for lack in found.lacks)}
-    rows: list[tuple[str, Sequence[str]]] = [("Refused", found.refusals), ("Unusable", found.unusable)]
-    usual = [
+    rows: list[tuple[str, Sequence[str]]] = [
         ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
+        ("Unusable", found.unusable),
         # Of an image alone the expected quality says what to switch on.
         ("Missing", [] if found.alone else [_describe_lack(lack) for lack in found.lacks]),
         ("Noted", _shorten([note for note in found.notes if note not in told])),
         ("Result", [_describe_result(found)] if found.outputs else []),
     ]
-    # Nothing is used of a file that is refused.
-    rows += [] if found.refusals else usual
+    if found.refusals:
+        # Nothing is used of such a file.
+        rows = [("Refused", found.refusals), ("Unusable", found.unusable)]
     for label, texts in rows:
         for number, text in enumerate(texts):
             grid.add_row(make_text("" if number else label), make_text(text))
@@ -183,8 +185,8 @@ def _name_pass(part: PartDescription, channel: ChannelDescription) -> str:
 
 def _find_view_layer(found: FileDescription) -> str:
     """Return what the names of all passes begin with, with its dot; empty where they do not."""
-    heads = {_name_pass(part, channel).partition(".")[0] for part in found.parts for channel in part.channels}
-    return f"{heads.pop()}." if len(heads) == 1 else ""
+    common = commonprefix([_name_pass(part, channel) for part in found.parts for channel in part.channels])
+    return common[: common.rfind(".") + 1]
 
 
 def _print_commands(console: Console, found: FileDescription, options: Sequence[str]) -> None:
