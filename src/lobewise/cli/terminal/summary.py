@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from os.path import commonprefix
+from itertools import takewhile
 from pathlib import Path
 
 from rich.console import Console
@@ -185,8 +185,9 @@ def _name_pass(part: PartDescription, channel: ChannelDescription) -> str:
 
 def _find_view_layer(found: FileDescription) -> str:
     """Return what the names of all passes begin with, with its dot; empty where they do not."""
-    common = commonprefix([_name_pass(part, channel) for part in found.parts for channel in part.channels])
-    return common[: common.rfind(".") + 1]
+    heads = [_name_pass(part, channel).split(".")[:-1] for part in found.parts for channel in part.channels]
+    shared = takewhile(lambda words: len(set(words)) == 1, zip(*heads, strict=False))
+    return "".join(f"{words[0]}." for words in shared)
 
 
 def _print_commands(console: Console, found: FileDescription, options: Sequence[str]) -> None:
