@@ -27,6 +27,8 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Lobes are as wide as that turn.
+- **Lights out of focus.** Emission and background pass as they are, for they have no noise where a pixel shows one object. Where Cryptomatte or alpha tells that depth of field or motion mixes objects over an area, dots beside such a
+  light are shared out among their neighbours; the sum of the light stays.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
 - **Edges.** Filters work with the surface at a pixel's centre. Where the frame has `coverage` (`lobewise render` does), the light that falls on the surfaces around is mixed over the
   pixel's area at the end, so that silhouettes and textures are smooth; without it they are as the guides are.

@@ -81,6 +81,9 @@ class GBuffer(Images):
     coverage : array_like, shape (height, width, 9), optional
         Which shares of the pixel's area the surfaces at the centres of its 3x3 neighbours stand for best, row by row:
         in [0, 1], sum 1, that of the pixel itself at index 4, 0 for neighbours outside the image.
+    object_share : array_like, shape (height, width), optional
+        Largest share of the pixel's area that one object, or the background, has, in (0, 1]: below 1 at silhouettes,
+        and over wide areas where depth of field or motion blurs them.
     motion : array_like, shape (height, width, 2), optional
         Pixels from here to where the surface point was in the previous frame, x right and y down.
     material : array_like, shape (height, width), optional
@@ -109,6 +112,7 @@ class GBuffer(Images):
     mean_diffuse_albedo: MaybeImage = ABSENT
     mean_specular_albedo: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
+    object_share: MaybeImage = ABSENT
     motion: MaybeImage = ABSENT
     material: MaybeImage = ABSENT
 
@@ -209,6 +213,10 @@ class Frame(Guided):
         The light by the lobe that scattered it first, where it is known finer than by ``radiance.diffuse`` and
         ``radiance.specular``, which then are the sums of the layers. What they leave of the total (emission,
         background) passes as it is.
+    unscattered : mapping of str to array_like, shape (height, width, 3)
+        Light of the total that no surface scattered, by name, beside the layers: emission, background. It passes as it
+        is; but where ``gbuffer.object_share`` tells that objects are blurred, single bright pixels are shared out among
+        their neighbours.
     also : mapping of str to array_like, shape (height, width, 3)
         Noisy images that belong to the total, such as the light of every lamp; what sums to it before does so after.
     noise_is_shared : bool
@@ -231,6 +239,7 @@ class Frame(Guided):
     spp: int | None = None
     lobe_tables: tuple[LobeTable, ...] = ()
     layers: tuple[RadianceLayer, ...] = ()
+    unscattered: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
     noise_is_shared: bool = False
 
@@ -259,7 +268,8 @@ class Frame(Guided):
 
     def _check_layers(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
-        object.__setattr__(self, "also", as_images("also", self.also, self.shape))
+        for name in ("unscattered", "also"):
+            object.__setattr__(self, name, as_images(name, getattr(self, name), self.shape))
         names = [layer.name for layer in self.layers]
         for layer in self.layers:
             if layer.shape != self.shape:
@@ -327,7 +337,8 @@ class Result:
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
     also : mapping of str to (height, width, 3)
-        The filtered images of ``Frame.also``, and under ``layer/part`` the parts of its layers.
+        The filtered images of ``Frame.also``; those of ``Frame.unscattered`` where they changed; and under
+        ``layer/part`` the parts of its layers.
     settings : dict
         Every parameter that was used, defaults resolved.
     seconds : float

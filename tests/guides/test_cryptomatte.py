@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.guides.cryptomatte import find_coverage
+from lobewise.guides.cryptomatte import find_coverage, find_object_share
 
 SIZE, FINE = 24, 16
 RED, BLUE = 0x3F8A1C01, 0x3E11FF07
@@ -87,3 +87,14 @@ def test_planes_must_fit() -> None:
         find_coverage([plane, plane], [np.zeros((4, 5), np.float32)])
     with pytest.raises(InputError, match="Cryptomatte"):
         find_coverage([], [])
+
+
+def test_the_largest_share_may_be_that_of_the_background() -> None:
+    x, _ = make_grid()
+    _, shares = draw((RED, x < 10.25), (BLUE, (x >= 10.25) & (x < 12.6)))
+    found = find_object_share(shares)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found[3, [5, 10, 11, 12, 20]], [1.0, 0.75, 1.0, 0.625, 1.0], atol=0.02)
+    # Three ranks of four that hold the same share, and a rest that no rank tells of.
+    np.testing.assert_allclose(find_object_share([np.full((2, 3), 0.2)] * 3), 0.4, atol=1e-6)
+    np.testing.assert_array_equal(find_object_share([np.full((2, 3), np.nan)]), 1.0)

@@ -12,7 +12,7 @@ from lobewise.denoising.bad_pixels import REFILL_REACH, refill
 from lobewise.denoising.plans import DIFFUSE, SPECULAR, Pass
 from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
 from lobewise.features import ScreenFeature
-from lobewise.filters import compositing, fireflies, highlights, mixing, noise_guides
+from lobewise.filters import compositing, fireflies, highlights, mixing, noise_guides, specks
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import filter_dual_buffer
@@ -22,6 +22,7 @@ from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.mixing import find_features
 from lobewise.filters.noise_guides import make_noise_guide
+from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray
 from tests.streaming.frames import change_radiance, make_scene
 
@@ -71,6 +72,18 @@ def test_highlights_see_their_surroundings_and_what_is_beside_them() -> None:
     mask = np.ones(image.shape[:2], bool)
     before, after = (split_highlights((each, each), None, mask).a for each in (image, alter(image, 60.0)))
     assert measure(before, after) == reach
+
+
+def test_specks_are_shared_out_no_further() -> None:
+    light, share = draw(4, 0.0, 3.0), np.full((HEIGHT, WIDTH), 0.5, np.float32)
+    before, after = (share_out_specks(each, share) for each in (light, alter(light, 60.0)))
+    assert 0 < measure(before, after) <= 2 * specks.SPREAD_RADIUS + 1 <= specks.REACH
+    # Five rows of seven are mixed enough, four are not.
+    share[:], share[MIDDLE - 2 : MIDDLE + 3] = 1.0, 0.5
+    fewer = share.copy()
+    fewer[MIDDLE] = 1.0
+    before, after = (share_out_specks(light, each) for each in (share, fewer))
+    assert 0 < measure(before, after) <= specks.REACH < find_reach(resolve_all(make_scene((8, 8)), ask(None, {})))
 
 
 def test_guides_blur_their_variance() -> None:

@@ -31,6 +31,7 @@ from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.peers import require_oidn
@@ -107,6 +108,8 @@ def denoise(
         layers = {layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
     more = frame.also or any(layer.parts for layer in frame.layers)
     also = filter_also(frame, chosen, features, layers, image) if more else {}
+    if found.gain is not None:
+        also |= {name: blacken_bad(light * found.gain[..., None]) for name, light in frame.unscattered.items()}
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
@@ -159,6 +162,8 @@ class Filtered:
     """What fireflies took of every layer, row by row."""
     extras: Sequence[FloatArray] = ()
     """What a network sees of every layer, with the quality "high"."""
+    gain: FloatArray | None = None
+    """What light of no layer was multiplied by, (height, width); None for 1."""
 
     def choose_extras(self) -> list[FloatArray]:
         """Return the extras of the first layer of each kind, diffuse before specular."""
@@ -199,7 +204,7 @@ def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Fe
     layers = make_layers(frame, settings, features, finest=True)
     outputs = [filter_layer(layer, settings, layer.radiance) for layer in layers]
     parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
-    return Filtered(layers, parts, outputs, compose(frame, parts))
+    return Filtered(layers, parts, outputs, compose(frame, parts, find_rest(frame)))
 
 
 @device_scope()
@@ -219,7 +224,13 @@ def filter_guided(
         clean.append(found)
     parts = [each.image for each in clean]
     tallies = [each.bounded.tally for each in noisy]
-    return Filtered([each.layer for each in noisy], parts, clean, compose(frame, parts), tallies, extras)
+    rest, share = find_rest(frame), frame.gbuffer.object_share
+    gain = None
+    if rest is not None and share is not None:
+        gain = share_out_specks(rest, share, device=settings.device)
+        rest = rest * gain[..., None]
+    layers = [each.layer for each in noisy]
+    return Filtered(layers, parts, clean, compose(frame, parts, rest), tallies, extras, gain)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
@@ -231,17 +242,23 @@ def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
     return np.where(lost[..., None], kept, output.image)
 
 
-def compose(frame: Frame, parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the total: the filtered parts, and what was in none of them (emission, background) as it came."""
+def find_rest(frame: Frame) -> FloatArray | None:
+    """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts."""
     if frame.radiance.parts is None:
-        return parts[0]
+        return None
     noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
     with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
         # A negative part is no light: subtracting it would add light that is not in the total.
         rest = frame.radiance.color - np.maximum(noisy[0], np.float32(0.0))
         for part in noisy[1:]:
             rest = rest - np.maximum(part, np.float32(0.0))
-    rest = np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
+    return np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
+
+
+def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:
+    """Return the total: the filtered parts, and what was in none of them."""
+    if rest is None:
+        return parts[0]
     total = parts[0]
     for part in parts[1:]:
         total = total + part

@@ -70,6 +70,31 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
     return coverage
 
 
+def find_object_share(shares: Sequence[FloatArray]) -> FloatArray:
+    """Return the largest share of every pixel's area that one object, or the background, has; see `find_coverage`.
+
+    Parameters
+    ----------
+    shares : sequence of array, shape (height, width)
+        Of the pixel's area, in [0, 1], a plane for every rank; what they leave is background.
+
+    Returns
+    -------
+    array, shape (height, width)
+        As `lobewise.GBuffer.object_share`.
+    """
+    largest = np.empty(shares[0].shape, np.float32)
+
+    def find(chunk: Chunk) -> None:
+        ranks = np.clip(np.nan_to_num(np.stack([plane[chunk] for plane in shares])), 0.0, 1.0)
+        total = ranks.sum(axis=0)
+        rest = np.maximum(1.0 - total, 0.0)
+        largest[chunk] = np.maximum(ranks.max(axis=0), rest) / np.maximum(total + rest, np.float32(1e-6))
+
+    run_chunks(find, *shares[0].shape[:2])
+    return largest
+
+
 def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
     return np.stack([plane[rows, columns] for plane in planes], axis=-1)
 

@@ -87,7 +87,12 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     """
     a, b = first.frame, second.frame
     names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
-    if a.shape != b.shape or names[0] != names[1] or a.radiance.names != b.radiance.names:
+    if (
+        a.shape != b.shape
+        or names[0] != names[1]
+        or set(a.unscattered) != set(b.unscattered)
+        or a.radiance.names != b.radiance.names
+    ):
         raise InputError(
             "--half",
             expected="the same frame rendered again: the same size and passes",
@@ -112,12 +117,14 @@ def join_halves(first: Imported, second: Imported) -> Imported:
         radiance = np.float32(0.5) * (one.radiance + other.radiance)
         layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
     also = {name: np.float32(0.5) * (image + b.also[name]) for name, image in a.also.items()}
+    emitted = {name: np.float32(0.5) * (image + b.unscattered[name]) for name, image in a.unscattered.items()}
     whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
     frame = a.with_changes(
         radiance=Radiance(**whole),  # type: ignore[arg-type]
         half_a=a.radiance,
         half_b=b.radiance,
         layers=tuple(layers),
+        unscattered=emitted,
         also=also,
         spp=None if a.spp is None else 2 * a.spp,
     )

@@ -37,9 +37,10 @@ class PartOutput:
 
 @dataclass
 class Light:
-    """Layers of a frame, and where they and their parts (``layer/part``) came from."""
+    """Layers of a frame, what no surface scattered, and where they and their parts (``layer/part``) came from."""
 
     layers: tuple[RadianceLayer, ...] = ()
+    unscattered: dict[str, FloatArray] = field(default_factory=dict)
     outputs: dict[str, PartOutput] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
@@ -58,11 +59,11 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
     """
     light, layers = Light(), []
     known = np.zeros_like(color)
-    for each in found:
+    for each in (one for one in found if one.rule.lobe != "exact"):
         albedo = read(each.albedo) if each.albedo else None
         factor = albedo if each.rule.times_albedo else None
         parts, total = _add_passes([read(one) for one in each.light], factor, known)
-        if each.rule.lobe == "exact" or not total.any():
+        if not total.any():
             continue
         names = [name_pass(one.source.path) for one in each.light]
         named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
@@ -74,7 +75,38 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> L
         light.outputs |= {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
     if not layers:
         return Light(notes=light.notes)
+    for each in (one for one in found if one.rule.lobe == "exact"):
+        _take_unscattered(light, each, color, known, read)
     return _check_sum(light, layers, color, known)
+
+
+def _take_unscattered(light: Light, each: FoundLayer, color: FloatArray, known: FloatArray, read: Read) -> None:
+    """Add what no surface scattered to ``light``, and to ``known``, but not what is no part of the image.
+
+    An image with a transparent background does not show the background that a pass may hold.
+    """
+    for one in each.light:
+        image = read(one)
+        with np.errstate(invalid="ignore", over="ignore"):
+            more = known + np.where(np.isfinite(image), image, np.float32(0.0))
+        if _measure_excess(color, more) > max(LARGEST_EXCESS, 2.0 * _measure_excess(color, known)):
+            light.notes.append(
+                f"{one.label} holds more light than the image has beside the layers: it is no part of it."
+            )
+            continue
+        known[...] = more
+        if image.any():
+            name = each.rule.name if len(each.light) == 1 else f"{each.rule.name}/{name_pass(one.source.path)}"
+            light.unscattered[name], light.outputs[name] = image, PartOutput(one)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def _measure_excess(color: FloatArray, known: FloatArray) -> float:
+    """Return how much of ``known`` is above the image, as a share of the image's light."""
+    good = np.isfinite(color) & np.isfinite(known)
+    total = float(np.sum(color, where=good, dtype=np.float64))
+    excess = float(np.sum(np.maximum(known - color, np.float32(0.0)), where=good, dtype=np.float64))
+    return excess / total if total > 0.0 else 0.0
 
 
 def name_pass(path: str) -> str:
@@ -112,7 +144,7 @@ def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, kno
     if not total > 0.0:
         return Light(notes=["The image holds no light."])
     apart = np.where(good, color - known, np.float32(0.0))
-    excess = float(np.sum(np.maximum(-apart, 0.0), dtype=np.float64)) / total
+    excess = _measure_excess(color, known)
     if excess > LARGEST_EXCESS:
         names = ", ".join(layer.name for layer in layers)
         return Light(

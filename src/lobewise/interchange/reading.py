@@ -41,7 +41,7 @@ from lobewise.interchange.lighting import (
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.placing import derive_normal, place_surfaces
 from lobewise.interchange.siblings import FIRST_INDEX, find_family
-from lobewise.interchange.silhouettes import take_coverage
+from lobewise.interchange.silhouettes import Silhouettes, take_silhouettes
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
@@ -271,7 +271,9 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     alpha = _take_alpha(images, channels, albedos, notes)
     alpha, meant = check_alpha(alpha, guides, channels, find_second(container, channels), read, albedos)
     motion = images.get("motion")
-    coverage = take_coverage(channels, read, notes) if light.layers or diffuse_albedo is not None else None
+    is_split = light.layers or diffuse_albedo is not None
+    silhouettes = take_silhouettes(channels, read, notes) if is_split else Silhouettes()
+    coverage = silhouettes.coverage
     gbuffer = GBuffer(
         depth=places.depth,
         position=places.position if places.camera is not None else None,
@@ -281,6 +283,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         specular_albedo=specular_albedo,
         motion=None if motion is None else convert_plain(motion, channels.roles["motion"].convert),
         coverage=coverage,
+        object_share=silhouettes.object_share,
         # Of other renderers' pixels albedos are means over the area.
         mean_diffuse_albedo=None if coverage is None else diffuse_albedo,
         mean_specular_albedo=None if coverage is None else specular_albedo,
@@ -292,6 +295,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         variance=_take_variance(images, channels, spp),
         spp=spp,
         layers=light.layers,
+        unscattered=light.unscattered,
     )
     findings += meant
     notes += name_assumption(channels)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lobewise.frame import FloatArray
-from lobewise.guides.cryptomatte import find_coverage
+from lobewise.guides.cryptomatte import find_coverage, find_object_share
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import ChannelMap, Found
 
@@ -13,8 +15,15 @@ FEWEST_EDGES = 1e-4
 """Share of the pixels that alpha must find between 0 and 1 before it tells of silhouettes."""
 
 
-def take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> FloatArray | None:
-    """Return what a file tells of silhouettes, (height, width, 9), None for nothing; ``notes`` say by what.
+class Silhouettes(NamedTuple):
+    """What a file tells of silhouettes: `lobewise.GBuffer.coverage` and `object_share`; None for nothing."""
+
+    coverage: FloatArray | None = None
+    object_share: FloatArray | None = None
+
+
+def take_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) -> Silhouettes:
+    """Return what a file tells of silhouettes; ``notes`` say by what.
 
     Of several Cryptomattes the first counts, which is the finest. Without any there may be alpha: it tells surfaces
     from the background, not from each other.
@@ -30,21 +39,21 @@ def take_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> 
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
         if any(plane.any() for plane in shares):
             notes.append(f"Silhouettes are resolved by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return find_coverage(ids, shares)
-    return _take_alpha_coverage(channels, read, notes)
+            return Silhouettes(find_coverage(ids, shares), find_object_share(shares))
+    return _take_alpha_silhouettes(channels, read, notes)
 
 
-def _take_alpha_coverage(channels: ChannelMap, read: ImageReader, notes: list[str]) -> FloatArray | None:
+def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) -> Silhouettes:
     color = channels.roles["color"]
     chosen = color.source.pick(("a",))
     if chosen is None:
-        return None
+        return Silhouettes()
     found = Found(color.source, chosen)
     (plane,) = read.read_planes(found)
     alpha = plane.astype(np.float32)
     edges = (alpha > 0.01) & (alpha < 0.99)
     # Where all is between, it is no share of the area: glass, volumes, a fade.
     if not FEWEST_EDGES < edges.mean() < 0.5 or not (alpha >= 0.99).any():
-        return None
+        return Silhouettes()
     notes.append(f"Silhouettes against the background are resolved by {found.label}; no Cryptomatte tells the others.")
-    return find_coverage([np.ones(alpha.shape, np.uint32)], [alpha])
+    return Silhouettes(find_coverage([np.ones(alpha.shape, np.uint32)], [alpha]), find_object_share([alpha]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import compose, keep_unfiltered
+from lobewise.denoising.recipe import compose, find_rest, keep_unfiltered
 from lobewise.errors import require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
@@ -221,7 +221,7 @@ class TemporalFilter:
             bad = spread(frame, bad)
         else:
             parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
-            image = compose(frame, list(parts.values()))
+            image = compose(frame, list(parts.values()), find_rest(frame))
             good = find_good(image)
             holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
         if not good.all():

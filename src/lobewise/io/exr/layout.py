@@ -67,7 +67,7 @@ def make_images(slots: Iterable[Slot], pixels: Mapping[str, Pixels]) -> dict[tup
     images = {}
     for slot in slots:
         image = join_planes([pixels[name] for name in slot.channels])
-        images[slot.owner, slot.field] = image[..., 0] if slot.kind == "geometry" and image.shape[2] == 1 else image
+        images[slot.owner, slot.field] = image[..., 0] if len(slot.channels) == 1 else image
     return images
 
 

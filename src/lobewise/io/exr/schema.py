@@ -84,6 +84,8 @@ _GBUFFER = (
      "not needed to denoise"),
     ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
      "not needed to denoise"),
+    ("object_share", "object_share", "S", "largest share of the pixel's area that one object has, 0..1",
+     "specks of lights out of focus stay"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
     ("material", "material", "I", "which of the header's lobe tables, from 1, 0 = none", "lobes are taken from alpha"),
 )  # fmt: skip
@@ -95,7 +97,7 @@ def _make_slots() -> Iterable[Slot]:
             prefix = ".".join(part for part in (copy, layer) if part)
             yield Slot(owner, field, _name(prefix, "RGB"), kind, meaning.format(what), missing.format(without))
     for field, prefix, suffixes, meaning, missing in _GBUFFER:
-        kind = "share" if field.endswith(("albedo", "coverage")) else "geometry"
+        kind = "share" if field.endswith(("albedo", "coverage", "share")) else "geometry"
         yield Slot("gbuffer", field, _name(prefix, suffixes), kind, meaning, missing)
 
 

@@ -1,0 +1,31 @@
+"""How specks are shared out, on processors and on graphics cards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import halide as hl
+
+from lobewise.filters.planes import PIXEL
+from lobewise.filters.schedules.blocks import ALIGNMENT, spread_pixels
+from lobewise.filters.schedules.rows import STRIP_ROWS
+
+if TYPE_CHECKING:
+    from lobewise.filters.specks import SpeckFuncs
+
+
+def schedule_specks(funcs: SpeckFuncs, target: hl.Target) -> None:
+    """Let strips of rows run in parallel, planes in cache; on cards give every pixel a thread, planes in memory."""
+    x, y, _ = PIXEL
+    planes = (funcs.bright, funcs.mixed, funcs.rows, funcs.blurred, funcs.near, funcs.low, funcs.quotient)
+    if target.has_gpu_feature():
+        spread_pixels(funcs.out, x, y)
+        for func in planes:
+            func.compute_root().align_bounds(x, ALIGNMENT)
+            spread_pixels(func, x, y)
+        return
+    lanes = target.natural_vector_size(hl.Float(32))
+    ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
+    funcs.out.split(y, ys, yi, STRIP_ROWS, tail).vectorize(x, lanes, tail).parallel(ys).never_partition_all()
+    for func in planes:
+        func.compute_at(funcs.out, ys).vectorize(x, lanes)

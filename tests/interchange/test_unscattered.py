@@ -1,0 +1,114 @@
+"""Light that no surface scattered: lamps out of focus, what is written back, and backgrounds that are no part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.interchange import import_file
+from tests.interchange.renderers import HEIGHT, WIDTH, Written, make_scene, name, write, write_cycles
+
+LAYER = "View Layer.001"
+LIGHT = ("Emit", "Env")
+LAYERS = (("DiffCol", "DiffDir", "DiffInd"), ("GlossCol", "GlossDir", "GlossInd"))
+
+
+def add_lamp(written: Written, *, told: bool) -> np.ndarray:
+    """Add a lamp out of focus, as eight samples of every pixel see it, to a file; ``told`` adds the Cryptomatte.
+
+    Returns its light.
+    """
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    covered = np.clip((7.5 - np.hypot(y - 12.0, x - 14.0)) / 4.0, 0.0, 0.8)
+    seen = (np.random.default_rng(2).binomial(8, covered) / 8.0).astype(np.float32)
+    emission = 20.0 * seen[..., None] * np.float32([1.0, 0.8, 0.5])
+    for number, letter in enumerate("RGB"):
+        written.channels[f"{LAYER}.Emit.{letter}"] = emission[..., number]
+        written.channels[f"{LAYER}.Combined.{letter}"] = (
+            written.channels[f"{LAYER}.Combined.{letter}"] + emission[..., number]
+        )
+    if told:
+        ids = np.full(seen.shape, 0x3F8A1C01, np.uint32).view(np.float32)
+        none = np.zeros_like(seen)
+        written.channels |= name(f"{LAYER}.CryptoObject00", np.stack([ids, seen, none, none], axis=-1), "rgba")
+    return emission
+
+
+def read_pixels(path: Path) -> dict[str, np.ndarray]:
+    import OpenEXR
+
+    return {key: channel.pixels for key, channel in OpenEXR.File(str(path), separate_channels=True).channels().items()}
+
+
+def get(pixels: dict[str, np.ndarray], which: str) -> np.ndarray:
+    return np.stack([pixels[f"{LAYER}.{which}.{letter}"] for letter in "RGB"], axis=-1)
+
+
+def denoise(source: Path, target: Path, **settings: Any) -> dict[str, np.ndarray]:
+    frame = lobewise.read_frame(source)
+    lobewise.write_result(target, lobewise.denoise(frame, **settings), source=source)
+    return read_pixels(target)
+
+
+@pytest.mark.parametrize("quality", ["balanced", pytest.param("high", marks=pytest.mark.slow)])
+def test_a_lamp_out_of_focus_is_shared_out_and_layers_still_add_up(quality: str, tmp_path: Path) -> None:
+    written = write_cycles(make_scene())
+    emission = add_lamp(written, told=True)
+    write(tmp_path / "a.exr", written)
+    found = import_file(tmp_path / "a.exr").frame
+    assert list(found.unscattered) == ["emission", "environment"]
+    after = denoise(tmp_path / "a.exr", tmp_path / "b.exr", quality=quality)
+    emitted = get(after, "Emit")
+    assert np.abs(emitted - emission).max() > 2.0
+    total = sum((get(after, kind) for kind in LIGHT), np.zeros_like(emitted))
+    for albedo, *parts in LAYERS:
+        total = total + get(after, albedo) * sum(get(after, part) for part in parts)
+    np.testing.assert_allclose(total, get(after, "Combined"), rtol=1e-3, atol=1e-3)
+    # Light is moved by luminance, of all passes together.
+    before = read_pixels(tmp_path / "a.exr")
+    sums = [sum(get(one, kind).sum() for kind in LIGHT) for one in (before, after)]
+    assert sums[1] == pytest.approx(sums[0], rel=0.01)
+
+
+@pytest.mark.parametrize(("quality", "told"), [("fast", True), ("balanced", False)])
+def test_else_it_passes_as_it_is(quality: str, told: bool, tmp_path: Path) -> None:
+    """The quality fast knows no noise, and without Cryptomatte nothing tells where objects are blurred."""
+    written = write_cycles(make_scene())
+    emission = add_lamp(written, told=told)
+    write(tmp_path / "a.exr", written)
+    after = denoise(tmp_path / "a.exr", tmp_path / "b.exr", quality=quality)
+    np.testing.assert_array_equal(get(after, "Emit"), emission)
+
+
+def test_a_background_that_the_image_does_not_show_is_no_part_of_it(tmp_path: Path) -> None:
+    """Film > Transparent: the pass holds the background, the image does not."""
+    scene = make_scene()
+    written = write_cycles(scene)
+    shown = scene.color - scene.emission
+    written.channels |= name(f"{LAYER}.Combined", shown)
+    write(tmp_path / "a.exr", written)
+    found = import_file(tmp_path / "a.exr")
+    assert [layer.name for layer in found.frame.layers] == ["diffuse", "glossy"]
+    assert not found.frame.unscattered
+    assert any("Env.R/G/B holds more light than the image has beside the layers" in note for note in found.notes)
+    after = denoise(tmp_path / "a.exr", tmp_path / "b.exr")
+    np.testing.assert_array_equal(get(after, "Env"), scene.emission)
+    assert np.abs(get(after, "Combined") - shown).max() > 0.01
+
+
+def test_halves_are_joined(tmp_path: Path) -> None:
+    images = []
+    for seed, path in enumerate((tmp_path / "a.exr", tmp_path / "b.exr")):
+        written = write_cycles(make_scene())
+        emission = add_lamp(written, told=True) * np.float32(1.0 + 0.1 * seed)
+        for number, letter in enumerate("RGB"):
+            written.channels[f"{LAYER}.Combined.{letter}"] += 0.1 * seed * emission[..., number] / (1.0 + 0.1 * seed)
+        written.channels |= name(f"{LAYER}.Emit", emission)
+        write(path, written)
+        images.append(emission)
+    frame = lobewise.read_frame(tmp_path / "a.exr", half=tmp_path / "b.exr")
+    np.testing.assert_allclose(frame.unscattered["emission"], 0.5 * (images[0] + images[1]), rtol=1e-6)
