@@ -101,9 +101,11 @@ def describe_import(found: Imported) -> FileDescription:
         version=_find_version(channels.preset, container),
         uses=list_uses(channels, frame),
         layers=tuple(layer.name for layer in frame.layers) or (("diffuse", "specular") if frame.radiance.parts else ()),
-        exact=tuple(each.rule.name for each in channels.layers if each.rule.lobe == "exact" and frame.layers),
+        exact=tuple(dict.fromkeys(name.partition("/")[0] for name in frame.unscattered)),
         lacks=found.lacks,
-        outputs=tuple(dict.fromkeys(one.found.label for one in found.outputs.values())),
+        outputs=tuple(
+            dict.fromkeys(one.found.label for name, one in found.outputs.items() if name not in frame.unscattered)
+        ),
         unusable=tuple(channels.refused.values()),
         alone=" ".join(describe_alone(channels, frame)),
     )

@@ -132,6 +132,7 @@ def _describe_light(found: FileDescription) -> Iterator[str]:
         told = f"{list_names(found.layers)} {'is' if len(found.layers) == 1 else 'are each'} filtered by itself"
         if found.exact:
             told += f"; {list_names(found.exact)} {'stays as it is' if len(found.exact) == 1 else 'stay as they are'}"
+            told += ", but for dots of lights out of focus" if "silhouettes" in found.uses else ""
         yield told
     if "albedo" in found.uses:
         yield "textures are taken out by the surface colors, so they stay sharp"
