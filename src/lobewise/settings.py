@@ -166,10 +166,11 @@ class DenoiseSettings(Declared):
     quality: Annotated[
         Quality | Auto,
         Knob(
-            'How the noise enters. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and '
-            '"high" filter two halves of the samples narrowly, and then widely by what that tells of light and noise; '
-            '"high" does so in several ways and mixes what comes out pixel by pixel. "auto" takes "balanced" for the '
-            'full form and "fast" for the others, which have nothing else; so have upsampling and histories.',
+            'How much work goes into the noise: "fast" little, "balanced" more, "high" most. "fast" weighs by guides '
+            'alone, in one pass, as the paper does. "balanced" and "high" filter two halves of the samples narrowly, '
+            'and then widely by what that tells of light and noise; "high" does so in several ways and mixes what '
+            'comes out pixel by pixel. "auto" takes "balanced" for the full form and "fast" for the others, which have '
+            "nothing else; so have upsampling and histories.",
             label="Quality",
         ),
     ] = "auto"

@@ -146,16 +146,17 @@ class TestDenoise:
         from lobewise import denoise
 
         out = tmp_path / "out.exr"
-        line = ["--similarity", "normal", "--radius", "3", "--beta", "2.5", "--quality", quality]
+        line = ["--similarity", "normal", "--radius", "3", "--beta", "2.5", "--quality", quality, "--verbose"]
         assert run(["denoise", str(frame_file), "-o", str(out), *line]) == 0
         expected = denoise(read_frame(frame_file), similarity="normal", radius=3, beta=2.5, quality=quality)
         np.testing.assert_array_equal(read_image(out), expected.image)
         np.testing.assert_array_equal(read_frame(out).radiance.specular, expected.specular)
         np.testing.assert_array_equal(read_frame(out).gbuffer.normal, read_frame(frame_file).gbuffer.normal)
-        text = capsys.readouterr().out
-        assert text.startswith(f"Wrote {out}: 16x12 pixels, similarity normal, form full")
-        assert f"quality {quality}, radius 3, beta 2.5" in text
+        text, err = capsys.readouterr()
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality {quality}, comparing which way surfaces face, ")
         assert "bad pixel" not in text
+        told = f"Settings: similarity normal, form full, quality {quality}, radius 3, beta 2.5, device cpu."
+        assert told in err.splitlines()
 
     @pytest.mark.parametrize(
         ("similarity", "form"),
@@ -267,7 +268,13 @@ class TestUpsample:
         expected = upsample(make_sparse(read_frame(frame_file), 2, (1, 0)), radius=2)
         np.testing.assert_allclose(read_image(out), expected.image, rtol=2e-3)
         assert read_frame(out).gbuffer.normal is not None
-        assert capsys.readouterr().out.startswith(f"Wrote {out}: 16x12 pixels, similarity ")
+        text, err = capsys.readouterr()
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality fast, comparing what surfaces reflect, ")
+        assert "Settings" not in err
+        assert run([*line[:-2], "--bilinear", "--verbose"]) == 0
+        text, err = capsys.readouterr()
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, interpolated between pixels, ")
+        assert "Settings: similarity " in err
 
     @pytest.mark.parametrize(
         ("words", "told"),
@@ -508,7 +515,11 @@ class TestRender:
 
     @pytest.mark.slow
     def test_frame_reference_and_guides(self, tmp_path, capsys):
-        for name, extra in (("frame", []), ("reference", ["--reference"]), ("guides", ["--aov-only", "--float"])):
+        for name, extra in (
+            ("frame", ["--png"]),
+            ("reference", ["--reference"]),
+            ("guides", ["--aov-only", "--float"]),
+        ):
             line = ["render", "showroom", "--spp", "2", "--width", "24", "--height", "16", "-o"]
             assert run([*line, str(tmp_path / f"{name}.exr"), *extra]) == 0
             assert f"Wrote {tmp_path / name}.exr: 24x16 pixels, 2 spp." in capsys.readouterr().out
@@ -528,6 +539,11 @@ class TestRender:
             } == {kind}
         np.testing.assert_array_equal(guides.gbuffer.normal, frame.gbuffer.normal)
         assert run(["denoise", str(tmp_path / "frame.exr"), "-o", str(tmp_path / "out.exr")]) == 0
+        assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")
+
+    @pytest.mark.parametrize("option", [["--aov-only"], ["--scale", "2"]])
+    def test_a_picture_of_no_image_is_refused(self, option, tmp_path, capsys):
+        assert "--png" in fail(capsys, "render", "showroom", "-o", str(tmp_path / "a.exr"), "--png", *option)
 
     def test_output_is_checked_before_rendering(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("lobewise.render.load_scene", lambda *_a, **_k: pytest.fail("rendered first"))

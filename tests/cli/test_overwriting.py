@@ -129,3 +129,30 @@ def test_a_render_and_a_fit_replace_nothing_that_they_read(tmp_path: Path, capsy
     assert ENDS in refuse(capsys, "fit", scene, "-o", scene, "--no-plot")
     assert ENDS in refuse(capsys, "fit", "--mitsuba", f"{scene}#wall", "-o", tmp_path / "a.lobes", "--plot", scene)
     assert scene.read_text() == '<scene version="3.0.0"/>'
+
+
+def test_a_picture_replaces_nothing_that_is_read(
+    noisy: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = "picture 'b.png': expected a file that is not read"
+    shutil.copy(noisy, "b.png")
+    for more in ([], ["--overwrite"]):
+        assert told in refuse(capsys, "denoise", "b.png", "-o", "b.exr", "--png", *more)
+        assert told in refuse(capsys, "denoise", "noisy.exr", "--half", "b.png", "-o", "b.exr", "--png", *more)
+        assert told in refuse(capsys, "upsample", "b.png", "-o", "b.exr", "--scale", "2", "--png", *more)
+    for number in (1, 2):
+        write_frame(f"in.000{number}.exr", make_frame(rng))
+        write_frame(f"b.000{number}.png", make_frame(rng))
+    line = ["denoise", "in.####.exr", "--half", "b.####.png", "-o", "b.####.exr", "--png"]
+    assert "picture 'b.0001.png': expected a file that is not read" in refuse(capsys, *line)
+    assert not list(Path().glob("b*.exr"))
+
+
+def test_the_picture_of_a_render_replaces_no_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mitsuba")
+    scene, output = tmp_path / "scene.xml", tmp_path / "out.exr"
+    scene.write_text('<scene version="3.0.0"/>')
+    (tmp_path / "out.png").symlink_to(scene)
+    (tmp_path / "out.0001.png").symlink_to(scene)
+    for words in (["-o", output], ["-o", tmp_path / "out.####.exr", "--frames", "2"]):
+        assert "expected a file that is not read" in refuse(capsys, "render", scene, "--png", *words)

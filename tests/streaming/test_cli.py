@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.cli.output import describe_file_result
+from lobewise.cli.output import describe_file_result, describe_settings
 from lobewise.io import write_frame
 from lobewise.streaming import DenoisedFile, plan
 from tests.streaming.frames import change_radiance, make_scene
@@ -40,8 +40,8 @@ def test_bands_give_the_bytes_of_the_whole(folder: Path, capsys: pytest.CaptureF
     assert denoise(folder, "--bands", "30", *CHEAP) == 0
     banded = capsys.readouterr()
     assert (folder / "out.exr").read_bytes() == (folder / "whole.exr").read_bytes()
-    assert "19x83 pixels, similarity normal" in whole.out
-    assert "19x83 pixels in 3 bands, similarity normal" in banded.out
+    assert "19x83 pixels, quality fast" in whole.out
+    assert "19x83 pixels in 3 bands, quality fast" in banded.out
     assert "; 2 bad pixels refilled." in banded.out
     assert banded.err == whole.err
 
@@ -139,9 +139,9 @@ def test_the_account_names_what_was_done() -> None:
     settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
     done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
     assert describe_file_result(done) == (
-        "7680x4320 pixels in 12 bands, similarity sg, form full, quality high, radius 8, beta 1, device cpu, 61.23 s; "
-        "1 bad pixel refilled"
+        "7680x4320 pixels in 12 bands, quality high, comparing what surfaces reflect, 61.23 s; 1 bad pixel refilled"
     )
+    assert describe_settings(done) == "similarity sg, form full, quality high, radius 8, beta 1, device cpu"
 
 
 PROGRAM = """

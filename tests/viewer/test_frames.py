@@ -137,7 +137,7 @@ class TestFramesOfOtherRenderers:
         # Read as its own image alone, there is nothing that tells lobes.
         reading = FrameReading(preset="generic", mapping={"color": "Combined"})
         found = FrameTarget(str(FOREIGN / RENDERED[0]), reading).describe()
-        assert "no renderer that is known" in found.notes[0]
+        assert "an unknown renderer" in found.notes[0]
         camera = Camera((0.0, 1.0, 4.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.5)
         looks = [FrameTarget(str(floor_file), FrameReading(camera=one)) for one in (None, camera)]
         one, other = (target.render(ask(FrameLook(quality="fast")))[0].image for target in looks)

@@ -27,6 +27,7 @@ from lobewise.backend.objects import compile_object
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_modules
+from lobewise.backend.watching import tell_compiling
 from lobewise.chunks import make_fork_lock
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
@@ -175,11 +176,12 @@ def _load(
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
 
     def compile_kernel() -> tuple[bytes, dict[str, Any]]:
-        funcs = make(target)
-        pipeline = hl.Pipeline(funcs.out)
-        bare = target.with_feature(hl.TargetFeature.NoRuntime)
-        arguments = funcs.signature.arguments
-        content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
+        with tell_compiling():
+            funcs = make(target)
+            pipeline = hl.Pipeline(funcs.out)
+            bare = target.with_feature(hl.TargetFeature.NoRuntime)
+            arguments = funcs.signature.arguments
+            content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
         return content, {
             "name": funcs.signature.name,
             "parameters": [astuple(each) for each in funcs.signature.parameters],

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.shared import parse_size, show_progress
+from lobewise.cli.terminal.help import App
 from lobewise.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-bench = typer.Typer(help="Measure how fast this machine is.", invoke_without_command=True)
+bench = App(help="Measure how fast this machine is.", invoke_without_command=True)
 
 DEFAULT_FOLDER = Path("lobewise-bench")
 

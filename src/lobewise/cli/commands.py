@@ -16,14 +16,15 @@ from lobewise.cli.fitting import fit
 from lobewise.cli.reading import Also, CameraFile, Half, Maps, Preset, parse_maps
 from lobewise.cli.rendering import render
 from lobewise.cli.shared import Input, show_progress
+from lobewise.cli.terminal.help import EXAMPLES, HELP_NAMES, App
 from lobewise.cli.viewing import view
 
-app = typer.Typer(
+app = App(
     name="lobewise",
     help="Denoise renders of glossy things by comparing what each pixel reflects.",
     add_completion=False,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": list(HELP_NAMES)},
 )
 
 
@@ -44,7 +45,7 @@ def root(
     """Denoise renders of glossy things by comparing what each pixel reflects."""
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["demo"])
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put the page.")] = Path(
         "lobewise-demo"
@@ -75,16 +76,21 @@ def demo(
 
 
 for verb in (render, view, denoise, upsample, fit, compare, export):
-    app.command()(verb)
+    app.command(epilog=EXAMPLES[verb.__name__])(verb)
 
 
 app.add_typer(bench, name="bench")
 
 
-@app.command()
+@app.command(epilog=EXAMPLES["inspect"])
 def inspect(
     source: Input,
-    attributes: Annotated[bool, typer.Option("--attributes", "-a", help="Show the attributes as well.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show every channel, what each is read as, and how it is converted.")
+    ] = False,
+    attributes: Annotated[
+        bool, typer.Option("--attributes", "-a", help="Show every channel and the attributes as well.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
     preset: Preset = None,
     maps: Maps = None,
@@ -92,10 +98,11 @@ def inspect(
     half: Half = None,
     also: Also = None,
 ) -> None:
-    """Say what an EXR file of any renderer holds, what is missing, and what denoising will use."""
+    """Say whose an EXR file is, what denoising will use of it, what is missing and how to switch it on."""
     from dataclasses import asdict
 
     from lobewise.cli.output import print_description, to_json
+    from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange import describe_file
     from lobewise.interchange.cameras.files import read_camera_file
 
@@ -110,7 +117,11 @@ def inspect(
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
         return
-    print_description(found, with_attributes=attributes)
+    given = {"--preset": [preset], "--map": maps, "--camera": [camera], "--half": [half], "--also": also}
+    words = [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
+    print_summary(found, words)
+    if everything or attributes:
+        print_description(found, with_attributes=attributes)
 
 
 @app.command()

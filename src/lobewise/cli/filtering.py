@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,36 +24,40 @@ from lobewise.cli.reading import (
     Suffix,
     choose_bands,
 )
-from lobewise.cli.shared import Output, Overwrite, parse_place, protect_inputs, show_progress
+from lobewise.cli.shared import (
+    Adaptive,
+    AdaptiveSpp,
+    Exposure,
+    Light,
+    Memory,
+    Output,
+    Overwrite,
+    Png,
+    Quiet,
+    Scene,
+    Source,
+    Temporal,
+    Verbose,
+    find_first,
+    make_recomputing,
+    parse_percent,
+    parse_place,
+    plan_pictures,
+    protect_inputs,
+)
+from lobewise.cli.terminal.help import FILTER_DETAILS
+from lobewise.cli.terminal.outcome import Remarks, describe, tell_picture, tell_settings
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, LobewiseError
-from lobewise.settings import DenoiseSettings, TemporalSettings, list_knobs
+from lobewise.settings import DenoiseSettings, TemporalSettings
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
     from lobewise.interchange import Imported
+    from lobewise.reporting.picture import Pictures
     from lobewise.sparse_frame import AnyFrame, SparseFrame
 
     FrameT = TypeVar("FrameT", bound=AnyFrame)
-
-Source = Annotated[
-    Path,
-    typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
-]
-Adaptive = Annotated[
-    str, typer.Option(metavar="PERCENT", help="Shade so many pixels again, the least supported; needs --scene.")
-]
-Scene = Annotated[
-    str | None, typer.Option(metavar="SCENE", help="With --adaptive: what was rendered.", show_default=False)
-]
-AdaptiveSpp = Annotated[int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.")]
-Light = Annotated[str, typer.Option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")]
-Temporal = Annotated[
-    bool, typer.Option("--temporal", help="With a sequence: let every frame know the ones before (quality fast).")
-]
-Memory = Annotated[
-    float, typer.Option(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
-]
-
 
 OVER_TIME = (
     "--temporal filters with the quality 'fast', and the light in total, not by its passes. It is for little flicker "
@@ -71,6 +74,7 @@ class Writing:
     suffix: str = ""
     only: bool = False
     confidence: bool = False
+    pictures: Pictures | None = None
     _told: set[str] = field(default_factory=set)
 
     @property
@@ -79,7 +83,7 @@ class Writing:
         return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
 
     def write(self, target: Path, result: Result, found: Imported) -> None:
-        """Write a result into a copy of the file that it comes from; what could not stay as it was is said once."""
+        """Write a result into a copy of its file, and its picture; what could not stay as it was is said once."""
         from lobewise.adaptive import find_unsupported
         from lobewise.cli.output import print_note
         from lobewise.interchange import write_result
@@ -93,6 +97,8 @@ class Writing:
             confidence=self.confidence,
             rerender=find_unsupported(result).astype("f4") if self.confidence else None,
         )
+        if self.pictures is not None:
+            self.pictures.write(target, result.image)
         if result.settings.get("with_oidn") and found.frame.radiance.parts is None:
             notes = (*notes, ALL_PEER)
         for note in notes:
@@ -103,7 +109,9 @@ class Writing:
 
 @with_settings(
     DenoiseSettings,
-    *("similarity", "quality", "with_oidn", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+    *("quality", "with_oidn", "similarity", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+    group=FILTER_DETAILS,
+    usual=("quality", "with_oidn"),
 )
 def denoise(
     source: Source,
@@ -115,6 +123,7 @@ def denoise(
             metavar="FILE.lobes",
             help="With sg_mixture: the lobes of material 1 (again for 2, ...) of channel material.I.",
             show_default="those in the file",
+            rich_help_panel=FILTER_DETAILS,
         ),
     ] = None,
     adaptive: Adaptive = "0%",
@@ -133,18 +142,25 @@ def denoise(
     only: Only = False,
     confidence: Confidence = False,
     overwrite: Overwrite = False,
+    png: Png = False,
+    exposure: Exposure = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
     from lobewise.denoising import denoise as run_denoise
     from lobewise.io.materials import read_lobe_table
     from lobewise.io.sequence import is_pattern
 
-    protect_inputs(source, output, [half, camera, preset, scene, *(material or [])], overwrite=overwrite)
-    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
+    read_besides = [half, camera, preset, scene, *(material or [])]
+    protect_inputs(source, output, read_besides, overwrite=overwrite, png=png)
+    shade = make_recomputing(scene, adaptive, adaptive_spp, light)
     tables = [read_lobe_table(path) for path in material] if material else None
-    reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence)
+    steps = Steps(quiet=quiet)
+    pictures = plan_pictures(png, exposure, find_first(source, output))
+    reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence, pictures)
     alone = not is_pattern(source)
-    adapts, mixes = _parse_percent(adaptive) > 0.0, settings["with_oidn"]
+    adapts, mixes = parse_percent(adaptive) > 0.0, settings["with_oidn"]
     takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
     given = next((name for name, is_so in takers.items() if is_so), "")
     whole = given or reading.option or writing.option
@@ -153,7 +169,7 @@ def denoise(
         if temporal:
             reading.tell(OVER_TIME)
         if choose_bands(path, bands, settings, whole):
-            return FileInBands(bands, tables, settings, shows_bar=alone)
+            return FileInBands(bands, tables, settings, progress=steps.tell if alone else None)
         return reading.read(path, source, light_passes=not temporal)
 
     def filter_one(found: Any) -> Any:
@@ -162,6 +178,8 @@ def denoise(
     def write(target: Path, result: Any, found: Any, path: Path) -> None:
         if isinstance(result, FileInBands):
             result.write(path, target)
+            if pictures is not None:
+                pictures.write_from_file(target)
         else:
             writing.write(target, shade(result, found.frame), found)
 
@@ -177,13 +195,17 @@ def denoise(
             "adaptive": [adaptive, scene],
             "reading": [preset, maps, str(camera), str(half), also],
             "writing": [suffix, only, confidence],
+            "picture": [png, exposure],
         },
         temporal={**settings, "memory": memory} if temporal else None,
+        pictures=pictures,
+        steps=steps,
+        verbose=verbose,
         unwrap=lambda found: found.frame,
     )
 
 
-@with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", radius=5)
+@with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", group=FILTER_DETAILS, radius=5)
 def upsample(
     source: Source,
     output: Output,
@@ -204,6 +226,10 @@ def upsample(
     temporal: Temporal = False,
     memory: Memory = TemporalSettings.memory,
     overwrite: Overwrite = False,
+    png: Png = False,
+    exposure: Exposure = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.frame import Frame, Radiance
@@ -213,13 +239,16 @@ def upsample(
     if bilinear and temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
-    protect_inputs(source, output, [scene], overwrite=overwrite)
-    shade = _make_recomputing(scene, adaptive, adaptive_spp, light)
+    protect_inputs(source, output, [scene], overwrite=overwrite, png=png)
+    shade = make_recomputing(scene, adaptive, adaptive_spp, light)
+    pictures = plan_pictures(png, exposure, find_first(source, output))
 
     def write(target: Path, result: Result, frame: SparseFrame, path: Path) -> None:
         done = shade(result, frame)
         radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
         write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
+        if pictures is not None:
+            pictures.write(target, done.image)
 
     _run(
         source,
@@ -227,40 +256,19 @@ def upsample(
         read=lambda path: read_sparse_frame(path, scale=scale, place=where),
         filter_one=lambda frame: run_upsample(frame, bilinear=bilinear, **settings),
         write=write,
-        settings={**settings, "bilinear": bilinear, "scale": scale, "place": place, "adaptive": [adaptive, scene]},
+        settings={
+            **settings,
+            "bilinear": bilinear,
+            "scale": scale,
+            "place": place,
+            "adaptive": [adaptive, scene],
+            "picture": [png, exposure],
+        },
         temporal={**settings, "memory": memory} if temporal else None,
+        pictures=pictures,
+        steps=Steps(quiet=quiet),
+        verbose=verbose,
     )
-
-
-def _make_recomputing(scene: str | None, adaptive: str, spp: int, light: str) -> Callable[[Result, AnyFrame], Result]:
-    """Return what shades the least supported pixels of a result again; the scene is loaded when it is first needed."""
-    budget = _parse_percent(adaptive)
-    if budget == 0.0:
-        return lambda result, frame: result
-    if scene is None:
-        raise InputError("--adaptive", expected="--scene beside it", got="none", action="say what was rendered")
-    loaded: list[Any] = []
-
-    def improve(result: Result, frame: AnyFrame) -> Result:
-        from lobewise.adaptive import recompute
-        from lobewise.cli.output import print_line
-        from lobewise.render import load_scene, render_pixels, set_camera
-
-        if not loaded:
-            loaded.append(load_scene(scene, width=frame.width, height=frame.height))
-        if frame.camera is not None:
-            set_camera(loaded[0], frame.camera)
-        better = recompute(
-            result,
-            lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=light),
-            samples=spp / (frame.spp or 1),
-            frame=frame,
-            budget=budget,
-        )
-        print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
-        return better
-
-    return improve
 
 
 class _Alone:
@@ -288,6 +296,9 @@ def _run(
     write: Callable[[Path, Result, FrameT, Path], None],
     settings: dict[str, Any],
     temporal: dict[str, Any] | None,
+    pictures: Pictures | None,
+    steps: Steps,
+    verbose: bool,
     unwrap: Callable[[Any], Any] = lambda frame: frame,
 ) -> None:
     """Filter one file, or every file of a pattern; mistakes in a file are told with its name."""
@@ -297,7 +308,7 @@ def _run(
     from lobewise.sequence import filter_sequence
     from lobewise.temporal import TemporalFilter
 
-    current, remarks = source, _Remarks()
+    current, remarks = source, Remarks()
     require_exr_name(output)
 
     def read_one(path: Path) -> FrameT:
@@ -314,14 +325,20 @@ def _run(
                 action="put # in place of the digits of the number, and quote the name",
             )
         require_writable(output)
-        frame = read_one(source)
-        try:
-            result = filter_one(frame)
-        except LobewiseError as problem:
-            raise type(problem)(f"{source}: {problem}") from problem
-        write(output, result, frame, source)
+        with steps:
+            steps.tell(f"Reading {source.name}")
+            frame = read_one(source)
+            try:
+                steps.tell("Filtering")
+                result = filter_one(frame)
+            except LobewiseError as problem:
+                raise type(problem)(f"{source}: {problem}") from problem
+            steps.tell(f"Writing {output.name}")
+            write(output, result, frame, source)
         remarks.tell(result)
-        print_line(f"Wrote {output}: {_describe(result)}.")
+        print_line(f"Wrote {output}: {describe(result)}.")
+        tell_picture(output, pictures)
+        tell_settings(result, verbose)
         return
 
     def write_one(target: Path, result: Result, frame: FrameT, path: Path) -> None:
@@ -341,7 +358,7 @@ def _run(
             except LobewiseError as problem:
                 raise type(problem)(f"{current}: {problem}") from problem
 
-    with show_progress() as progress:
+    with steps:
         report = filter_sequence(
             source,
             output,
@@ -349,44 +366,10 @@ def _run(
             read=read_one,
             write=write_one,
             fingerprint=repr([settings, temporal]),
-            progress=lambda what, done, total: progress(f"Filtering {source.name}", done, total),
+            progress=lambda what, done, total: steps.tell(f"Filtering {source.name}", done, total),
             remark=print_note,
         )
-    told = "" if report.last is None else f"; the last: {_describe(report.last)}"
+    told = "" if report.last is None else f"; the last: {describe(report.last)}"
     print_line(f"Wrote {output}: {report.written} of {report.frames} frames{told}.")
-
-
-class _Remarks:
-    """What is said of results beside their figures, each sentence once; of its own figures those of the first frame."""
-
-    def __init__(self) -> None:
-        self._told: set[str] = set()
-
-    def tell(self, result: Result | FileInBands) -> None:
-        """Print what is wrong with the guides of a frame, and which of its images were not used."""
-        from lobewise.cli.output import print_note
-
-        done = result.done if isinstance(result, FileInBands) else result
-        unused = f"Not used with these settings: {', '.join(done.unused)}."
-        for note in (*done.notes, *([unused] if done.unused else [])):
-            key = re.sub(r"\d+(\.\d+)?", "#", note)
-            if key not in self._told:
-                print_note(note)
-            self._told.add(key)
-
-
-def _describe(result: Result | FileInBands) -> str:
-    from lobewise.cli.output import describe_result
-
-    return result.describe() if isinstance(result, FileInBands) else describe_result(result)
-
-
-def _parse_percent(text: str) -> float:
-    """Return the share that ``5%`` or ``5`` stands for."""
-    try:
-        percent = float(text.removesuffix("%"))
-    except ValueError:
-        percent = -1.0
-    if 0.0 <= percent <= 100.0:
-        return percent / 100.0
-    raise InputError("--adaptive", expected="0% to 100%", got=repr(text), action="5% is usual")
+    tell_picture(output, pictures)
+    tell_settings(report.last, verbose)

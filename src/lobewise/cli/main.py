@@ -23,6 +23,7 @@ REPORT_AT = "https://github.com/lobewise/lobewise/issues"
 def run(arguments: list[str]) -> int:
     """Run the program and return its exit code."""
     from lobewise.cli.commands import app
+    from lobewise.cli.terminal.help import asks_for_all
 
     for stream in (sys.stdout, sys.stderr):
         # Names of files may hold bytes, and messages letters, that the terminal's encoding lacks.
@@ -36,7 +37,7 @@ def run(arguments: list[str]) -> int:
     warnings.showwarning = _show_warning
     try:
         # Not by its own `main`, which has its own ideas of exit codes, interrupts and closed pipes.
-        with command.make_context("lobewise", arguments or ["--help"]) as context:
+        with command.make_context("lobewise", arguments or ["--help"], obj=asks_for_all(arguments[:end])) as context:
             command.invoke(context)
         if sys.stdout is not None:
             sys.stdout.flush()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from functools import wraps
 from typing import Annotated, Any
@@ -14,7 +14,12 @@ from lobewise.settings import Knob, list_knobs
 
 
 def with_settings(
-    declared: type | Mapping[str, Knob], *names: str, only_given: bool = False, **defaults: Any
+    declared: type | Mapping[str, Knob],
+    *names: str,
+    only_given: bool = False,
+    group: str | None = None,
+    usual: Collection[str] = (),
+    **defaults: Any,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a verb options for settings, in place of its parameter ``settings``, a dict of their values.
 
@@ -26,6 +31,10 @@ def with_settings(
         Which of its fields.
     only_given : bool
         Whether the dict holds only what the user gives; else all of them. What it holds is checked by its class.
+    group : str, optional
+        The title that stands over them in the help, one of `lobewise.cli.terminal.help`.
+    usual : collection of str
+        Those that stand among the verb's usual options instead.
     **defaults
         Of this verb, where they are others than the declaration's; of what is not given, what the help says.
     """
@@ -35,7 +44,13 @@ def with_settings(
     def decorate(verb: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(verb, eval_str=True)
         options = [
-            _make_option(knob, defaults.get(name, knob.default), optional=only_given) for name, knob in chosen.items()
+            _make_option(
+                knob,
+                defaults.get(name, knob.default),
+                optional=only_given,
+                group=None if name in usual else group,
+            )
+            for name, knob in chosen.items()
         ]
         parameters: list[inspect.Parameter] = []
         for parameter in signature.parameters.values():
@@ -55,7 +70,7 @@ def with_settings(
     return decorate
 
 
-def _make_option(knob: Knob, default: Any, *, optional: bool) -> inspect.Parameter:
+def _make_option(knob: Knob, default: Any, *, optional: bool, group: str | None) -> inspect.Parameter:
     """Return the parameter of a verb that stands for a setting; None is what nobody gave."""
     dashed = f"--{knob.name.replace('_', '-')}"
     declared: list[str] = []
@@ -73,8 +88,8 @@ def _make_option(knob: Knob, default: Any, *, optional: bool) -> inspect.Paramet
         kind = str
     if optional and knob.kind is not bool:
         shown, default, kind = str(default), None, kind | None
-    text = knob.text.replace("`", "").replace("[", r"\[")
-    option = typer.Option(*declared, metavar=_show_values(knob), help=text, show_default=shown)
+    text = knob.text.replace("`", "")
+    option = typer.Option(*declared, metavar=_show_values(knob), help=text, show_default=shown, rich_help_panel=group)
     return inspect.Parameter(
         knob.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
     )

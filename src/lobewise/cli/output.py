@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from lobewise.cli.terminal.steps import pause_steps
 from lobewise.errors import make_printable
 from lobewise.frame import Result
 from lobewise.io import FileDescription
@@ -19,6 +20,9 @@ from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
     from lobewise.streaming import DenoisedFile
+
+COMPARING = ("comparing what surfaces reflect", "comparing which way surfaces face")
+"""What a filter did, in a user's words: with lobes, and with normals."""
 
 
 class _Console(Console):
@@ -34,18 +38,25 @@ def make_text(text: str, style: str = "") -> Text:
     return Text(make_printable(text), style=style)
 
 
+def open_console() -> Console:
+    """Return a console for results, on standard output."""
+    return _Console()
+
+
 def print_line(text: str) -> None:
     """Print a line of result, exactly as it is."""
-    _Console().print(make_text(text), soft_wrap=True)
+    with pause_steps():
+        _Console().print(make_text(text), soft_wrap=True)
 
 
 def print_note(text: str) -> None:
     """Print a remark that is no result."""
-    Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
+    with pause_steps():
+        Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
 def describe_result(result: Result) -> str:
-    """Return in one line what was done, with what settings, and how long it took."""
+    """Return in one line what was done, in words that need no knowledge of the filter, and how long it took."""
     return _describe(result, (result.image.shape[0], result.image.shape[1]))
 
 
@@ -54,13 +65,20 @@ def describe_file_result(done: DenoisedFile) -> str:
     return _describe(done, done.shape, f" in {done.bands} band{'s' if done.bands != 1 else ''}")
 
 
+def describe_settings(result: Result | DenoisedFile) -> str:
+    """Return in one line the settings of the filter by their names."""
+    names = ("similarity", "form", "quality", "radius", "beta", "device")
+    return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)
+
+
 def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = "") -> str:
-    named = [
-        f"{name} {_format(result.settings[name])}"
-        for name in ("similarity", "form", "quality", "radius", "beta", "device")
-        if name in result.settings
-    ]
-    told = [f"{shape[1]}x{shape[0]} pixels{how}, {', '.join(named)}, {result.seconds:.2f} s"]
+    settings, told = result.settings, [f"{shape[1]}x{shape[0]} pixels{how}"]
+    if settings.get("bilinear"):
+        told.append("interpolated between pixels")
+    else:
+        told += [f"quality {settings['quality']}"] if "quality" in settings else []
+        told += [COMPARING[settings["similarity"] == "normal"]] if "similarity" in settings else []
+    told = [", ".join([*told, f"{result.seconds:.2f} s"])]
     count = result.bad_pixel_count
     if count:
         told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import show_progress
+from lobewise.cli.terminal.help import FILE_DETAILS, FILES, RESULT
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from lobewise.interchange import Imported
     from lobewise.interchange.checks import Finding
@@ -28,6 +27,7 @@ Preset = Annotated[
         help="Whose conventions the file follows: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, "
         "luxcore, mitsuba, unreal, generic, or a file of them.",
         show_default="what the file tells",
+        rich_help_panel=FILES,
     ),
 ]
 Maps = Annotated[
@@ -37,6 +37,7 @@ Maps = Annotated[
         metavar="ROLE=CHANNELS",
         help="Which channels are what, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 CameraFile = Annotated[
@@ -46,6 +47,7 @@ CameraFile = Annotated[
         metavar="FILE",
         help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
         show_default="what the file tells",
+        rich_help_panel=FILES,
     ),
 ]
 Half = Annotated[
@@ -55,6 +57,7 @@ Half = Annotated[
         metavar="FILE",
         help="The same frame rendered with another seed: both are halves of the samples.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 Also = Annotated[
@@ -64,17 +67,27 @@ Also = Annotated[
         metavar="PATTERN",
         help="Further noisy passes, such as 'Combined_*', filtered like what they belong to; again for more.",
         show_default=False,
+        rich_help_panel=FILES,
     ),
 ]
 Suffix = Annotated[
     str,
-    typer.Option("--suffix", metavar="TEXT", help="Put results beside the noisy passes, in passes whose names end so."),
+    typer.Option(
+        "--suffix",
+        metavar="TEXT",
+        help="Put results beside the noisy passes, in passes whose names end so.",
+        rich_help_panel=RESULT,
+    ),
 ]
-Only = Annotated[bool, typer.Option("--only", help="Write the results alone, no other channel.")]
+Only = Annotated[
+    bool, typer.Option("--only", help="Write the results alone, no other channel.", rich_help_panel=RESULT)
+]
 Confidence = Annotated[
     bool,
     typer.Option(
-        "--confidence", help="Add channels that tell how far to trust the result, and which pixels to render again."
+        "--confidence",
+        help="Add channels that tell how far to trust the result, and which pixels to render again.",
+        rich_help_panel=RESULT,
     ),
 ]
 
@@ -85,6 +98,7 @@ Bands = Annotated[
         metavar="auto|off|ROWS",
         help="Filter so many rows at a time, from file to file: little memory, the same bits. auto does so with a file "
         "that would take more than 4 GiB.",
+        rich_help_panel=FILE_DETAILS,
     ),
 ]
 
@@ -126,6 +140,7 @@ class Reading:
     def read(self, path: Path, source: Path, *, light_passes: bool = False) -> Imported:
         """Return the frame of a file, one of the sequence ``source`` perhaps; what was made of it is said once."""
         from lobewise.interchange import import_file
+        from lobewise.interchange.replacing import require_target
 
         given = self.parse()
         found = import_file(
@@ -138,6 +153,7 @@ class Reading:
         )
         if "color" not in given["mapping"]:
             refuse_results(path, found.findings)
+        require_target(found)
         # Figures in what was found of conventions are of one frame; of a sequence the first frame's are told.
         known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
         for note in found.remarks:
@@ -279,16 +295,21 @@ class FileInBands:
         In place of those in the file.
     settings : dict
         Of the filter.
-    shows_bar : bool
-        Whether a bar tells what is done, and the time that is left.
+    progress : callable, optional
+        Told what is done; see `lobewise.streaming.denoise_file`.
     """
 
     def __init__(
-        self, text: str, tables: Sequence[LobeTable] | None, settings: dict[str, Any], *, shows_bar: bool
+        self,
+        text: str,
+        tables: Sequence[LobeTable] | None,
+        settings: dict[str, Any],
+        *,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         bands = parse_bands(text)
         self._rows = bands if isinstance(bands, int) else None
-        self._tables, self._settings, self._shows_bar = tables, settings, shows_bar
+        self._tables, self._settings, self._progress = tables, settings, progress
         self._done: DenoisedFile | None = None
 
     def write(self, source: Path, output: Path) -> None:
@@ -297,8 +318,7 @@ class FileInBands:
 
         options: dict[str, Any] = {"lobe_tables": self._tables, "rows": self._rows, **self._settings}
         try:
-            with show_progress() if self._shows_bar else nullcontext() as progress:
-                self._done = denoise_file(source, output, progress=progress, **options)
+            self._done = denoise_file(source, output, progress=self._progress, **options)
         except LobewiseError as problem:
             if str(source) in str(problem) or str(output) in str(problem):
                 raise

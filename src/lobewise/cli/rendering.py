@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import Output, parse_place, show_progress
+from lobewise.cli.shared import Exposure, Output, Png, parse_place, plan_pictures, protect_from_pictures, show_progress
+from lobewise.cli.terminal.help import RESULT, SCENE_DETAILS, SEQUENCES
+from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 
@@ -23,46 +25,92 @@ Scene = Annotated[
 ]
 Place = Annotated[
     str | None,
-    typer.Option(metavar="ROW,COLUMN", help="With --scale: which pixel of the block.", show_default="0,0"),
+    typer.Option(
+        metavar="ROW,COLUMN",
+        help="With --scale: which pixel of the block.",
+        show_default="0,0",
+        rich_help_panel=SCENE_DETAILS,
+    ),
 ]
-Scale = Annotated[int, typer.Option(metavar="N", help="Shade one pixel of every NxN; guides everywhere, for upsample.")]
+Scale = Annotated[
+    int,
+    typer.Option(
+        metavar="N",
+        help="Shade one pixel of every NxN; guides everywhere, for upsample.",
+        rich_help_panel=SCENE_DETAILS,
+    ),
+]
 Frames = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="Render so many frames, to -o out.####.exr.",
+        show_default=False,
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 CameraPath = Annotated[
     str | None,
-    typer.Option(metavar="orbit|still|FILE.json", help="With --frames: where the camera goes.", show_default="orbit"),
+    typer.Option(
+        metavar="orbit|still|FILE.json",
+        help="With --frames: where the camera goes.",
+        show_default="orbit",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 Speed = Annotated[
-    float | None, typer.Option(metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25")
+    float | None,
+    typer.Option(
+        metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25", rich_help_panel=SEQUENCES
+    ),
 ]
 Start = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="With --frames: first frame of the path to render.",
+        show_default="1",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 MovingObjects = Annotated[
-    bool, typer.Option("--moving-objects", help="With --frames: objects move too; showroom and parlour have some.")
+    bool,
+    typer.Option(
+        "--moving-objects",
+        help="With --frames: objects move too; showroom and parlour have some.",
+        rich_help_panel=SEQUENCES,
+    ),
 ]
 Light = Annotated[str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")]
 Integrator = Annotated[
     str,
     typer.Option(
-        metavar="auto|paths|scene", help="Whose light; auto: the scene's integrator, by paths where they equal it."
+        metavar="auto|paths|scene",
+        help="Whose light; auto: the scene's integrator, by paths where they equal it.",
+        rich_help_panel=SCENE_DETAILS,
     ),
 ]
 MaxDepth = Annotated[
     int | None,
     typer.Option(
-        metavar="N", help="Longest path, in vertices after the camera.", show_default="the scene's, or 8 without any"
+        metavar="N",
+        help="Longest path, in vertices after the camera.",
+        show_default="the scene's, or 8 without any",
+        rich_help_panel=SCENE_DETAILS,
     ),
 ]
 Define = Annotated[
     list[str] | None,
     typer.Option("--define", "-D", metavar="NAME=VALUE", help="What stands for $NAME in a Mitsuba XML file."),
 ]
-AovOnly = Annotated[bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.")]
-Reference = Annotated[bool, typer.Option("--reference", help="Only the radiance, for many samples.")]
+AovOnly = Annotated[
+    bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.", rich_help_panel=RESULT)
+]
+Reference = Annotated[
+    bool, typer.Option("--reference", help="Only the radiance, for many samples.", rich_help_panel=RESULT)
+]
 
 
 def render(
@@ -85,7 +133,11 @@ def render(
     speed: Speed = None,
     start: Start = None,
     moving_objects: MovingObjects = False,
-    exact: Annotated[bool, typer.Option("--float", help="Store everything as 32-bit floats.")] = False,
+    exact: Annotated[
+        bool, typer.Option("--float", help="Store everything as 32-bit floats.", rich_help_panel=RESULT)
+    ] = False,
+    png: Png = False,
+    exposure: Exposure = None,
 ) -> None:
     """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
     on_path = (
@@ -99,9 +151,9 @@ def render(
     else:
         _refuse_beside("--frames", (("--aov-only", aov_only), ("--place", place is not None)))
     if scale != 1:
-        _refuse_beside("--scale", (("--aov-only", aov_only), ("--reference", reference)))
+        _refuse_beside("--scale", (("--aov-only", aov_only), ("--reference", reference), ("--png", png)))
     if aov_only:
-        _refuse_beside("--aov-only", (("--reference", reference),))
+        _refuse_beside("--aov-only", (("--reference", reference), ("--png", png)))
     if speed is not None and camera_path not in (None, "orbit"):
         _refuse_beside(f"--camera-path {camera_path}", (("--speed", True),))
     common: dict[str, Any] = {
@@ -111,17 +163,20 @@ def render(
         "light": light,
         "integrator": integrator,
     }
+    picture = png, exposure
     size: dict[str, Any] = {"width": width, "height": height, "parameters": parse_definitions(define or [])}
     if frames is not None:
         path = {"camera_path": camera_path or "orbit", "speed": speed, "moving_objects": moving_objects}
         many: dict[str, Any] = {**common, **size, **path, "scale": scale, "reference": reference}
-        _render_sequence(scene, output, frames=frames, start=start or 1, half=not exact, **many)
+        _render_sequence(scene, output, frames=frames, start=start or 1, half=not exact, picture=picture, **many)
     elif scale != 1:
         _render_sparse(scene, output, size, {**common, "scale": scale, "place": parse_place(place or "0,0")}, not exact)
     else:
         # A place that is none is told, whether it is used or not.
         parse_place(place or "0,0")
-        _render_whole(scene, output, size, common, half=not exact, aov_only=aov_only, reference=reference)
+        _render_whole(
+            scene, output, size, common, half=not exact, aov_only=aov_only, reference=reference, picture=picture
+        )
 
 
 def parse_definitions(words: Iterable[str]) -> dict[str, str]:
@@ -178,6 +233,7 @@ def _render_whole(
     half: bool,
     aov_only: bool,
     reference: bool,
+    picture: tuple[bool, float | None],
 ) -> None:
     """Render a frame, or a reference."""
     from lobewise.cli.output import print_line
@@ -187,6 +243,9 @@ def _render_whole(
 
     require_writable(output)
     require_other_files([output], [scene])
+    pictures = plan_pictures(*picture, output)
+    if pictures is not None:
+        protect_from_pictures([output], [scene])
     loaded = load_scene(scene, **size)
     _tell_light(loaded, settings, aov_only=aov_only)
     with show_progress() as advance:
@@ -195,7 +254,10 @@ def _render_whole(
             render_reference(loaded, **settings) if reference else render_frame(loaded, aov_only=aov_only, **settings)
         )
     write_frame(output, frame, half=half, attributes={"lobewise/scene": scene})
+    if pictures is not None:
+        pictures.write(output, frame.radiance.color)
     print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {settings['spp']} spp.")
+    tell_picture(output, pictures)
 
 
 def _render_sequence(
@@ -211,6 +273,7 @@ def _render_sequence(
     height: int | None,
     parameters: dict[str, str],
     half: bool,
+    picture: tuple[bool, float | None],
     **settings: Any,
 ) -> None:
     """Render frames ``start`` to ``start + frames - 1`` of a path, each to its file as soon as it is there."""
@@ -226,6 +289,9 @@ def _render_sequence(
     files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
     require_writable(files[start])
     require_other_files(files.values(), [scene, camera_path])
+    pictures = plan_pictures(*picture, files[start])
+    if pictures is not None:
+        protect_from_pictures(files.values(), [scene, camera_path])
     moving = MovingScene(scene, width, height) if moving_objects else None
     loaded = load_scene(scene, width=width, height=height, parameters=parameters)
     _tell_light(loaded, settings)
@@ -241,12 +307,15 @@ def _render_sequence(
                 write_sparse_frame(file, frame, half=half)
             else:
                 write_frame(file, frame, half=half, attributes={"lobewise/scene": scene})
+                if pictures is not None:
+                    pictures.write(file, frame.radiance.color)
             wide, high = frame.width, frame.height
             advance(f"Rendering {scene}", number - start + 1, frames)
     scale, spp = settings["scale"], settings["spp"]
     share = f"one of {scale}x{scale} pixels shaded, " if scale != 1 else ""
     names = f"{files[start]} to {files[last].name}" if frames > 1 else f"{files[start]}"
     print_line(f"Wrote {names}: {wide}x{high} pixels, {share}{spp} spp.")
+    tell_picture(output, pictures)
 
 
 def _plan_cameras(scene: Any, path: str, count: int, speed: float | None) -> list[Camera]:

@@ -11,6 +11,7 @@ import typer
 from lobewise.cli.options import with_settings
 from lobewise.cli.reading import CameraFile, Half, Maps, Preset, Reading
 from lobewise.cli.shared import parse_size
+from lobewise.cli.terminal.help import FILTERING, PAGE
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
@@ -20,6 +21,7 @@ from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
     KNOBS,
     *("method", "scale", "similarity", "radius", "beta"),
     only_given=True,
+    group=FILTERING,
     similarity="ggx",
     radius="2, a frame's 8",
 )
@@ -33,14 +35,23 @@ def view(
         ),
     ],
     settings: dict[str, Any],
-    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.")] = 8080,
+    port: Annotated[
+        int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.", rich_help_panel=PAGE)
+    ] = 8080,
     host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.")
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.", rich_help_panel=PAGE
+        ),
     ] = "127.0.0.1",
     token: Annotated[
         str | None,
         typer.Option(
-            metavar="WORD", envvar="LOBEWISE_TOKEN", help="Secret in the page's URL.", show_default="a random one"
+            metavar="WORD",
+            envvar="LOBEWISE_TOKEN",
+            help="Secret in the page's URL.",
+            show_default="a random one",
+            rich_help_panel=PAGE,
         ),
     ] = None,
     size: Annotated[

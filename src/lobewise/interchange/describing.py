@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from lobewise.camera import Camera
+from lobewise.errors import InputError
 from lobewise.frame import Frame
-from lobewise.interchange.checks import check_own_mark
+from lobewise.interchange.checks import MARKED, check_own_mark, describe_alone
+from lobewise.interchange.checks.finding import Finding
+from lobewise.interchange.checks.lacks import list_uses
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.interchange.preset import CONVERSIONS, ROLES
+from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
+from lobewise.interchange.replacing import require_target
+from lobewise.interchange.siblings import FIRST_INDEX
+from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.describe import (
     FileDescription,
     ImageDescription,
@@ -48,10 +54,23 @@ def describe_file(
     asked = preset is not None or mapping or camera is not None or half is not None or also
     if not container.parts or (not asked and is_own(container)):
         own = describe_own(path)
-        marks = check_own_mark(container) if find_beauty(container.parts) else ()
-        return replace(own, notes=(*own.notes, *(one.told for one in marks)))
+        marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
+        return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks))
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
-    return describe_import(found)
+    # Whoever says which image is noisy is believed.
+    marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
+    described = describe_import(found)
+    try:
+        require_target(found)
+    except InputError as problem:
+        told = f"Denoising will refuse this: {problem}"
+        return replace(described, notes=(*described.notes, told), refusals=(*marks, told))
+    return replace(described, refusals=marks)
+
+
+def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the sentences of marks for which ``lobewise denoise`` refuses a file."""
+    return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
 
 
 def describe_import(found: Imported) -> FileDescription:
@@ -59,13 +78,14 @@ def describe_import(found: Imported) -> FileDescription:
     container, frame, channels = found.container, found.frame, found.map
     if channels is None:
         return describe_own(container.path)
+    image_part = channels.roles["color"].source.part.index
     used = {(one.source.part.index, name): what for what, one in _list_found(channels, found) for name in one.channels}
     guides = set(frame.gbuffer.names)
     return FileDescription(
         path=str(container.path),
         bytes=container.path.stat().st_size,
         parts=tuple(describe_part(part, used) for part in container.parts),
-        image_part=channels.roles["color"].source.part.index,
+        image_part=image_part if image_part < FIRST_INDEX else None,
         images=tuple(_describe_role(channels, frame, role) for role in ROLES),
         camera=frame.camera,
         spp=frame.spp,
@@ -78,23 +98,53 @@ def describe_import(found: Imported) -> FileDescription:
             RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
             for what, one in _list_found(channels, found)
         ),
+        version=_find_version(channels.preset, container),
+        uses=list_uses(channels, frame),
+        layers=tuple(layer.name for layer in frame.layers) or (("diffuse", "specular") if frame.radiance.parts else ()),
+        exact=tuple(dict.fromkeys(name.partition("/")[0] for name in frame.unscattered)),
+        lacks=found.lacks,
+        outputs=tuple(
+            dict.fromkeys(one.found.label for name, one in found.outputs.items() if name not in frame.unscattered)
+        ),
+        unusable=tuple(channels.refused.values()),
+        alone=" ".join(describe_alone(channels, frame)),
     )
+
+
+def _find_version(preset: Preset, container: Container) -> str:
+    """Return what the header tells of the renderer's version, without what stands in brackets; empty for nothing."""
+    values = {item.name: item.value for part in container.parts for item in part.attributes if item.type == "string"}
+    for name in preset.versions:
+        if name in values:
+            return show_name(values[name].decode("utf-8", "replace").partition("[")[0].strip())
+    return ""
 
 
 def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescription:
     """Return whether a file has a role, what it means, and where it is missing how to have it."""
-    found = channels.roles.get(role)
-    missing = channels.preset.advice.get(role, "not needed to denoise")
-    if found is None and getattr(frame.gbuffer, role, None) is not None:
-        return ImageDescription(f"{role} (of the layers)", True, ROLES[role], missing)
-    return ImageDescription(role if found is None else found.label, found is not None, ROLES[role], missing)
+    found, layers = channels.roles.get(role), "of the layers" if frame.layers else "of albedo"
+    advice = channels.preset.advice.get("layers" if role in ("diffuse", "specular") else role, "not needed to denoise")
+    missing = advice.removeprefix("none; ")
+    if found is not None:
+        unused = role == "albedo" and _has_own_albedo(channels, frame)
+        meaning = f"{ROLES[role]}; not used, as layers have their own" if unused else ROLES[role]
+        return ImageDescription(found.label, True, meaning, missing)
+    derived = frame.radiance if role in ("diffuse", "specular") else frame.gbuffer if "albedo" in role else None
+    if getattr(derived, role, None) is not None:
+        return ImageDescription(f"{role} ({layers})", True, ROLES[role], missing)
+    return ImageDescription(role, False, ROLES[role], missing)
+
+
+def _has_own_albedo(channels: ChannelMap, frame: Frame) -> bool:
+    """Return whether a layer of light has an albedo of its own: one for all light serves only where none has."""
+    names = {layer.name for layer in frame.layers}
+    return any(layer.albedo for layer in channels.layers if layer.rule.name in names)
 
 
 def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
     """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
     names = {layer.name for layer in imported.frame.layers}
-    # One albedo for all light serves where no layer has its own.
-    own = any(layer.albedo for layer in channels.layers if layer.rule.name in names)
+    own = _has_own_albedo(channels, imported.frame)
     found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not own]
     for layer in channels.layers:
         if layer.rule.name in names or layer.rule.lobe == "exact":

@@ -12,6 +12,7 @@ from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.io.exr.container import Container, Part
+from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import Pixels
 
@@ -39,6 +40,8 @@ class Imported:
         What was measured to be another convention than the file was taken for; the notes have their sentences.
     shown : array, shape (height, width, 3), or None
         The image that viewers show, where the renderer denoised it and kept the noisy one in another pass.
+    lacks : tuple of Lack
+        What the frame lacks of what denoising can use; the notes have the sentences.
     """
 
     frame: Frame
@@ -48,6 +51,7 @@ class Imported:
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     shown: FloatArray | None = None
+    lacks: tuple[Lack, ...] = ()
 
     @property
     def preset(self) -> str:

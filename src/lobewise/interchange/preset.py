@@ -65,7 +65,7 @@ LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "e
 """What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
 passes as it is."""
 ATTRIBUTES = (
-    *("name", "title", "attributes", "passes", "files", "samples", "samples_squared"),
+    *("name", "title", "attributes", "versions", "passes", "files", "samples", "samples_squared"),
     *("notes", "advice", "layer", "cryptomatte", "shown"),
 )
 
@@ -100,6 +100,8 @@ class Preset:
         In options and in sentences.
     attributes, passes : tuple of str
         Patterns of header attributes, any of which tells the renderer, and of passes, all of which do together.
+    versions : tuple of str
+        Attributes that hold the version of the renderer as text, the best first.
     roles : mapping of str to tuple of Rule
         For each role the ways to find it, the best first.
     shown : tuple of str
@@ -124,6 +126,7 @@ class Preset:
     name: str
     title: str
     attributes: tuple[str, ...] = ()
+    versions: tuple[str, ...] = ()
     passes: tuple[str, ...] = ()
     roles: Mapping[str, tuple[Rule, ...]] = field(default_factory=dict)
     shown: tuple[str, ...] = ()
@@ -185,6 +188,7 @@ def _parse(data: bytes, where: str) -> Preset:
         name=name,
         title=_take(given, "title", str, what, name),
         attributes=_take_texts(given, "attributes", what),
+        versions=_take_texts(given, "versions", what),
         passes=_take_texts(given, "passes", what),
         roles={
             role: tuple(_parse_rule(role, rule, f"{what}, {role}") for rule in _take(given, role, list, what, []))

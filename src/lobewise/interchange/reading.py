@@ -25,6 +25,7 @@ from lobewise.interchange.checks import (
     find_second,
     name_assumption,
 )
+from lobewise.interchange.checks.lacks import list_lacks
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import (
@@ -301,8 +302,9 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     noise = check_noise(frame, has_normals="normal" in images)
     frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
     findings += noise
+    lacks = list_lacks(channels, frame, findings)
     notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
-    notes += describe_alone(channels, frame) or _note_what_lacks(channels, frame)
+    notes += describe_alone(channels, frame) or [one.told for one in lacks]
     frame = keep_lamps(frame, notes)
     outputs = {"color": PartOutput(channels.target), **light.outputs}
     outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
@@ -310,7 +312,7 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         notes.append("Passes in files of their own stay as they are there: only the image is written.")
         outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
     shown = None if channels.shown is None else read(channels.shown)
-    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings), shown)
+    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings), shown=shown, lacks=tuple(lacks))
 
 
 def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:
@@ -355,36 +357,3 @@ def _take_variance(images: Mapping[str, FloatArray], channels: ChannelMap, spp: 
             return None
         variance = variance / np.float32(spp)
     return Radiance(variance)
-
-
-COSTS = {
-    "normal": "edges and bumps are guessed from the image",
-    "roughness": "mirrors and rough surfaces are treated alike: normals are compared, not reflection lobes",
-    "camera": "where surfaces lie is not compared, nor their reflection lobes",
-    "layers": "diffuse and specular light are filtered together, which blurs reflections",
-    "albedo": "textures are filtered like noise",
-}
-"""What follows where a role is missing."""
-
-
-def _note_what_lacks(channels: ChannelMap, frame: Frame) -> list[str]:
-    guides, advice = frame.gbuffer, channels.preset.advice
-    there = {
-        "normal": "normal" in channels.roles,
-        "roughness": guides.alpha_u is not None,
-        "camera": frame.camera is not None and guides.is_placed,
-        "layers": frame.radiance.parts is not None,
-        "albedo": guides.diffuse_albedo is not None or guides.specular_albedo is not None,
-    }
-    notes = []
-    for role, known in there.items():
-        if known:
-            continue
-        told = advice.get(role) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
-        # A renderer that is not known has no menu.
-        lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
-        remedy = f"; {lead} {told}" if told and not told.startswith("none") else ""
-        remedy = f" ({told.removeprefix('none; ')})" if told.startswith("none") else remedy
-        kind = f"{role} that can be used" if role in channels.refused else role
-        notes.append(f"No {kind}: {COSTS[role]}{remedy}.")
-    return notes

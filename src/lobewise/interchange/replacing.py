@@ -13,6 +13,7 @@ from lobewise.interchange.channels import list_passes
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
+from lobewise.interchange.siblings import FIRST_INDEX
 from lobewise.io.exr.container import show_name
 from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
@@ -78,10 +79,12 @@ def write_result(
     MissingChannelError
         If ``source`` has no image.
     InputError
-        If the result does not have the size of the image in ``source``, or a channel that is added exists.
+        If the result does not have the size of the image in ``source``, a channel that is added exists, or the image
+        lies in another file beside ``source``.
     """
     require_kind("result", result, Result)
     found = source if isinstance(source, Imported) else import_file(source)
+    require_target(found)
     container = found.container
     if found.map is None:
         beauty = require_beauty(container)
@@ -109,6 +112,19 @@ def write_result(
         more = added.setdefault(beauty.index, {})
         more |= {f"{CONFIDENCE}{name}": image for name, image in own.items()}
     return (*notes, *write_copy(path, container, changed, result.settings, beauty, added=added, only=only))
+
+
+def require_target(found: Imported) -> None:
+    """Raise InputError if the image that a result replaces lies in a file beside the one of which a copy is written."""
+    if found.map is None or found.map.target.source.part.index < FIRST_INDEX:
+        return
+    name = found.container.path.name
+    raise InputError(
+        f"image {found.map.target.label}",
+        expected=f"one in {name!r}, of which a copy is written",
+        got="one in another file beside it",
+        action="give that file, or put all passes into one file",
+    )
 
 
 def _plan_own(found: Imported, result: Result) -> Planes:

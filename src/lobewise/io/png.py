@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import io
+import struct
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
+from lobewise.io.files import PathLike
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MAX_BYTES_OF_TEXTS = 4096
+"""How far from the beginning of a file its texts are looked for."""
 
 
-def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
+def encode_png(
+    image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None, texts: Mapping[str, str] | None = None
+) -> bytes:
     """Return a PNG file of sRGB colour, uint8 of shape (height, width, 3).
 
     With a palette, sRGB colours of shape (up to 256, 3), the image has shape (height, width): indices into it.
+    ``texts`` are kept in the file by their names, in Latin-1.
 
     Raises InputError if the arrays are not of these types and shapes, or there is no pixel.
     """
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     expected = 3 if palette is None else 2
     colored = palette is not None or image.shape[-1:] == (3,)
@@ -31,6 +42,26 @@ def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = Non
     picture = Image.fromarray(image)
     if palette is not None:
         picture.putpalette(palette.tobytes())
+    kept = PngInfo()
+    for name, text in (texts or {}).items():
+        kept.add_text(name, text)
     out = io.BytesIO()
-    picture.save(out, "PNG")
+    picture.save(out, "PNG", pnginfo=kept)
     return out.getvalue()
+
+
+def read_png_text(path: PathLike, name: str) -> str | None:
+    """Return a text that `encode_png` kept in a file; None if there is no such file or text."""
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(MAX_BYTES_OF_TEXTS)
+    except OSError:
+        return None
+    place = len(SIGNATURE)
+    while data.startswith(SIGNATURE) and place + 8 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, place)
+        key, _, text = data[place + 8 : place + 8 + length].partition(b"\0")
+        if kind == b"tEXt" and key == name.encode("latin-1") and place + 8 + length <= len(data):
+            return text.decode("latin-1")
+        place += 12 + length
+    return None

@@ -64,6 +64,45 @@ class RoleDescription:
     conversion: str
 
 
+COSTS = {
+    "normal": "edges and bumps are guessed from the image",
+    "roughness": "mirrors and rough surfaces are treated alike: normals are compared, not reflection lobes",
+    "camera": "where surfaces lie is not compared, nor their reflection lobes",
+    "layers": "diffuse and specular light are filtered together, which blurs reflections",
+    "albedo": "textures are filtered like noise",
+}
+"""What follows where a frame lacks something."""
+REMEDY = "lobewise render, which writes every guide in one pass"
+"""What gives a file in lobewise's names the images that it lacks."""
+USES = (*COSTS, "silhouettes", "halves", "variance")
+"""What denoising can use of a frame; "camera" stands for a camera with positions or depths."""
+
+
+@dataclass(frozen=True)
+class Lack:
+    """Something that a frame lacks.
+
+    Parameters
+    ----------
+    role : str
+        A key of `COSTS`.
+    cost : str
+        What follows.
+    remedy : str
+        What to switch on in the renderer; empty where nothing helps.
+    reason : str
+        Why nothing helps.
+    told : str
+        The sentence among the notes that says so; empty for none.
+    """
+
+    role: str
+    cost: str
+    remedy: str = ""
+    reason: str = ""
+    told: str = ""
+
+
 @dataclass(frozen=True)
 class FileDescription:
     """What `describe_file` found.
@@ -77,7 +116,7 @@ class FileDescription:
     parts : tuple of PartDescription
         Everything in the file.
     image_part : int or None
-        Index of the part that holds R, G and B.
+        Index of the part that holds R, G and B; None if there is none, or if it lies in another file.
     images : tuple of ImageDescription
         Every image that a frame can have, found or missing.
     camera : Camera or None
@@ -95,6 +134,23 @@ class FileDescription:
         By whose names the file is read, and what told.
     roles : tuple of RoleDescription
         Of other renderers' files, what is taken from which channels.
+    version : str
+        Of the renderer, as the header has it; empty where the header does not tell.
+    uses : tuple of str
+        What denoising will use, of `USES`.
+    layers, exact : tuple of str
+        Layers of light that are filtered each by itself, and passes of light that no surface scattered: they stay as
+        they were rendered, but for specks of lights out of focus.
+    lacks : tuple of Lack
+        What is missing, and how to have it.
+    outputs : tuple of str
+        The images that the result is written into, first the one that people look at; empty where there is none.
+    refusals : tuple of str
+        The notes that say why the command ``lobewise denoise`` refuses the file; empty where it does not.
+    unusable : tuple of str
+        The notes that say which passes are there but cannot be used, and why.
+    alone : str
+        The note that says what to expect where there is nothing to denoise by but the image; empty where there is.
     """
 
     path: str
@@ -110,6 +166,15 @@ class FileDescription:
     preset: str = "lobewise"
     reason: str = ""
     roles: tuple[RoleDescription, ...] = ()
+    version: str = ""
+    uses: tuple[str, ...] = ()
+    layers: tuple[str, ...] = ()
+    exact: tuple[str, ...] = ()
+    lacks: tuple[Lack, ...] = ()
+    outputs: tuple[str, ...] = ()
+    refusals: tuple[str, ...] = ()
+    unusable: tuple[str, ...] = ()
+    alone: str = ""
 
 
 def describe_file(path: PathLike) -> FileDescription:
@@ -123,6 +188,7 @@ def describe_file(path: PathLike) -> FileDescription:
     container = read_container(path)
     beauty = find_beauty(container.parts)
     notes: list[str] = []
+    refusals: list[str] = []
     used: dict[tuple[int, str], str] = {}
     found: set[tuple[str, str]] = set()
     camera: Camera | None = None
@@ -138,11 +204,16 @@ def describe_file(path: PathLike) -> FileDescription:
             camera = read_camera(beauty)
             tables = read_lobe_tables(beauty)
         except LobewiseError as problem:
-            notes.append(f"Denoising will refuse this file: {problem}")
+            refusals.append(f"Denoising will refuse this file: {problem}")
     gbuffer = {field for owner, field in found if owner == "gbuffer"}
     similarities = list_similarities(gbuffer, camera)
+    uses = _list_uses(found, camera)
+    lacks: list[Lack] = []
     if beauty is not None:
-        notes += _note_what_lacks(container, beauty, gbuffer, camera, similarities)
+        told = _note_lobes(gbuffer, camera, similarities)
+        lacks = [Lack(role, COSTS[role], REMEDY, told=told) for role in COSTS if role not in uses]
+        notes += [*([told] if told else []), *_note_what_lacks(container, beauty, gbuffer)]
+    notes = [*refusals, *notes]
     return FileDescription(
         path=str(path),
         bytes=container.path.stat().st_size,
@@ -157,7 +228,28 @@ def describe_file(path: PathLike) -> FileDescription:
         materials=tuple(map(_describe_table, tables)),
         similarities=similarities,
         notes=tuple(notes),
+        uses=uses,
+        layers=("diffuse", "specular") if "layers" in uses else (),
+        lacks=tuple(lacks),
+        outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in found),
+        refusals=tuple(refusals),
     )
+
+
+def _list_uses(found: set[tuple[str, str]], camera: Camera | None) -> tuple[str, ...]:
+    """Return what denoising uses of a file in lobewise's names, of `USES`, from the images that it holds."""
+    guides = {field for owner, field in found if owner == "gbuffer"}
+    there = {
+        "normal": "normal" in guides,
+        "roughness": "alpha_u" in guides,
+        "camera": camera is not None and bool(guides & {"depth", "position"}),
+        "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= found,
+        "albedo": bool(guides & {"diffuse_albedo", "specular_albedo"}),
+        "silhouettes": "coverage" in guides,
+        "halves": {("half_a", "color"), ("half_b", "color")} <= found,
+        "variance": ("variance", "color") in found,
+    }
+    return tuple(use for use in USES if there[use])
 
 
 def _describe_table(table: LobeTable) -> str:
@@ -173,13 +265,11 @@ def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ..
     return ("normal", "sg", "sg_mixture", "asg", "ggx") if lobes else ("normal",)
 
 
-def _note_what_lacks(
-    container: Container, beauty: Part, gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]
-) -> list[str]:
-    notes = []
+def _note_lobes(gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]) -> str:
+    """Return why reflection lobes cannot be compared; empty where they can."""
     if not similarities:
-        notes.append("Without normal.X/Y/Z nothing tells similar pixels apart.")
-    elif similarities == ("normal",):
+        return "Without normal.X/Y/Z nothing tells similar pixels apart."
+    if similarities == ("normal",):
         lacks = [
             what
             for what, there in (
@@ -189,7 +279,12 @@ def _note_what_lacks(
             )
             if not there
         ]
-        notes.append(f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes.")
+        return f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes."
+    return ""
+
+
+def _note_what_lacks(container: Container, beauty: Part, gbuffer: set[str]) -> list[str]:
+    notes = []
     if "alpha_v" in gbuffer and "tangent" not in gbuffer:
         notes.append("Without tangent.X/Y/Z the similarity ggx is refused where alpha.V differs from alpha.U.")
     if read_spp(beauty) is None:

@@ -1,0 +1,1 @@
+"""What a person reads on a terminal, in words that need no knowledge of how lobewise works."""

@@ -1,0 +1,169 @@
+"""The help of every verb: options in groups with titles, examples that are never cut, and rare options on request.
+
+An option names its group by ``rich_help_panel``, one of the titles below; without it stands under `OPTIONS`. ``--help``
+leaves out the groups of `RARE` and shows the first sentence of each option; ``--help-all`` shows everything.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any, TypeVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+OPTIONS, FILES, RESULT, SEQUENCES = "Options", "What the file holds", "What is written", "Sequences"
+FILTERING, PAGE = "What the sliders begin with", "The page"
+FILTER_DETAILS, SEQUENCE_DETAILS = "Details of the filter", "Details of sequences"
+FILE_DETAILS, SHADING = "Details of files and machine", "Shading pixels again"
+SCENE_DETAILS = "Details of the scene"
+RARE = (FILTER_DETAILS, SEQUENCE_DETAILS, FILE_DETAILS, SHADING, SCENE_DETAILS)
+"""Groups that ``--help`` leaves out, in the order in which ``--help-all`` shows them behind the others."""
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+HELP_NAMES = ("-h", "--help", "--help-all")
+MAX_COLUMNS = 100
+NAME_COLUMNS = 26
+"""Columns of an option's names; longer ones have a line of their own."""
+INDENT = "  "
+EXAMPLES = {
+    "demo": "lobewise demo -o page",
+    "render": "lobewise render kitchen -o kitchen.exr --spp 8\n"
+    "lobewise render scene.xml -o 'out.####.exr' --frames 24 --camera-path still",
+    "view": "lobewise view kitchen\nlobewise view clean.exr",
+    "denoise": "lobewise denoise frame.exr -o clean.exr\n"
+    "lobewise denoise frame.exr -o clean.exr --quality high --png\n"
+    "lobewise denoise 'shot.####.exr' -o 'clean.####.exr'\n"
+    "lobewise denoise frame.exr -o clean.exr --map normal=N.X,N.Y,N.Z",
+    "upsample": "lobewise upsample sparse.exr -o full.exr",
+    "fit": "lobewise fit brass.binary -o brass.lobes\nlobewise fit -o pot.lobes --mitsuba 'scene.xml#pot'",
+    "compare": "lobewise compare noisy.exr clean.exr -r reference.exr",
+    "export": "lobewise export -o filter --similarity ggx\nlobewise export -o weights --target wgsl",
+    "inspect": "lobewise inspect frame.exr\nlobewise inspect --all frame.exr",
+}
+"""What to type, by verb, one command a line."""
+
+
+def asks_for_all(arguments: Sequence[str]) -> bool:
+    """Return whether a command line asks for the rare options as well."""
+    return "--help-all" in arguments
+
+
+class _Helpful:
+    """What groups and commands share: their help, in place of typer's."""
+
+    def format_help(self: Any, ctx: Any, formatter: Any) -> None:
+        """Write the help; ``ctx.obj`` is true where rare options are wanted."""
+        width = min(shutil.get_terminal_size((80, 24)).columns, MAX_COLUMNS) - 1
+        formatter.write("\n".join(_list_lines(self, ctx, width, everything=bool(ctx.obj))) + "\n")
+
+
+class Command(_Helpful, TyperCommand):
+    """A verb."""
+
+
+class Group(_Helpful, TyperGroup):
+    """A group of verbs."""
+
+
+class App(typer.Typer):
+    """Typer's program, all of whose help is made here."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(cls=Group, rich_markup_mode=None, **settings)
+
+    def command(self, name: str | None = None, **settings: Any) -> Callable[[Verb], Verb]:
+        """Return the decorator of a verb, as typer does."""
+        return super().command(name, cls=Command, **settings)
+
+
+def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iterator[str]:
+    """Yield the lines of a help: usage, what it is for, examples, arguments, options by group, verbs."""
+    options = [one for one in command.params if one.param_type_name == "option" and not one.hidden]
+    arguments = [one for one in command.params if one.param_type_name == "argument"]
+    verbs = getattr(command, "commands", {})
+    words = [_get_metavar(one) if one.required else f"[{_get_metavar(one)}]" for one in arguments]
+    usage = [*words, "VERB ..."] if verbs else words
+    yield f"Usage: {' '.join([ctx.command_path, '[OPTIONS]', *usage])}"
+    for paragraph in (command.help or "").split("\n\n"):
+        yield ""
+        yield fill(" ".join(paragraph.split()), width, break_long_words=False, break_on_hyphens=False)
+    if command.epilog:
+        yield from ["", _make_title("Examples"), *(INDENT + line for line in command.epilog.splitlines())]
+    if arguments:
+        rows = [(_get_metavar(one), _describe(one, everything=True)) for one in arguments]
+        yield from ["", _make_title("Arguments"), *_align(rows, width)]
+    if verbs:
+        rows = [(name, _shorten(verb.help or "")) for name, verb in verbs.items()]
+        yield from ["", _make_title("Verbs"), *_align(rows, width)]
+    groups: dict[str, list[Any]] = {OPTIONS: []}
+    for one in options:
+        groups.setdefault(one.rich_help_panel or OPTIONS, []).append(one)
+    left_out = 0 if everything else sum(len(groups.pop(title, [])) for title in RARE)
+    for title in sorted(groups, key=lambda title: (title != OPTIONS, title in RARE)):
+        rows = [(_name(one), _describe(one, everything=everything)) for one in groups[title]]
+        if title == OPTIONS:
+            rows += _list_help_rows(left_out, everything=everything)
+        yield from ["", _make_title(title), *_align(rows, width)]
+
+
+def _list_help_rows(left_out: int, *, everything: bool) -> list[tuple[str, str]]:
+    more = f" and {left_out} rare option{'s' if left_out > 1 else ''}" if left_out else ""
+    told = "Show every option and all that there is to say." if everything else f"Show longer explanations{more}."
+    return [("-h, --help", "Show the usual options."), ("--help-all", told)]
+
+
+def _make_title(text: str) -> str:
+    return typer.style(f"{text}:", bold=True)
+
+
+def _get_metavar(one: Any) -> str:
+    return str(one.metavar or one.name.upper())
+
+
+def _name(one: Any) -> str:
+    """Return the names of an option and what stands for its value."""
+    names = sorted(one.opts, key=len)
+    text = ", ".join(names) + (f" / {', '.join(one.secondary_opts)}" if one.secondary_opts else "")
+    return text if one.is_flag else f"{text} {_get_metavar(one)}"
+
+
+def _describe(one: Any, *, everything: bool) -> str:
+    """Return what is said of an option: in short its first sentence, and always its default."""
+    text = " ".join((one.help or "").split())
+    more = [f"environment: {one.envvar}"] if getattr(one, "envvar", None) else []
+    if one.required and one.param_type_name == "option":
+        more.append("required")
+    elif default := _show_default(one):
+        more.append(f"default: {default}")
+    return " ".join([text if everything else _shorten(text), *([f"[{'; '.join(more)}]"] if more else [])])
+
+
+def _show_default(one: Any) -> str:
+    if isinstance(one.show_default, str):
+        return one.show_default
+    value = one.default
+    if not one.show_default or getattr(one, "is_flag", False) or not isinstance(value, (str, int, float, Path)):
+        return ""
+    return str(value)
+
+
+def _shorten(text: str) -> str:
+    """Return the first sentence of a text."""
+    first, dot, _ = " ".join(text.split()).partition(". ")
+    return first + dot.rstrip()
+
+
+def _align(rows: Sequence[tuple[str, str]], width: int) -> Iterator[str]:
+    """Yield rows of names and texts in two columns; no word is cut."""
+    indent = " " * (NAME_COLUMNS + len(INDENT))
+    for name, text in rows:
+        fits = len(name) + len(INDENT) <= NAME_COLUMNS
+        head = f"{INDENT}{name}".ljust(len(indent)) if fits else indent
+        if not fits:
+            yield f"{INDENT}{name}"
+        yield fill(
+            text, width, initial_indent=head, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        )

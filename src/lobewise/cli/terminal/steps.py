@@ -1,0 +1,106 @@
+"""What runs just now, on a terminal: one line on standard error that is gone when the work is done."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from lobewise.backend.watching import watch_compiling
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+_shown: list[Progress] = []
+"""The display of this process, if there is one."""
+COMPILING = "Compiling kernels, which is done once on a machine"
+
+
+class Steps:
+    """Steps of work, shown one after the other, with a bar where it is known how much of one is done.
+
+    While kernels are compiled that is shown instead. Nothing is shown where standard error is no terminal that can take
+    a line back, or if ``quiet`` is true.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._display: Progress | None = None
+        self._task: TaskID | None = None
+        self._told: tuple[str, int, int | None] | None = None
+        self._context = ExitStack()
+
+    def __enter__(self) -> Steps:
+        if not self._quiet:
+            self._display = _make_display()
+        if self._display is not None:
+            _shown.append(self._display)
+            self._display.start()
+            self._context.enter_context(watch_compiling(self._tell_compiling))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._context.close()
+        if self._display is not None:
+            _shown.remove(self._display)
+            self._display.stop()
+        self._display = self._task = self._told = None
+
+    def tell(self, what: str, done: int = 0, total: int | None = None) -> None:
+        """Show a step in place of the one before, and how much of it is done, if that is known."""
+        is_new, self._told = self._told is None or self._told[0] != what, (what, done, total)
+        self._show(what, done, total, is_new=is_new)
+
+    def _show(self, what: str, done: int, total: int | None, *, is_new: bool) -> None:
+        if self._display is None:
+            return
+        if self._task is not None and is_new:
+            self._display.remove_task(self._task)
+            self._task = None
+        if self._task is None:
+            self._task = self._display.add_task(what, total=total)
+        self._display.update(self._task, completed=done, total=total)
+
+    def _tell_compiling(self, begins: bool) -> None:
+        if begins:
+            self._show(COMPILING, 0, None, is_new=True)
+        elif self._told is not None:
+            self._show(*self._told, is_new=True)
+
+
+@contextmanager
+def pause_steps() -> Iterator[None]:
+    """Take the line away while something else is printed."""
+    for display in _shown:
+        display.stop()
+    yield
+    for display in _shown:
+        display.start()
+
+
+def _make_display() -> Progress | None:
+    if sys.stderr is None or not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    class Amount(ProgressColumn):
+        """How much is done and the time that is left; the time that went by where that is unknown."""
+
+        def render(self, task: Task) -> Text:
+            if task.total is None:
+                return Text(f"{task.elapsed or 0.0:.0f} s")
+            left = "" if task.time_remaining is None else f", {timedelta(seconds=int(task.time_remaining))} left"
+            return Text(f"{task.percentage:3.0f} %{left}")
+
+    console = Console(stderr=True)
+    if not console.is_interactive:
+        return None
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), Amount())
+    return Progress(*columns, console=console, transient=True)

@@ -1,0 +1,121 @@
+"""Pictures beside EXR files: tone mapped as in reports, for programs that show no EXR."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import FloatArray
+from lobewise.io.exr.bands import SLAB_ROWS, BandReader
+from lobewise.io.files import open_atomic
+from lobewise.io.png import encode_png, read_png_text
+from lobewise.reporting.display import choose_exposure, map_tones
+
+EXPOSURE = "lobewise exposure"
+"""Name of the text in a picture that holds the factor from radiance to display values."""
+MAX_MEASURED_PIXELS = 1 << 22
+"""Of larger images every n-th row and column tells the exposure."""
+EXR_ENDINGS = (".exr", ".sxr", ".mxr")
+
+
+def name_picture(path: Path) -> Path:
+    """Return the picture of an EXR file: its name with the ending ``.png``."""
+    return path.with_suffix(".png") if path.suffix.lower() in EXR_ENDINGS else path.with_name(f"{path.name}.png")
+
+
+class Pictures:
+    """Pictures of one exposure, each beside its EXR file; written whole or not at all.
+
+    Parameters
+    ----------
+    stops : float, optional
+        Base-2 logarithm of the exposure; by default the first picture's image tells it (see `choose_exposure`).
+    first : path, optional
+        The EXR file of the first of a sequence: where an earlier run wrote its picture, the exposure is that one's.
+    """
+
+    def __init__(self, *, stops: float | None = None, first: Path | None = None) -> None:
+        self._exposure = None if stops is None else 2.0**stops
+        self._first = first
+
+    name = staticmethod(name_picture)
+
+    def write(self, path: Path, image: FloatArray) -> Path:
+        """Write the picture of an image, linear radiance of shape (height, width, 3); return its path.
+
+        Raises FileError if it cannot be written.
+        """
+        step = _choose_step(image.shape[0], image.shape[1])
+        exposure = self._choose(path, lambda: image[::step, ::step])
+        rows = ((top, image[top : top + SLAB_ROWS]) for top in range(0, image.shape[0], SLAB_ROWS))
+        return _write(path, _paint(image.shape[0], image.shape[1], rows, exposure), exposure)
+
+    def write_from_file(self, path: Path) -> Path:
+        """Write the picture of a file in lobewise's own names, read some rows at a time; return its path.
+
+        Raises FileError if it cannot be written, or ``path`` cannot be read.
+        """
+        height, width = _open(path).shape
+        step = _choose_step(height, width)
+        exposure = self._choose(
+            path, lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(_open(path))])
+        )
+        return _write(path, _paint(height, width, _read_rows(_open(path)), exposure), exposure)
+
+    def _choose(self, path: Path, measure: Callable[[], FloatArray]) -> float:
+        """Return the exposure of all pictures; the first one decides it."""
+        if self._exposure is None and self._first is not None and self._first != path:
+            self._exposure = _read_exposure(name_picture(self._first))
+        if self._exposure is None:
+            self._exposure = choose_exposure(_halve(measure()))
+        return self._exposure
+
+
+def _choose_step(height: int, width: int) -> int:
+    return max(math.ceil(math.sqrt(height * width / MAX_MEASURED_PIXELS)), 1)
+
+
+def _open(path: Path) -> BandReader:
+    return BandReader(path, wanted=[("radiance", "color")])
+
+
+def _paint(height: int, width: int, rows: Iterable[tuple[int, FloatArray]], exposure: float) -> NDArray[np.uint8]:
+    """Return a picture whose image is given some rows at a time, since tone mapping takes several times its memory."""
+    picture = np.empty((height, width, 3), np.uint8)
+    for top, some in rows:
+        picture[top : top + len(some)] = map_tones(_halve(some), exposure)
+    return picture
+
+
+def _halve(image: FloatArray) -> FloatArray:
+    """Return an image as files of 16-bit floats hold it, so that its picture is that of the file."""
+    with np.errstate(over="ignore"):
+        return image.astype(np.float16).astype(np.float32)
+
+
+def _read_rows(reader: BandReader) -> Iterator[tuple[int, FloatArray]]:
+    """Yield the image some rows at a time, each with the number of its first row."""
+    height, _ = reader.shape
+    for top in range(0, height, SLAB_ROWS):
+        yield top, reader.read_frame(top, min(top + SLAB_ROWS, height)).radiance.color
+        reader.forget(top)
+
+
+def _read_exposure(path: Path) -> float | None:
+    """Return the exposure that a picture was made with; None if it does not tell a sensible one."""
+    try:
+        exposure = float(read_png_text(path, EXPOSURE) or "nan")
+    except ValueError:
+        return None
+    return exposure if 0.0 < exposure < math.inf else None
+
+
+def _write(path: Path, picture: NDArray[np.uint8], exposure: float) -> Path:
+    target = name_picture(path)
+    with open_atomic(target, what="picture") as stream:
+        stream.write(encode_png(picture, texts={EXPOSURE: repr(exposure)}))
+    return target
