@@ -35,7 +35,8 @@ def make_foreign_page(measured: Mapping[str, Any], speed: Mapping[str, Any]) -> 
 
 Written by `benchmarks/publish.py` from `benchmarks/results/foreign.json`; no figure is typed by hand. {machine["processor"]}.
 
-Scenes made in code (`benchmarks/foreign/render_*.py`): metals and plastics on a chequered floor; textures; glass; a room with a lamp, a window and a mirror. Filters and
+Scenes made in code (`benchmarks/foreign/render_*.py`): metals and plastics on a chequered floor; textures; glass; a room with a lamp, a window and a mirror; and shots as artists make them:
+a product shot with lamps out of focus, lacquer, flakes and glass, an interior lit through a window, things that move or lie out of focus, small lamps between mirrors. Filters and
 settings are the renderer's defaults, but Blender's adaptive sampling is off; nothing is denoised before. Each file is read as it comes. The error is `rel_mse` with the noise
 of the reference taken out (`benchmarks/foreign/judging.py`): a reference is two renders of different seeds. Few pixels can be most of it, fireflies and lamps seen in mirrors;
 so it also stands without the 0.1 % of an image's pixels that are furthest off.

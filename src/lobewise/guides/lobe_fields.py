@@ -136,8 +136,7 @@ def spread_lobes(field: Field) -> Field:
     than a mirror's lobe is wide, so that no two lobes overlap and all noise stays. `SPREAD_TURNS` times the squared
     turn to that of the four neighbours whose axis is nearest is added to the variance of a lobe in every direction.
 
-    Measured with the quality "balanced" at 256x256, 1 to 64 samples (`benchmarks/results/ingredients.json`). The mean
-    or the largest turn in place of the least blurs reflections in normal maps.
+    Measured in docs/quality.md, "Mirrors": the larger of the turns along row and column blurs normal maps.
 
     Parameters
     ----------
