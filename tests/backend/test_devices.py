@@ -205,7 +205,7 @@ def test_denoise_gives_the_same_on_another_device(vulkan, make_frame, quality):
         transfers
         == {
             "fast": {"up": 12, "down": 2},
-            "balanced": {"up": 19, "down": 11},
-            "high": {"up": 37, "down": 17},
+            "balanced": {"up": 21, "down": 14},
+            "high": {"up": 39, "down": 20},
         }[quality]
     )
