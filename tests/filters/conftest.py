@@ -10,6 +10,7 @@ import pytest
 from lobewise.backend.devices import list_devices
 
 RUNS = (
+    "run_affinity",
     "run_filter",
     "filter_dual_buffer",
     "run_reprojection",
