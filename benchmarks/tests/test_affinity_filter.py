@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import importlib
 from types import ModuleType
 from typing import Any
 
@@ -18,22 +18,13 @@ AGREEMENT = 1e-4
 
 
 @pytest.fixture
-def layer() -> ModuleType:
-    """Return the layer, or skip and say what it needs; where CI is set that is a failure."""
-    try:
-        import torch  # noqa: F401  only whether it is there
-    except ImportError:
-        if os.environ.get("CI"):
-            pytest.fail("CI must train: pip install 'lobewise[train]'")
-        pytest.skip("training needs PyTorch: pip install 'lobewise[train]'")
-    from benchmarks.training import affinity_layer
-
-    return affinity_layer
+def layer(torch: Any) -> ModuleType:
+    """Return the module of the layer."""
+    return importlib.import_module("benchmarks.training.affinity_layer")
 
 
-def make_maps(layer: Any, rng: np.random.Generator, lobes: bool) -> Any:
+def make_maps(torch: Any, layer: Any, rng: np.random.Generator, lobes: bool) -> Any:
     """Return random maps of two images, all but the lobes with gradients."""
-    import torch
 
     def draw(channels: int, scale: float = 1.0) -> Any:
         return torch.from_numpy((scale * rng.random((2, channels, 21, 37))).astype(np.float32))
@@ -46,10 +37,10 @@ def make_maps(layer: Any, rng: np.random.Generator, lobes: bool) -> Any:
 
 @pytest.mark.parametrize("lobes", [True, False], ids=["lobes", "no lobes"])
 @pytest.mark.parametrize("step", [1, 3, 16])
-def test_gradients_are_those_of_autograd(layer: Any, rng: np.random.Generator, step: int, lobes: bool) -> None:
-    import torch
-
-    maps = make_maps(layer, rng, lobes)
+def test_gradients_are_those_of_autograd(
+    torch: Any, layer: Any, rng: np.random.Generator, step: int, lobes: bool
+) -> None:
+    maps = make_maps(torch, layer, rng, lobes)
     slope = torch.from_numpy(rng.normal(size=(2, 3, 21, 37)).astype(np.float32))
     free = [each for each in maps if each is not None and each.requires_grad]
     assert len(free) == 4 + lobes
@@ -63,13 +54,13 @@ def test_gradients_are_those_of_autograd(layer: Any, rng: np.random.Generator, s
 
 
 def test_no_memory_beside_the_images_is_touched(
-    layer: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+    torch: Any, layer: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     """Kernels have no checks of their own; here they have, and say which image they would read beside."""
     monkeypatch.setattr(jit, "_kernels", {})
     monkeypatch.setattr(
         jit, "make_target", lambda device: make_target(device).without_feature(hl.TargetFeature.NoAsserts)
     )
-    maps = make_maps(layer, rng, True)
+    maps = make_maps(torch, layer, rng, True)
     layer.filter_maps(maps, 2).sum().backward()
     assert maps.features.grad is not None
