@@ -15,6 +15,8 @@ import copy
 import json
 import math
 import os
+import signal
+import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,6 +88,11 @@ class Progress:
         if self.steps is not None:
             return min(1.0, self.done / max(self.steps, 1))
         return min(1.0, self.spent / self.minutes) if self.minutes > 0.0 else 1.0
+
+    def add(self, guides: str, loss: float, minutes: float) -> None:
+        """Count a step."""
+        self.done, self.spent = self.done + 1, self.spent + minutes
+        self.losses.setdefault(guides, []).append(loss)
 
     def report(self) -> str:
         """Return the mean losses since the last report, and forget them."""
@@ -207,9 +214,9 @@ def find_frames(folder: Path) -> tuple[list[Path], list[Path]]:
     InputError
         If there is nothing to train on.
     """
-    paths = list_frames(folder)
-    aside = [path for path in paths if is_validation((parse_file_name(path) or (0, 0))[0])]
-    shown = [path for path in paths if path not in set(aside)]
+    seeds = {path: found[0] for path in list_frames(folder) if (found := parse_file_name(path))}
+    shown = [path for path, seed in seeds.items() if not is_validation(seed)]
+    aside = [path for path, seed in seeds.items() if is_validation(seed)]
     if not shown:
         action = "make some with python -m benchmarks.training.make_frames"
         raise InputError("frames", expected="a folder with frames to train on", got=f"none in {folder}", action=action)
@@ -237,30 +244,33 @@ def judge(state: State, paths: list[Path], shown: list[Path], curve: Path, devic
 
 
 def run(state: State, arguments: argparse.Namespace, device: str) -> list[float]:
-    """Train until the run's minutes or steps are over, and return all losses."""
+    """Train until the run's minutes or steps are over, and return all losses; what ends it early loses no step."""
     shown, aside = find_frames(arguments.frames)
     print(f"{len(shown)} frames to train on, {len(aside)} kept aside; on {device}", flush=True)
     progress, losses = Progress(arguments.minutes, arguments.steps), []
     saved = judged = 0.0
-    while progress.share < 1.0:
-        began = time.perf_counter()
-        rate = find_rate(progress.share, progress.done)
-        guides, loss = take_step(state, shown, arguments.seed, rate, device)
-        spent = (time.perf_counter() - began) / 60.0
-        progress.done, progress.spent, state.minutes = progress.done + 1, progress.spent + spent, state.minutes + spent
-        losses.append(loss)
-        progress.losses.setdefault(guides.value, []).append(loss)
-        if progress.done % STEPS_BETWEEN_REPORTS == 0:
-            print(f"step {state.steps}, {progress.spent:.1f} min, rate {rate:.1e}: {progress.report()}", flush=True)
-            shown, aside = find_frames(arguments.frames)
-        if progress.spent - saved >= CHECKPOINT_MINUTES:
-            saved = progress.spent
+    try:
+        while progress.share < 1.0:
+            began = time.perf_counter()
+            rate = find_rate(progress.share, progress.done)
+            guides, loss = take_step(state, shown, arguments.seed, rate, device)
+            spent = (time.perf_counter() - began) / 60.0
+            progress.add(guides.value, loss, spent)
+            state.minutes += spent
+            losses.append(loss)
+            if progress.done % STEPS_BETWEEN_REPORTS == 0:
+                print(f"step {state.steps}, {progress.spent:.1f} min, rate {rate:.1e}: {progress.report()}", flush=True)
+                shown, aside = find_frames(arguments.frames)
+            if progress.spent - saved >= CHECKPOINT_MINUTES:
+                saved = progress.spent
+                save_checkpoint(arguments.checkpoint, state)
+            if progress.spent - judged >= VALIDATION_MINUTES:
+                judged = progress.spent
+                judge(state, aside, shown, arguments.curve, device)
+    finally:
+        if losses:
             save_checkpoint(arguments.checkpoint, state)
-        if progress.spent - judged >= VALIDATION_MINUTES:
-            judged = progress.spent
-            judge(state, aside, shown, arguments.curve, device)
     if losses:
-        save_checkpoint(arguments.checkpoint, state)
         judge(state, aside, shown, arguments.curve, device)
     return losses
 
@@ -300,4 +310,6 @@ def main(words: list[str] | None = None) -> list[float]:
 
 
 if __name__ == "__main__":
+    # Whoever ends the program by SIGTERM keeps the checkpoint, as with Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     main()
