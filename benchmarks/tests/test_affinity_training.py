@@ -23,6 +23,8 @@ HALF = 2e-3
 
 SINGLE = ("depth", "alpha_u", "alpha_v", "hit_inverse", "lobe_sharpness")
 
+SWAPPED = ("diffuse", "specular")
+
 HIDDEN = {
     "all": {"diffuse_albedo", "specular_albedo", "normal"},
     "unsplit": {"diffuse", "specular", "diffuse_albedo", "specular_albedo", "normal"},
@@ -248,6 +250,19 @@ def test_what_a_set_of_guides_hides_changes_nothing(torch: Any, program: Any, na
     np.testing.assert_array_equal(run(hidden), plain)
     for each in sorted(used - hidden):
         assert np.abs(run({each}) - plain).max() > 1e-6, each
+
+
+def test_halves_of_light_in_one_image_are_not_told_apart(torch: Any, program: Any) -> None:
+    batches, sets = program.affinity_batches, program.affinity_model.GuideSet
+    batch = batches.join_crops([batches.make_frame(make_example(1)).cut(0, 0, 32, 32)])
+    names = {f"{first}_{half}": f"{second}_{half}" for half in "ab" for first, second in (SWAPPED, SWAPPED[::-1])}
+    swapped = replace(batch, images=batch.images | {name: batch.images[other] for name, other in names.items()})
+    found = {
+        each: [program.affinity_model.prepare(b, sets(each)).inputs for b in (batch, swapped)]
+        for each in ("unsplit", "all")
+    }
+    torch.testing.assert_close(*found["unsplit"])
+    assert (found["all"][0] != found["all"][1]).any()
 
 
 def test_lobes_and_halves_can_be_left_out(torch: Any, program: Any) -> None:

@@ -130,7 +130,7 @@ def prepare(batch: Batch, guides: GuideSet, *, lobes: bool = True, halves: bool 
         lobed * images["lobe_sharpness"] / 8.0,
         lobed * images["lobe_axis"],
         *(hits * images[name] for name in ("hit_albedo", "hit_normal", "hit_inverse")),
-        *(halves_known * compress(_find_difference(images, name)) for name in ("diffuse", "specular")),
+        *(halves_known * compress(difference) for difference in _find_differences(images, layers)),
         *(float(known) * one for known in (guides.is_split, guides.has_surfaces, guides.has_hits, is_lit)),
         halves_known * one,
         torch.log2(batch.spp).view(-1, 1, 1, 1) / 4.0 * one,
@@ -168,11 +168,17 @@ def _find_log_depth(depth: Tensor, mean: Tensor) -> Tensor:
     return torch.where(depth > 0.0, found, torch.full_like(found, MAX_LOG_DEPTH))
 
 
-def _find_difference(images: dict[str, Tensor], name: str) -> Tensor:
-    """Return half the difference of the halves of a layer over its albedo, (batch, 1, rows, columns)."""
-    floor = DIFFUSE_ALBEDO_FLOOR if name == "diffuse" else SPECULAR_ALBEDO_FLOOR
-    difference = (images[f"{name}_a"] - images[f"{name}_b"]).abs() / images[f"mean_{name}_albedo"].clamp_min(floor)
-    return 0.5 * difference.mean(dim=1, keepdim=True)
+def _find_differences(images: dict[str, Tensor], layers: list[Layer]) -> list[Tensor]:
+    """Return half the difference of the halves of each layer over its albedo, two of (batch, 1, rows, columns).
+
+    Halves of light that is not told apart are known as sums alone; then the second is 0.
+    """
+    first, second = (images[f"{name}_a"] - images[f"{name}_b"] for name in ("diffuse", "specular"))
+    changes = [first, second] if len(layers) > 1 else [first + second]
+    found = [
+        0.5 * (change / own.albedo).abs().mean(dim=1, keepdim=True) for change, own in zip(changes, layers, strict=True)
+    ]
+    return [*found, *[torch.zeros_like(found[0])] * (2 - len(found))]
 
 
 class AffinityNetwork(nn.Module):
