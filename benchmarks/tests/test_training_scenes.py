@@ -61,7 +61,7 @@ def test_patterns_stay_between_0_and_1_and_are_not_all_alike(modules: Any, rng: 
 @pytest.mark.mitsuba
 def test_slopes_of_waves_are_the_derivatives_of_their_height(modules: Any, rng: np.random.Generator) -> None:
     _, _, materials = modules
-    height, slope_x, slope_y = materials._draw_waves(rng, 512, 4.0)
+    height, slope_x, slope_y = materials.draw_waves(rng, 512, 4.0)
     down, right = np.gradient(height, 1.0 / 512)
     # Central differences of at most four periods over 512 texels are off by (2 pi 4 / 512)^2 / 6 = 0.04 percent.
     scale = 1e-3 * np.abs(slope_x).max()

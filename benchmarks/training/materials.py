@@ -47,7 +47,7 @@ def _make_grid(texels: int) -> tuple[Array, Array]:
     return x, y
 
 
-def _draw_waves(generator: Generator, texels: int, periods: float, count: int = 24) -> tuple[Array, Array, Array]:
+def draw_waves(generator: Generator, texels: int, periods: float, count: int = 24) -> tuple[Array, Array, Array]:
     """Return a sum of plane waves and its slopes over the texture, from half to all of ``periods``; variance 1."""
     along = 2.0 * np.pi * periods * (np.arange(texels) + 0.5) / texels
     angle, number, shift = generator.uniform((0.0, 0.5, 0.0), (2.0 * np.pi, 1.0, 2.0 * np.pi), (count, 3)).T[..., None]
@@ -87,7 +87,7 @@ def draw_pattern(generator: Generator, periods: float, texels: int = TEXELS) -> 
         count = int(np.ceil(periods)) + 1
         return np.asarray(generator.random((count, count))[(periods * y).astype(int), (periods * x).astype(int)])
     if kind in ("noise", "blotches"):
-        noise, _, _ = _draw_waves(generator, texels, periods)
+        noise, _, _ = draw_waves(generator, texels, periods)
         return np.clip(0.5 + (0.3 if kind == "noise" else 4.0) * noise, 0.0, 1.0)
     if kind == "rings":
         phase = 2.0 * periods * np.hypot(x - generator.random(), y - generator.random())
@@ -247,7 +247,7 @@ def add_relief(generator: Generator, bsdf: Item, periods: float, size: float) ->
     """
     steepness = draw_log(generator, 0.02, STEEPEST)
     texels = 2 * TEXELS
-    height, slope_x, slope_y = _draw_waves(generator, texels, min(periods, FINEST))
+    height, slope_x, slope_y = draw_waves(generator, texels, min(periods, FINEST))
     deviation = float(np.sqrt(0.5 * (slope_x**2 + slope_y**2).mean()))
     if generator.random() < 0.5:
         return parts.normal_map(encode_normals(*(steepness / deviation * each for each in (slope_x, slope_y))), bsdf)

@@ -172,7 +172,7 @@ def add_objects(stage: Stage, count: int, largest: float) -> None:
             stage.tops.append(((middle[0], middle[1] + half[1], middle[2]), min(half[0], half[2])))
 
 
-def _draw_floor(stage: Stage, size: float) -> Item:
+def draw_floor(stage: Stage, size: float) -> Item:
     """Return a floor's material: glossy and patterned more often than not."""
     generator = stage.generator
     periods = size * draw_log(generator, 0.3, 2.0)
@@ -183,7 +183,7 @@ def _draw_floor(stage: Stage, size: float) -> Item:
     return add_relief(generator, bsdf, size * draw_log(generator, 0.5, 2.0), size) if generator.random() < 0.3 else bsdf
 
 
-def _draw_wall(stage: Stage, size: float, low: float, high: float) -> Item:
+def draw_wall(stage: Stage, size: float, low: float, high: float) -> Item:
     """Return a wall's material: diffuse as a rule, of an albedo within the bounds."""
     generator = stage.generator
     if generator.random() < 0.15:
@@ -201,7 +201,7 @@ def _add_shell(stage: Stage, half: tuple[float, float], height: float, low: floa
     # Walls reach through each other a little, so that no ray slips out between them.
     wide, deep, tall = x + 0.05, z + 0.05, middle + 0.05
     floor, ceiling = (
-        _draw_floor(stage, 2.0 * max(half)),
+        draw_floor(stage, 2.0 * max(half)),
         parts.diffuse(draw_color(stage.generator, 0.4 * high, high, saturated=0.25)),
     )
     stage.add("floor", parts.rectangle((0, 0, 0), (0, 1, 0), (wide, deep), floor))
@@ -212,17 +212,17 @@ def _add_shell(stage: Stage, half: tuple[float, float], height: float, low: floa
         ((-x, middle, 0.0), (deep, tall)),
         ((x, middle, 0.0), (deep, tall)),
     ):
-        wall = _draw_wall(stage, 2.0 * size[0], low, high)
+        wall = draw_wall(stage, 2.0 * size[0], low, high)
         stage.add("wall", parts.rectangle(at, (0, middle, 0), size, wall))
 
 
-def _draw_light_color(generator: Generator, saturation: float = 0.35) -> Array:
+def draw_light_color(generator: Generator, saturation: float = 0.35) -> Array:
     """Return the colour of a light of luminance near 1: white, warm or cold, or anything as ``saturation`` grows."""
     color = 1.0 - saturation * generator.random() * generator.random(3)
     return np.asarray(color / color.mean())
 
 
-def _scale_color(color: Array, radiance: float) -> Vector:
+def scale_color(color: Array, radiance: float) -> Vector:
     red, green, blue = (float(each) for each in color * radiance)
     return red, green, blue
 
@@ -237,17 +237,17 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
     generator = stage.generator
     x, z = half
     kind = generator.choice(["ceiling", "several", "uplights", "window"], p=[0.3, 0.3, 0.22, 0.18])
-    color = _draw_light_color(generator)
+    color = draw_light_color(generator)
     if kind == "ceiling":
         size = tuple(float(draw_log(generator, 0.15, 0.6) * each) for each in half)
         at = (float(generator.uniform(-0.4, 0.4) * x), float(generator.uniform(-0.5, 0.4) * z))
-        radiance = _scale_color(color, light)
+        radiance = scale_color(color, light)
         stage.add("lamp", parts.light((at[0], height - 0.02, at[1]), (at[0], 0, at[1]), (size[0], size[1]), radiance))
     elif kind == "window":
         side = float(generator.choice([-1.0, 1.0]))
         at_z, wide, tall = float(generator.uniform(-0.5, 0.3) * z), 0.35 * z, 0.28 * height
         center = (side * (x - 0.03), 0.55 * height, at_z)
-        pane = parts.light(center, (0, center[1], at_z), (wide, tall), _scale_color(color, light), up=(0, 1, 0))
+        pane = parts.light(center, (0, center[1], at_z), (wide, tall), scale_color(color, light), up=(0, 1, 0))
         stage.add("window", pane)
         frame = parts.diffuse(draw_color(generator, 0.1, 0.8))
         for k in (-1.0, 0.0, 1.0):
@@ -259,7 +259,7 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
                 stage.add("bar", box)
     else:
         for _ in range(int(generator.integers(2, 6 if kind == "several" else 4))):
-            own = _scale_color(_draw_light_color(generator, 0.6) * color, light * draw_log(generator, 0.4, 2.0))
+            own = scale_color(draw_light_color(generator, 0.6) * color, light * draw_log(generator, 0.4, 2.0))
             at_x, at_z = (float(generator.uniform(-0.85, 0.85) * each) for each in half)
             size = (draw_log(generator, 0.15, 0.6), draw_log(generator, 0.15, 0.6))
             if kind == "uplights":
@@ -274,7 +274,7 @@ def _add_room_lights(stage: Stage, half: tuple[float, float], height: float, lig
                 stage.add("lamp", parts.light((at_x, height - 0.02, at_z), (at_x, 0, at_z), size, own))
 
 
-def _aim(stage: Stage, origin: Vector, target: Vector, fov: float) -> None:
+def aim(stage: Stage, origin: Vector, target: Vector, fov: float) -> None:
     stage.origin, stage.target, stage.fov = origin, target, fov
 
 
@@ -294,11 +294,11 @@ def make_room(generator: Generator, light: float, *, dark: bool = False) -> Stag
         float(generator.uniform(0.2, 0.45) * height),
         float(generator.uniform(-0.6, 0.0) * half[1]),
     )
-    _aim(stage, origin, target, float(generator.uniform(35.0, 80.0)))
+    aim(stage, origin, target, float(generator.uniform(35.0, 80.0)))
     _add_shell(stage, half, height, *((0.08, 0.5) if dark else (0.2, 0.85)))
     if dark:
         for _ in range(int(generator.integers(3, 8))):
-            color = _scale_color(_draw_light_color(generator, 1.0), light * draw_log(generator, 0.5, 2.0))
+            color = scale_color(draw_light_color(generator, 1.0), light * draw_log(generator, 0.5, 2.0))
             at = [float(generator.uniform(-0.8, 0.8) * each) for each in half]
             center = (at[0], float(generator.uniform(0.15, 0.9) * height), at[1])
             if np.linalg.norm(np.subtract(center, origin)) < LAMP_CLEARANCE:
@@ -322,7 +322,7 @@ def make_corridor(generator: Generator, light: float) -> Stage:
         half[1] - float(generator.uniform(0.4, 1.0)),
     )
     target = (float(generator.uniform(-0.4, 0.4) * half[0]), float(generator.uniform(0.5, 1.3)), half[1] - 6.0)
-    _aim(stage, origin, target, float(generator.uniform(45.0, 75.0)))
+    aim(stage, origin, target, float(generator.uniform(45.0, 75.0)))
     _add_shell(stage, half, height, 0.15, 0.8)
     for side in (-1.0, 1.0):
         if generator.random() < 0.6:
@@ -331,10 +331,10 @@ def make_corridor(generator: Generator, light: float) -> Stage:
                 at = (side * (half[0] - 0.02), 0.5 * height, float(z))
                 panel = parts.rectangle(at, (0, at[1], at[2]), (0.7, 0.38 * height), bsdf)
                 stage.add("panel", panel)
-    step, color = float(generator.uniform(1.6, 4.0)), _draw_light_color(generator)
+    step, color = float(generator.uniform(1.6, 4.0)), draw_light_color(generator)
     size = (draw_log(generator, 0.2, 0.7), draw_log(generator, 0.15, 0.6))
     for z in np.arange(half[1] - 1.0, -half[1], -step):
-        own = _scale_color(color * _draw_light_color(generator, 0.5), light * generator.uniform(0.3, 1.0))
+        own = scale_color(color * draw_light_color(generator, 0.5), light * generator.uniform(0.3, 1.0))
         stage.add("lamp", parts.light((0, height - 0.02, float(z)), (0, 0, float(z)), size, own))
     add_objects(stage, int(generator.integers(8, 26)), 0.4 * half[0])
     return stage
@@ -359,14 +359,14 @@ def make_sky(generator: Generator, rows: int = 128) -> Array:
         middle, wide = generator.normal(size=3), generator.uniform(np.cos(0.6), np.cos(0.15))
         middle[1] = abs(middle[1])
         inside = toward @ (middle / np.linalg.norm(middle)) > wide
-        radiance = np.where(inside[..., None], draw_log(generator, 1.5, 10.0) * _draw_light_color(generator), radiance)
+        radiance = np.where(inside[..., None], draw_log(generator, 1.5, 10.0) * draw_light_color(generator), radiance)
     if generator.random() < 0.7:
         height, turn = generator.uniform(0.25, 1.3), generator.uniform(0.0, 2.0 * np.pi)
         sun = np.array([np.cos(height) * np.sin(turn), np.sin(height), np.cos(height) * np.cos(turn)])
         # Never as small as the real one, which makes caustics that no sample count resolves.
         radius = np.deg2rad(draw_log(generator, 2.5, 10.0))
         strength = draw_log(generator, 0.5, 4.0) / (np.pi * radius**2)
-        radiance = radiance + (toward @ sun > np.cos(radius))[..., None] * strength * _draw_light_color(generator)
+        radiance = radiance + (toward @ sun > np.cos(radius))[..., None] * strength * draw_light_color(generator)
     return np.asarray(radiance)
 
 
@@ -384,13 +384,13 @@ def make_open_stage(generator: Generator, light: float) -> Stage:
         float(0.3 + distance * np.sin(lift)),
         float(distance * np.cos(angle) * np.cos(lift)),
     )
-    _aim(stage, origin, (0.0, float(generator.uniform(0.2, 0.6)), -0.3), float(generator.uniform(32.0, 60.0)))
+    aim(stage, origin, (0.0, float(generator.uniform(0.2, 0.6)), -0.3), float(generator.uniform(32.0, 60.0)))
     stage.add("sky", {"type": "envmap", "bitmap": (light * make_sky(generator)).astype(np.float32)})
-    floor = _draw_floor(stage, 2.0 * size)
+    floor = draw_floor(stage, 2.0 * size)
     stage.add("floor", parts.rectangle((0, 0, 0), (0, 1, 0), (size, size), floor))
     for place in ((0.0, 1.0, -1.15 * reach), (-1.15 * reach, 1.0, -0.3)):
         if generator.random() < 0.35:
-            wall = _draw_wall(stage, 2.0 * reach, 0.05, 0.85)
+            wall = draw_wall(stage, 2.0 * reach, 0.05, 0.85)
             stage.add("wall", parts.rectangle(place, (0, 1, 0), (reach, 1.0), wall))
     add_objects(stage, int(generator.integers(8, 26)), 0.35 * reach)
     return stage
