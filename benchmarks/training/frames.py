@@ -66,8 +66,8 @@ class Example:
     diffuse_a, diffuse_b, specular_a, specular_b : optional
         The same light from one half of the samples each; absent at 1 sample per pixel.
     peer_all, peer_plain : optional
-        What Open Image Denoise makes of the noisy frame with all guides, prefiltered, and with albedo and normal as
-        they come. Validation frames alone have them.
+        What Open Image Denoise makes of the noisy frame with all guides, and without the means over the pixel's area;
+        both times it prefilters them. Validation frames alone have them.
 
     Raises
     ------
