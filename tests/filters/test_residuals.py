@@ -7,7 +7,7 @@ import pytest
 
 import lobewise
 from lobewise.camera import Camera
-from lobewise.filters.residuals import SHARE, find_squared_residual, split_by_noise, split_samples
+from lobewise.filters.noise.residuals import SHARE, find_squared_residual, split_by_noise, split_samples
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 

@@ -21,6 +21,8 @@ from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.mixing import find_features
+from lobewise.filters.noise import evidence
+from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray
@@ -186,15 +188,28 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     return found
 
 
-@pytest.mark.parametrize(("quality", "expected"), [("balanced", 47), ("high", 93)])
+@pytest.mark.parametrize(("quality", "expected"), [("balanced", 79), ("high", 125)])
 def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
     frame = make_scene((8, 8))
     chosen = resolve_all(frame, ask(None, {"quality": quality}))
     # Fireflies, highlights, residuals, the lobes beside a pixel's; kernels each behind a blurred guide: pilot, wide
-    # (dense) and sparse ones; mixing; coverage.
+    # (dense) and sparse ones; mixing; coverage; evidence: a residual's taps, then four blurs.
     kernels = {"balanced": (4, 5, 3 * 4), "high": (5, 8, 3 * 4, 3 * 10)}[quality]
     blur, mix = 3, {"balanced": 0, "high": 2 * 1 + 2 * 3 + 1}[quality]
-    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + mix + 1 == expected
+    doubt = 2 + 2 * (1 + 2 + 4 + 8)
+    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + mix + 1 + doubt == expected
+
+
+@pytest.mark.parametrize("halves", [True, False])
+def test_evidence_reaches_its_widest_neighbourhood(halves: bool) -> None:
+    filtered, a, b = (np.random.default_rng(k).uniform(1.0, 2.0, (121, WIDTH, 3)).astype(np.float32) for k in range(3))
+    # Far from what was filtered, so that there is a share everywhere.
+    noisy = filtered + np.float32(3.0) + 0.5 * (a - b)
+    changed = filtered.copy()
+    changed[60] += 1.0
+    given = {"halves": (noisy + a - b, noisy + b - a)} if halves else {}
+    before, after = (find_noisy_share(each, noisy, floor=1e-4, **given)[..., None] for each in (filtered, changed))
+    assert measure(before, after) == evidence.REACH
 
 
 def test_dense_passes_have_no_step_at_any_radius() -> None:

@@ -15,6 +15,7 @@ import lobewise
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
 from lobewise.errors import FileError, InputError, LobewiseError
+from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
@@ -305,9 +306,9 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     pixel = sum(reader.count_bytes()) + plan.WORK["fast"]
     high = ask(None, {"quality": "high"})
     assert estimate_bytes(reader, high) == reader.count_bytes()[1] + plan.WORK["high"]
-    for rows in (200, 1000):
+    for rows in (300, 1000):
         memory = (rows + 0.5) * SHAPE[1] * pixel / 2**30
-        assert choose_rows(reader, asked, memory) == rows - 2 * 8
+        assert choose_rows(reader, asked, memory) == rows - 2 * (8 + EVIDENCE_REACH)
     assert choose_rows(reader, asked, 1e-9) == 32
     assert not needs_bands(reader, asked)
     for rows, large in ((SHAPE[0] + 1, False), (SHAPE[0] - 1, True)):

@@ -25,6 +25,8 @@ from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
+from lobewise.filters.noise.residuals import REACH as RESIDUAL_REACH
+from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.noise_guides import (
     LONE_FLOOR,
@@ -32,8 +34,6 @@ from lobewise.filters.noise_guides import (
     find_dark,
     make_noise_guide,
 )
-from lobewise.filters.residuals import REACH as RESIDUAL_REACH
-from lobewise.filters.residuals import split_by_noise, split_samples
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import SPREAD_REACH
 from lobewise.lobes.band_limit import default_tau

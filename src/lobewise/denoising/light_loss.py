@@ -3,7 +3,7 @@
 Fireflies are light that the scene has, found by few samples: a mean without them is too dark, one with them is noisy.
 Which it is, their share alone does not tell: one of them may hold 4 % of an image whose mean is right by chance. So
 the change of the mean is compared with its standard error, from the squared residuals of all pixels; what k equal
-fireflies add to a mean is sqrt(k) of its errors. Source of the residual: `lobewise.filters.residuals`.
+fireflies add to a mean is sqrt(k) of its errors. Source of the residual: `lobewise.filters.noise.residuals`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.filters.residuals import DIFFERENCES, SHARED, SHARED_STEP
+from lobewise.filters.noise.residuals import DIFFERENCES, SHARED, SHARED_STEP
 from lobewise.frame import FloatArray, Frame
 
 MIN_SHARE_BOUNDED = 1e-3

@@ -16,8 +16,8 @@ from lobewise.filters.dual_buffer import filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.highlights import split_highlights
+from lobewise.filters.noise.residuals import find_squared_residual
 from lobewise.filters.noise_guides import find_level, measure_light
-from lobewise.filters.residuals import find_squared_residual
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import find_halves
 from lobewise.settings import DenoiseSettings, ResolvedSettings

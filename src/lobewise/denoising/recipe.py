@@ -15,6 +15,7 @@ from lobewise.denoising.also import filter_also
 from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.combining import combine_with_peer, share_out
+from lobewise.denoising.evidence import count_blurred, describe_blurred, take_back_noisy
 from lobewise.denoising.guided import (
     CleanLayer,
     filter_balanced,
@@ -31,6 +32,7 @@ from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
@@ -114,6 +116,8 @@ def denoise(
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(frame, image, bad), share_bounded)
+    if chosen.quality == "fast":
+        notes += describe_blurred(count_blurred(frame, found.image))
     return Result(
         image=image,
         diffuse=diffuse,
@@ -192,9 +196,9 @@ def find_reach(settings: ResolvedSettings) -> int:
     Of frames without halves of their samples the pilot has no guide, so they are told of less.
     """
     if settings.quality == "high":
-        return find_high_reach(settings)
+        return find_high_reach(settings) + EVIDENCE_REACH
     if settings.quality == "balanced":
-        return find_balanced_reach(settings)
+        return find_balanced_reach(settings) + EVIDENCE_REACH
     return ATROUS_REACH if settings.form == "atrous" else settings.radius
 
 
@@ -230,7 +234,12 @@ def filter_guided(
         gain = share_out_specks(rest, share, device=settings.device)
         rest = rest * gain[..., None]
     layers = [each.layer for each in noisy]
-    return Filtered(layers, parts, clean, compose(frame, parts, rest), tallies, extras, gain)
+    image = compose(frame, parts, rest)
+    if not settings.with_oidn:
+        # With a mixture the evidence is sought when the mixture is there.
+        parts = take_back_noisy(frame, image, layers, parts, max(each.level for each in noisy))
+        image = compose(frame, parts, rest)
+    return Filtered(layers, parts, clean, image, tallies, extras, gain)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

@@ -38,7 +38,7 @@ def find_halves(frame: Frame) -> Halves:
 
     The halves of the samples serve only where they tell apart whatever the frame does, so that all parts of a half
     come from the same samples. Without them a pixel is in the half of its colour and NaN in the other: that tells
-    fireflies, which neighbours do not see; noise it tells badly (`lobewise.filters.residuals`). A pixel that is
+    fireflies, which neighbours do not see; noise it tells badly (`lobewise.filters.noise.residuals`). A pixel that is
     NaN, infinite or negative in a half becomes NaN there, and stays what it is in the other.
     """
     wanted = _list_layers(frame) if frame.layers else _list_parts(frame)

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.recipe import find_reach
+from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 
@@ -58,7 +59,15 @@ def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -
     """Return how many rows a band can have so that it and the rows around it fit ``memory`` GiB, at least a few."""
     _, width = reader.shape
     fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))
-    return max(fitting - 2 * find_reach(settings), FEWEST_ROWS)
+    return max(fitting - 2 * find_band_reach(settings), FEWEST_ROWS)
+
+
+def find_band_reach(settings: ResolvedSettings) -> int:
+    """Return how many rows around a band are read: as far as anything tells on its pixels, or on what is told of them.
+
+    The quality "fast" does not look at evidence; the sentence on what it blurs does.
+    """
+    return find_reach(settings) + (EVIDENCE_REACH if settings.quality == "fast" else 0)
 
 
 def cut_bands(height: int, rows: int) -> Bands:

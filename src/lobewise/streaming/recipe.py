@@ -21,10 +21,11 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
+from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_images, list_unused
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, Rows, describe_loss, sum_light
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
-from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
+from lobewise.denoising.recipe import filter_frame, resolve_all
 from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
@@ -44,6 +45,7 @@ from lobewise.streaming.plan import (
     Bands,
     choose_rows,
     cut_bands,
+    find_band_reach,
     forgets,
     list_measured,
     widen,
@@ -163,11 +165,7 @@ def denoise_file(
         energy_lost=share_bounded,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=(
-            *(one.told for one in check_own_mark(reader.container)),
-            *map(str, join_unusable(seen.unusable)),
-            *describe_loss(seen.join_light(), share_bounded),
-        ),
+        notes=(*(one.told for one in check_own_mark(reader.container)), *seen.describe(share_bounded)),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
     )
 
@@ -212,11 +210,18 @@ class _Seen:
     measures_light: bool
     """Whether so much was taken from fireflies that the light before and after is compared."""
     light: list[Rows] = field(default_factory=list)
+    blurred: list[Rows] = field(default_factory=list)
     unusable: list[Unusable] = field(default_factory=list)
 
-    def join_light(self) -> Rows:
-        """Return the sums of all rows, (rows, 3)."""
-        return np.concatenate(self.light) if self.light else np.zeros((0, 3))
+    def describe(self, share_bounded: float) -> tuple[str, ...]:
+        """Return what is to be told of all rows; ``share_bounded`` as of `describe_loss`."""
+        light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
+        blurred = np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))
+        return (
+            *map(str, join_unusable(self.unusable)),
+            *describe_loss(light, share_bounded),
+            *describe_blurred(blurred),
+        )
 
 
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
@@ -267,7 +272,7 @@ def _filter(
     What is to be told of each band is added to ``seen``.
     """
     height, _ = reader.shape
-    reach, bad_count = find_reach(settings), 0
+    reach, bad_count = find_band_reach(settings), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
@@ -304,6 +309,8 @@ def _filter_band(
     holes = found.find_holes(bad)[core].copy()
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
+    if settings.quality == "fast":
+        seen.blurred.append(count_blurred(frame, found.image, core))
     images = {"color": found.image[core].copy()}
     if len(found.parts) == 2:
         for field, part in zip(("diffuse", "specular"), found.parts, strict=True):

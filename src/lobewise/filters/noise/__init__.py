@@ -1,0 +1,1 @@
+"""How noisy an image is, and what that says of a result."""

@@ -1,0 +1,96 @@
+"""What estimates of noise share: sums over neighbourhoods of growing width, residuals of a difference, local light."""
+
+from __future__ import annotations
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend import expressions
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.filters.noise.residuals import DIFFERENCES
+from lobewise.frame import FloatArray
+
+BLUR_WEIGHTS = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+"""Of one pass along a row or column: a cubic B-spline, whose variance is 1 in squared steps."""
+RESIDUAL_STEP = 2
+"""Pixels between the taps of a residual: a pixel filter may share a sample among neighbours, hardly any further."""
+RESIDUAL_VARIANCE = 6.0
+"""How many times larger the variance of a mean counts where residuals tell the noise: they share taps, and neighbours
+may share samples."""
+SHARED_VARIANCE = 3.2
+"""The same with halves, where neighbours share samples: the sum of correlations, see `residuals.SHARED`."""
+REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
+"""Pixels to each side that a residual or the local light looks at."""
+
+
+def is_good(values: Vector) -> hl.Expr:
+    """Return whether no channel is NaN, infinite or negative."""
+    bad = [expressions.is_bad(value) for value in values]
+    return ~(bad[0] | bad[1] | bad[2])
+
+
+def clamp_to_image(grid: Grid, dx: int, dy: int) -> tuple[hl.Expr, hl.Expr]:
+    """Return where the pixel (dx, dy) away from the grid's own is, or the nearest one inside the image."""
+    width, height = grid.size
+    return hl.clamp(grid.x + dx, 0, width - 1), hl.clamp(grid.y + dy, 0, height - 1)
+
+
+def average_light(grid: Grid, name: str) -> hl.Expr:
+    """Return the mean of the channels of an image around the pixel; bad pixels count as 0."""
+    total, taps = hl.f32(0.0), range(-2, 3)
+    for j in taps:
+        for i in taps:
+            share = hl.f32(BLUR_WEIGHTS[i + 2] * BLUR_WEIGHTS[j + 2] / 3.0)
+            near = grid.read(name, *clamp_to_image(grid, i, j))
+            total = total + hl.select(is_good(near), share * add_channels(near), hl.f32(0.0))
+    return total
+
+
+def add_channels(values: Vector) -> hl.Expr:
+    """Return the sum of three channels."""
+    return values[0] + values[1] + values[2]
+
+
+def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
+    """Return the squared residual of the noisy image minus another one, and whether all pixels that it takes are good.
+
+    Taps outside the image are those at the same distance inside: one that repeats the pixel itself would hide noise.
+    """
+    width, height = grid.size
+    totals, good = [hl.f32(0.0)] * 3, hl.cast(hl.Bool(), True)
+    for row, down in enumerate(DIFFERENCES):
+        for column, across in enumerate(DIFFERENCES):
+            at = tuple(
+                hl.clamp(_mirror(place + RESIDUAL_STEP * (number - 1), size), 0, size - 1)
+                for place, number, size in ((grid.x, column, width), (grid.y, row, height))
+            )
+            noisy, filtered = grid.read("noisy", *at), grid.read(name, *at)
+            good = good & is_good(noisy) & is_good(filtered)
+            share = hl.f32(down * across / 6.0)
+            totals = [total + share * (p - q) for total, p, q in zip(totals, noisy, filtered, strict=True)]
+    return [total * total for total in totals], good
+
+
+def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
+    """Return a coordinate outside [0, size) as far inside, mirrored about the first or the last pixel."""
+    return hl.select(place < 0, -place, hl.select(place > size - 1, 2 * (size - 1) - place, place))
+
+
+def blur_image(image: FloatArray, step: int) -> FloatArray:
+    """Return an image averaged along rows and columns over five taps ``step`` pixels apart."""
+    for along_rows in (True, False):
+        (image,) = run_pointwise(_define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
+    return np.asarray(image)
+
+
+def _define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
+    width, height = grid.size
+    (step,) = grid.get("step")
+    totals: list[hl.Expr] = []
+    for number, weight in enumerate(BLUR_WEIGHTS):
+        offset = (number - 2) * hl.cast(hl.Int(32), step)
+        x = hl.clamp(grid.x + offset, 0, width - 1) if along_rows else grid.x
+        y = grid.y if along_rows else hl.clamp(grid.y + offset, 0, height - 1)
+        values = [hl.f32(weight) * value for value in grid.read("image", x, y)]
+        totals = [total + value for total, value in zip(totals, values, strict=True)] if totals else values
+    return [totals]

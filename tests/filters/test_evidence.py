@@ -1,0 +1,120 @@
+"""How much of the noisy image is taken back: nothing by chance, what a filter blurs, more as samples grow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.denoising.evidence import describe_blurred
+from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.metrics import rel_mse
+
+SIZE = 96
+FLOOR = 1e-4
+
+
+def draw_halves(truth: FloatArray, noise: float, rng: np.random.Generator) -> list[FloatArray]:
+    """Return two halves of the samples, whose mean has the relative variance ``noise``; gamma noise is heavy-tailed."""
+    shape = 0.5 / noise
+    return [(truth * rng.gamma(shape, 1.0 / shape, truth.shape[:2])[..., None]).astype(np.float32) for _ in range(2)]
+
+
+def make_texture() -> FloatArray:
+    """Return stripes, light and dark every third pixel, in the left half of an image; the right half is even."""
+    truth = np.full((SIZE, SIZE, 3), 1.0, np.float32)
+    truth[:, : SIZE // 2 : 3] = 1.6
+    return truth
+
+
+def list_noise(kind: str, a: FloatArray, b: FloatArray) -> dict[str, Any]:
+    """Return what is told of the noise."""
+    if kind == "halves":
+        return {"halves": (a, b)}
+    # A variance that says too little, as of samples that missed what is bright.
+    return {"variance": np.full_like(a, np.square(a - b).mean() / 40.0)} if kind == "variance" else {}
+
+
+@pytest.mark.parametrize("kind", ["halves", "variance", "residual"])
+def test_a_right_image_is_left_alone(kind: str, rng: np.random.Generator) -> None:
+    truth = np.full((SIZE, SIZE, 3), 0.7, np.float32)
+    for noise in (4.0, 0.25, 0.01):
+        a, b = draw_halves(truth, noise, rng)
+        share = find_noisy_share(truth, 0.5 * (a + b), **list_noise(kind, a, b), floor=FLOOR)
+        # A mixture with the share s of an image of the variance v has the error s² v.
+        assert np.square(share).mean() < 2e-3
+        assert share.min() >= 0.0
+
+
+def test_what_a_filter_blurs_is_taken_back(rng: np.random.Generator) -> None:
+    truth = make_texture()
+    blurred = np.where(np.arange(SIZE)[None, :, None] < SIZE // 2, truth[:, : SIZE // 2].mean(), truth)
+    blurred = blurred.astype(np.float32)
+    lost = float(np.square(blurred - truth)[:, :40].mean())
+    shares = []
+    for noise in (4.0 * lost, lost, 0.1 * lost, 0.01 * lost):
+        a, b = draw_halves(truth, noise, rng)
+        noisy = 0.5 * (a + b)
+        share = find_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR)
+        mixed = blurred + share[..., None] * (noisy - blurred)
+        assert rel_mse(mixed, truth) < 1.02 * min(rel_mse(blurred, truth), 1.5 * rel_mse(noisy, truth))
+        shares.append(float(share[8:-8, 8:40].mean()))
+        assert np.square(share[:, 72:]).mean() < 2e-3
+    assert shares == sorted(shares)
+    assert shares[-1] > 0.9
+
+
+def test_fireflies_are_no_evidence(rng: np.random.Generator) -> None:
+    truth = np.full((SIZE, SIZE, 3), 0.7, np.float32)
+    a, b = draw_halves(truth, 0.01, rng)
+    for half in (a, b):
+        half[tuple(rng.integers(0, SIZE, (2, 40)))] = 300.0
+    share = find_noisy_share(truth, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
+    assert share.max() < 0.02
+
+
+def test_bad_pixels_stay_out(rng: np.random.Generator) -> None:
+    truth = make_texture()
+    a, b = draw_halves(truth, 1e-4, rng)
+    flat = np.full_like(truth, 1.2)
+    whole = find_noisy_share(flat, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
+    for value in (np.nan, np.inf, -1.0):
+        spoiled = a.copy()
+        spoiled[10, 10], spoiled[50, 20] = value, value
+        noisy = 0.5 * (spoiled + b)
+        found = find_noisy_share(flat, noisy, halves=(spoiled, b), floor=FLOOR)
+        assert np.isfinite(found).all()
+        if value != -1.0:
+            assert found[10, 10] == found[50, 20] == 0.0
+        np.testing.assert_allclose(found[60:, 60:], whole[60:, 60:], rtol=1e-5)
+
+
+@pytest.mark.parametrize("quality", ["balanced", "high"])
+def test_results_tend_to_their_input(quality: str, rng: np.random.Generator) -> None:
+    """A texture that no guide tells, with little noise: filters blur it, and the result is no worse than the input."""
+    truth = make_texture()
+    a, b = draw_halves(truth, 1e-3, rng)
+    normal = np.zeros((SIZE, SIZE, 3), np.float32)
+    normal[..., 2] = 1.0
+    frame = Frame(
+        Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), half_a=Radiance(a), half_b=Radiance(b), spp=1024
+    )
+    found = lobewise.denoise(frame, quality=quality)
+    assert rel_mse(found.image, truth) < 1.03 * rel_mse(frame.radiance.color, truth)
+
+
+def test_fast_says_how_much_it_blurs(rng: np.random.Generator) -> None:
+    truth = make_texture()
+    normal = np.zeros((SIZE, SIZE, 3), np.float32)
+    normal[..., 2] = 1.0
+    for noise, told in ((1e-3, True), (4.0, False)):
+        a, b = draw_halves(truth, noise, rng)
+        variance = Radiance(np.float32(noise) * truth**2)
+        frame = Frame(Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), variance=variance)
+        notes = lobewise.denoise(frame, quality="fast", similarity="normal").notes
+        assert [note for note in notes if "% of the image this filter blurs" in note] == list(notes[:told])
+    assert describe_blurred(np.array([[9.0, 1000.0]])) == ()
+    assert describe_blurred(np.array([[10.0, 1000.0]]))[0].startswith("In 1 % of the image")
