@@ -14,7 +14,7 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import combining, denoise, high, recipe
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
+from lobewise.denoising.combining import choose_between, denoise_with_peer, join_extras, share_out
 from lobewise.denoising.guided import finish_layer, make_pass_guide, resolve_guided
 from lobewise.denoising.high import (
     COUNT,
@@ -516,7 +516,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
-    monkeypatch.setattr(peers, "has_oidn", lambda: True)
+    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
     return told
 
 
@@ -526,7 +526,7 @@ OURS, PEERS = 0, 1
 class TestPeer:
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
         extras = [np.random.default_rng(k).uniform(-9.0, 0.0, (*SHAPE, EXTRAS)).astype(np.float32) for k in range(2)]
-        return combine_with_peer(frame, ours, extras, "cpu")
+        return choose_between(frame, ours, denoise_with_peer(frame, ours), extras, "cpu")
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
@@ -553,7 +553,8 @@ class TestPeer:
         frame = make_frame()
         self.combine(frame, self.make_ours())
         assert peer["frame"] is frame
-        assert peer["guides"] == "mean"
+        # With its own default, the best guides of the frame.
+        assert set(peer) == {"image", "frame"}
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
     def test_what_the_peer_spoils_is_ours(self, bad, networks, peer):
@@ -633,18 +634,18 @@ class TestPeer:
         assert json.loads(attributes["lobewise/denoised"])["with_oidn"] is True
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
-        monkeypatch.setattr(peers, "has_oidn", lambda: False)
+        monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
         monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
-            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
+            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
 
-    @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+    @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
     def test_the_real_one(self, networks):
         networks["peer"] = force(networks["peer"], PEERS)
         frame = make_frame()
         result = denoise(frame, similarity="normal", with_oidn=True)
-        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame, guides="mean")[0], rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame)[0], rtol=1e-4, atol=1e-5)
 
 
 class TestSettings:

@@ -76,7 +76,8 @@ def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = 
     if settings.get("bilinear"):
         told.append("interpolated between pixels")
     else:
-        told += [f"quality {settings['quality']}"] if "quality" in settings else []
+        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
+        told += [f"quality {settings['quality']}{peer}"] if "quality" in settings else []
         told += [COMPARING[settings["similarity"] == "normal"]] if "similarity" in settings else []
     told = [", ".join([*told, f"{result.seconds:.2f} s"])]
     count = result.bad_pixel_count

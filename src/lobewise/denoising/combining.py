@@ -18,38 +18,62 @@ from lobewise.filters.mixing import mix_candidates
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn
+from lobewise.settings import DenoiseSettings
 
 LAYERS = 2
 DARKEST = 1e-30
 """Radiance up to which there is no share of it."""
 
 
-def combine_with_peer(frame: Frame, image: FloatArray, extras: Sequence[FloatArray], device: str) -> FloatArray:
-    """Return a mixture of ``image`` and what Open Image Denoise makes of the frame, (height, width, 3).
+def choose_between(
+    frame: Frame, ours: FloatArray, peer: FloatArray, extras: Sequence[FloatArray], device: str
+) -> FloatArray:
+    """Return of every pixel how much of our image and of the peer's there is in the result, mixed, (height, width, 3).
 
-    Of a frame whose light is not told apart it is what that makes: the network was trained on none.
+    Of a frame whose light is not told apart it is the peer's image: the network was trained on none.
 
     Parameters
     ----------
     frame : Frame
-        With normals.
-    image : (height, width, 3)
-        Ours, finite, >= 0.
+        The noisy one.
+    ours, peer : (height, width, 3)
+        Finite, >= 0; the peer's is that of `denoise_with_peer`.
     extras : sequence of arrays
         What `find_candidates` tells of the diffuse and of the specular layer, or of the only one.
     device : str
         A name from `list_devices`.
-
-    Raises
-    ------
-    MissingDependencyError
-        If Open Image Denoise is not installed.
     """
-    peer = denoise_with_peer(frame, image)
-    if frame.radiance.parts is None:
+    if not can_mix(frame):
         return peer
-    pairs, seen = list_pairs(image, peer), join_extras(extras)
-    return download(mix_candidates(pairs, 0, seen, find_level(image), load_networks()["peer"], device))
+    pairs, seen = list_pairs(ours, peer), join_extras(extras)
+    return download(mix_candidates(pairs, 0, seen, find_level(ours), load_networks()["peer"], device))
+
+
+def can_mix(frame: Frame) -> bool:
+    """Return whether `choose_between` mixes our image into the peer's."""
+    return frame.radiance.parts is not None
+
+
+def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "") -> str:
+    """Return in one sentence, without a stop, what makes the image.
+
+    Parameters
+    ----------
+    settings : DenoiseSettings
+        Of which quality and ``with_oidn`` are chosen.
+    guides : sequence of str
+        What `lobewise.peers.name_oidn_guides` gives.
+    mixes : bool
+        What `can_mix` gives.
+    why_ours : str
+        What `lobewise.denoising.automatic.explain_ours` gives.
+    """
+    if not settings.asks_for_oidn:
+        return f"lobewise's own filters, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
+    told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"
+    if mixes:
+        return f"{told}, mixed pixel by pixel with lobewise's own filters"
+    return f"{told}, alone, because diffuse and specular light are not told apart"
 
 
 def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:
@@ -74,12 +98,18 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
 
 
 def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
-    """Return what Open Image Denoise makes of the frame, its bad pixels replaced by ours; finite, >= 0."""
+    """Return what Open Image Denoise makes of the frame, its bad pixels replaced by ours; finite, >= 0.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Open Image Denoise is not installed.
+    """
     color = frame.radiance.color
     good = find_good(color)
     if not good.all():
         frame = frame.with_changes(radiance=type(frame.radiance)(np.where(good[..., None], color, image)))
-    peer, _ = denoise_oidn(frame, guides="mean")
+    peer, _ = denoise_oidn(frame)
     fine = find_good(peer)
     return peer if fine.all() else np.where(fine[..., None], peer, image)
 

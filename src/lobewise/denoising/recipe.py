@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.also import filter_also
-from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
+from lobewise.denoising.automatic import ask, change_settings, choose_quality, explain_ours, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.combining import combine_with_peer, share_out
+from lobewise.denoising.combining import can_mix, choose_between, denoise_with_peer, describe_method, share_out
 from lobewise.denoising.guided import (
     CleanLayer,
     filter_balanced,
@@ -34,7 +34,7 @@ from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
-from lobewise.peers import require_oidn
+from lobewise.peers import name_oidn_guides, require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 
 if TYPE_CHECKING:
@@ -50,6 +50,9 @@ def denoise(
 ) -> Result:
     """Denoise a frame by averaging, for every pixel, the neighbours that reflect like it.
 
+    Where Open Image Denoise is installed its image is mixed in, pixel by pixel, unless a quality is named or
+    ``with_oidn`` is False.
+
     Diffuse and specular radiance are filtered apart where the frame has both, each divided by its albedo where the
     frame has that; emission and background pass through. Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and
     Upsampling for Interactive Indirect Illumination". Departs: lobes of two radiances are never mixed, and the lobe
@@ -60,7 +63,7 @@ def denoise(
     frame : Frame
         Noisy radiance with its G-buffer; normals at least, for lobes also roughness, camera and position or depth.
     settings : DenoiseSettings, optional
-        Parameters; by default those that won the comparison.
+        Parameters; by default those that won the comparison, and Open Image Denoise where it is installed.
     features : sequence of Feature
         More distributions that two pixels must share, of your own or from `lobewise.features`; their
         similarities multiply the others in every layer.
@@ -91,7 +94,8 @@ def denoise(
     require_kind("frame", frame, Frame)
     notes = tuple(map(str, find_unusable(frame)))
     frame = bound_guides(frame)
-    chosen = resolve_all(frame, ask(settings, changes))
+    asked = ask(settings, changes)
+    chosen = resolve_all(frame, asked)
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
@@ -100,7 +104,8 @@ def denoise(
     image, parts = found.image, found.parts
     image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
     if chosen.with_oidn:
-        before, image = image, combine_with_peer(frame, image, found.choose_extras(), chosen.device)
+        before, peer = image, denoise_with_peer(frame, image)
+        image = choose_between(frame, before, peer, found.choose_extras(), chosen.device)
         parts = share_out(image, before, parts)
     diffuse, specular = join_parts(found.layers, parts)
     layers: dict[str, FloatArray] = {}
@@ -126,6 +131,12 @@ def denoise(
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         energy_lost=share_bounded,
+        method=describe_method(
+            chosen,
+            name_oidn_guides(frame) if chosen.with_oidn else (),
+            mixes=can_mix(frame),
+            why_ours=explain_ours(change_settings(settings or DenoiseSettings(), changes)),
+        ),
         notes=notes,
         unused=list_unused(frame, chosen),
     )
