@@ -89,8 +89,8 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
     from pyoidn.denoise import denoise
 
     albedos, normal = _find_guides(frame, guides)
-    albedo = _make_finite(np.sum(albedos, axis=0, dtype=np.float32), 0.0) if albedos else None
-    normal = None if normal is None else _make_finite(normal, -1.0)
+    albedo = np.clip(_make_finite(np.sum(albedos, axis=0, dtype=np.float32)), 0.0, 1.0) if albedos else None
+    normal = None if normal is None else _make_finite(normal)
     color = np.array(frame.radiance.color)
     start = time.perf_counter()
     if guides == "prefiltered":
@@ -123,9 +123,9 @@ def _varies(normal: FloatArray) -> bool:
     return bool((there != there[:1]).any())
 
 
-def _make_finite(image: FloatArray, lowest: float) -> FloatArray:
-    """Return a copy with values from ``lowest`` to 1; what is no number is 0."""
-    return np.clip(np.nan_to_num(image, nan=0.0), np.float32(lowest), np.float32(1.0))
+def _make_finite(image: FloatArray) -> FloatArray:
+    """Return a copy in which what is no number, or infinite, is 0."""
+    return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 @lru_cache(maxsize=2)

@@ -467,7 +467,7 @@ class TestContract:
         # No pass has a tap but the pixel's own: reflections stay as they are.
         networks["specular"] = force(networks["specular"], MIDDLE)
         frame, _ = make_shadowed()
-        result = denoise(frame, radius=0, quality=quality, similarity="normal")
+        result = denoise(frame, radius=0, quality=quality, similarity="normal", with_oidn=False)
         assert result.settings["radius"] == 0
         assert result.energy_lost == 0.0
         np.testing.assert_allclose(result.specular, frame.radiance.specular, rtol=ROUNDING)
@@ -588,14 +588,37 @@ class TestPeer:
         np.testing.assert_array_equal(join_extras([second]), np.ones((2, 3, 2 * EXTRAS)))
 
     def test_parts_are_shared_out_by_what_they_had(self):
-        diffuse, specular = np.full((1, 3, 3), 0.6, np.float32), np.full((1, 3, 3), 0.2, np.float32)
-        diffuse[0, 1], specular[0, 1] = 0.0, 0.0
+        # Both kinds; exact light alone; both, and darker than the exact light alone; neither.
+        diffuse, specular = np.full((1, 4, 3), 0.6, np.float32), np.full((1, 4, 3), 0.2, np.float32)
+        diffuse[0, [1, 3]], specular[0, [1, 3]] = 0.0, 0.0
         specular[0, 0] = np.nan
-        before = np.float32([[[0.7] * 3, [0.5] * 3, [0.8] * 3]])
-        image = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3]])
-        found = share_out(image, before, [diffuse, specular])
-        np.testing.assert_allclose(found[0][0, :, 0], [1.2, 0.0, 0.3], rtol=1e-5)
-        np.testing.assert_allclose(found[1][0, :, 0], [0.0, 0.0, 0.1], rtol=1e-5)
+        before = np.float32([[[0.7] * 3, [0.5] * 3, [1.8] * 3, [0.0] * 3]])
+        mixed = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3, [0.2] * 3]])
+        image, (scattered, reflected), gain = share_out(mixed, before, [diffuse, specular])
+        np.testing.assert_allclose(image[0, :, 0], [1.3, 0.9, 0.4, 0.0], rtol=1e-5)
+        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.0, 0.0], rtol=1e-5)
+        np.testing.assert_allclose(reflected[0, :, 0], 0.0, atol=1e-6)
+        np.testing.assert_allclose(gain[0, :, 0], [1.0, 1.8, 0.4, 1.0], rtol=1e-5)
+        rest = before - np.nan_to_num(diffuse) - np.nan_to_num(specular)
+        np.testing.assert_allclose(scattered + reflected + rest * gain, image, rtol=1e-5, atol=1e-6)
+
+    def test_the_passes_of_a_result_make_up_its_image(self, networks, peer):
+        networks["peer"] = force(networks["peer"], PEERS)
+        frame = make_frame()
+        shone = np.zeros((*SHAPE, 3), np.float32)
+        # A sky, a lamp that is brighter than what the peer makes of it, and surfaces.
+        shone[:4], shone[6, 7] = 0.7, 50.0
+        light, guides = frame.radiance, frame.gbuffer
+        dark = {name: np.where(shone > 0.0, np.float32(0.0), getattr(light, name)) for name in ("diffuse", "specular")}
+        radiance = Radiance(dark["diffuse"] + dark["specular"] + shone, **dark)
+        normal, depth = np.array(guides.normal), np.array(guides.depth)
+        normal[:4], depth[:4] = 0.0, 0.0
+        bare = {"half_a": None, "half_b": None, "variance": None, "unscattered": {"emission": shone}}
+        frame = frame.with_changes(radiance=radiance, gbuffer=replace(guides, normal=normal, depth=depth), **bare)
+        result = denoise(frame, similarity="normal", with_oidn=True)
+        assert (result.image == peer["image"]).all(axis=-1).mean() > 0.9
+        total = result.diffuse + result.specular + result.also["emission"]
+        np.testing.assert_allclose(total, result.image, rtol=1e-4, atol=1e-5)
 
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
     def test_denoise_mixes_when_asked(self, apart, networks, peer):

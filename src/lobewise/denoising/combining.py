@@ -8,6 +8,7 @@ as in `lobewise.denoising.high`, by a network that was trained on the same rando
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,11 +77,30 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
     return f"{told}, alone, because diffuse and specular light are not told apart"
 
 
-def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the parts of ``before`` scaled so that with the rest, which is in neither, they make up ``image``.
+class Shares(NamedTuple):
+    """An image, and what makes it up.
 
-    A part keeps its share of both. Where there was nothing of either, or less is left than the rest alone, the parts
-    cannot make it up: they stay 0, or become it.
+    Parameters
+    ----------
+    image : (height, width, 3)
+        The sum of the parts and of the exact light times its gain.
+    parts : list of (height, width, 3)
+        Light that surfaces scatter.
+    gain : (height, width, 3)
+        What light that no surface scatters (emission, background) is multiplied by, >= 0; mostly 1.
+    """
+
+    image: FloatArray
+    parts: list[FloatArray]
+    gain: FloatArray
+
+
+def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> Shares:
+    """Return the parts of ``before`` scaled so that with the exact light, which is in none, they make up ``image``.
+
+    Exact light stays as it is, and each part keeps its share of what is left. Where the image is darker than the exact
+    light alone, or there is no other light, the exact light is scaled instead: out of focus it is noisy, and the
+    mixture is not. Where there is no light of either kind the image stays what it was, 0.
 
     Parameters
     ----------
@@ -92,9 +112,13 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
     good = [np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts]
     filtered = np.sum(good, axis=0, dtype=np.float32)
     rest = np.maximum(before - filtered, np.float32(0.0))
-    wanted = np.maximum(image - rest, np.float32(0.0))
-    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=filtered > DARKEST)
-    return [part * factor for part in good]
+    scattered, exact = filtered > DARKEST, rest > DARKEST
+    image = np.where(scattered | exact, image, before)
+    scaled = exact & (~scattered | (image < rest))
+    gain = np.divide(image, rest, out=np.ones_like(rest), where=scaled)
+    wanted = np.where(scaled, np.float32(0.0), image - rest)
+    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=scattered)
+    return Shares(image, [part * factor for part in good], gain)
 
 
 def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,31 +91,37 @@ def denoise(
     >>> frame = lobewise.read_frame("frame.exr")  # doctest: +SKIP
     >>> clean = lobewise.denoise(frame, radius=12).image  # doctest: +SKIP
     """
-    start = time.perf_counter()
     require_kind("frame", frame, Frame)
+    return run_recipe(frame, change_settings(settings or DenoiseSettings(), changes), features)
+
+
+def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
+    """Denoise a frame; ``named`` are the settings before anything is chosen."""
+    start = time.perf_counter()
     notes = tuple(map(str, find_unusable(frame)))
     frame = bound_guides(frame)
-    asked = ask(settings, changes)
-    chosen = resolve_all(frame, asked)
+    chosen = resolve_all(frame, ask(named, {}))
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
     found = filter_frame(frame, chosen, features)
-    image, parts = found.image, found.parts
-    image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
+    image = fill_holes(found.image, found.find_holes(bad), frame, chosen.device)
+    parts = found.parts
+    gains = [] if found.gain is None else [found.gain[..., None]]
     if chosen.with_oidn:
-        before, peer = image, denoise_with_peer(frame, image)
-        image = choose_between(frame, before, peer, found.choose_extras(), chosen.device)
-        parts = share_out(image, before, parts)
+        peer = denoise_with_peer(frame, image)
+        mixed = choose_between(frame, image, peer, found.choose_extras(), chosen.device)
+        image, parts, gain = share_out(mixed, image, parts)
+        gains.append(gain)
     diffuse, specular = join_parts(found.layers, parts)
     layers: dict[str, FloatArray] = {}
     if frame.layers:
         layers = {layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
     more = frame.also or any(layer.parts for layer in frame.layers)
     also = filter_also(frame, chosen, features, layers, image) if more else {}
-    if found.gain is not None:
-        also |= {name: blacken_bad(light * found.gain[..., None]) for name, light in frame.unscattered.items()}
+    if gains:
+        also |= {name: blacken_bad(reduce(np.multiply, gains, light)) for name, light in frame.unscattered.items()}
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
@@ -135,7 +142,7 @@ def denoise(
             chosen,
             name_oidn_guides(frame) if chosen.with_oidn else (),
             mixes=can_mix(frame),
-            why_ours=explain_ours(change_settings(settings or DenoiseSettings(), changes)),
+            why_ours=explain_ours(named),
         ),
         notes=notes,
         unused=list_unused(frame, chosen),

@@ -174,11 +174,7 @@ def denoise_file(
         energy_lost=share_bounded,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=(
-            *(one.told for one in check_own_mark(reader.container)),
-            *map(str, join_unusable(seen.unusable)),
-            *describe_loss(seen.join_light(), share_bounded),
-        ),
+        notes=seen.list_notes(reader, share_bounded),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
         method=describe_method(chosen, (), mixes=apart, why_ours=explain_ours(named, whole=False)),
     )
@@ -226,9 +222,14 @@ class _Seen:
     light: list[Rows] = field(default_factory=list)
     unusable: list[Unusable] = field(default_factory=list)
 
-    def join_light(self) -> Rows:
-        """Return the sums of all rows, (rows, 3)."""
-        return np.concatenate(self.light) if self.light else np.zeros((0, 3))
+    def list_notes(self, reader: BandReader, share_bounded: float) -> tuple[str, ...]:
+        """Return what is told of the whole frame, one sentence each."""
+        light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
+        return (
+            *(one.told for one in check_own_mark(reader.container)),
+            *map(str, join_unusable(self.unusable)),
+            *describe_loss(light, share_bounded),
+        )
 
 
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
