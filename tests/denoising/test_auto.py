@@ -86,11 +86,12 @@ def test_the_default_mixes_where_light_is_told_apart(make_frame: Callable[..., F
     assert len(present) == 1
     assert (result.settings["quality"], result.settings["with_oidn"]) == ("high", True)
     assert result.method == (
-        "Open Image Denoise with albedo and normal, mixed pixel by pixel with lobewise's own filters"
+        "Open Image Denoise with albedo and normal, mixed pixel by pixel with lobewise's own filters, "
+        "comparing which way surfaces face"
     )
     ours = denoise(frame, **CHEAP, with_oidn=False)
     assert len(present) == 1
-    assert ours.method == "lobewise's own filters, quality high"
+    assert ours.method == "lobewise's own filters, comparing which way surfaces face, quality high"
     assert (result.image >= np.minimum(ours.image, 3.0) * 0.999).all()
     assert (result.image <= np.maximum(ours.image, 3.0) * 1.001).all()
     assert not np.allclose(result.image, ours.image)
@@ -139,10 +140,10 @@ def test_without_it_the_default_is_high_and_says_why(make_frame: Callable[..., F
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP)
     assert (result.settings["quality"], result.settings["with_oidn"]) == ("high", False)
-    assert result.method == f"lobewise's own filters, quality high ({MISSING})"
+    assert result.method == f"lobewise's own filters, comparing which way surfaces face, quality high ({MISSING})"
     for changes in ({"quality": "high"}, {"with_oidn": False}):
         same = denoise(frame, **CHEAP, **changes)
-        assert same.method == "lobewise's own filters, quality high"
+        assert same.method == "lobewise's own filters, comparing which way surfaces face, quality high"
         np.testing.assert_array_equal(same.image, result.image)
 
 
@@ -153,7 +154,7 @@ def test_bands_are_of_our_own_filters_and_say_why(make_frame: Callable[..., Fram
     done = denoise_file(source, tmp_path / "bands.exr", rows=8, **CHEAP)
     assert (done.settings["quality"], done.settings["with_oidn"]) == ("high", False)
     assert done.method == (
-        "lobewise's own filters, quality high "
+        "lobewise's own filters, comparing which way surfaces face, quality high "
         "(Open Image Denoise takes whole images, and this one is denoised in bands)"
     )
     result = denoise(read_frame(source), **CHEAP, with_oidn=False)

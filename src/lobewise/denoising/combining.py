@@ -69,11 +69,15 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
     why_ours : str
         What `lobewise.denoising.automatic.explain_ours` gives.
     """
+    compared = "what surfaces reflect"
+    if settings.similarity == "normal":
+        compared = "which way surfaces face" if "normal" in guides else "the picture alone"
+    ours = "lobewise's own filters" + (f", comparing {compared}" if settings.similarity != "auto" else "")
     if not settings.asks_for_oidn:
-        return f"lobewise's own filters, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
+        return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"
     if mixes:
-        return f"{told}, mixed pixel by pixel with lobewise's own filters"
+        return f"{told}, mixed pixel by pixel with {ours}"
     return f"{told}, alone, because diffuse and specular light are not told apart"
 
 

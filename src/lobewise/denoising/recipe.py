@@ -140,7 +140,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         energy_lost=share_bounded,
         method=describe_method(
             chosen,
-            name_oidn_guides(frame) if chosen.with_oidn else (),
+            name_oidn_guides(frame),
             mixes=can_mix(frame),
             why_ours=explain_ours(named),
         ),

@@ -148,10 +148,8 @@ def _describe_light(found: FileDescription) -> Iterator[str]:
         yield told
     if "albedo" in found.uses:
         yield "textures are taken out by the surface colors, so they stay sharp"
-    if "halves" in found.uses or "variance" in found.uses:
-        yield "the noise is known" + (
-            " from two halves of the samples" if "halves" in found.uses else " of every pixel"
-        )
+    if "halves" in found.uses:
+        yield "the noise is known from two halves of the samples"
 
 
 def _shorten(notes: Sequence[str]) -> list[str]:

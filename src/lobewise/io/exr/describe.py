@@ -74,7 +74,7 @@ COSTS = {
 """What follows where a frame lacks something."""
 REMEDY = "lobewise render, which writes every guide in one pass"
 """What gives a file in lobewise's names the images that it lacks."""
-USES = (*COSTS, "silhouettes", "halves", "variance")
+USES = (*COSTS, "silhouettes", "halves")
 """What denoising can use of a frame; "camera" stands for a camera with positions or depths."""
 
 
@@ -256,10 +256,9 @@ def _list_uses(found: set[tuple[str, str]], camera: Camera | None) -> tuple[str,
         "camera": camera is not None and bool(guides & {"depth", "position"}),
         "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= found,
         "albedo": bool(guides & {"diffuse_albedo", "specular_albedo"}),
-        "silhouettes": "coverage" in guides,
         "halves": {("half_a", "color"), ("half_b", "color")} <= found,
-        "variance": ("variance", "color") in found,
     }
+    there["silhouettes"] = there["layers"] and "coverage" in guides
     return tuple(use for use in USES if there[use])
 
 
