@@ -65,7 +65,10 @@ def test_blender_page_has_commands_and_options_that_exist() -> None:
     commands = "".join(text for language, text in blocks if not language)
     lines = re.findall(r"^lobewise ([^#\n]*)", commands, flags=re.M)
     assert {line.split()[0] for line in lines} >= {"inspect", "denoise", "view", "compare"}
-    known = {verb: {name for each in command.params for name in each.opts} for verb, command in verbs.items()}
+    known = {
+        verb: {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
+        for verb, command in verbs.items()
+    }
     for verb, *words in map(str.split, lines):
         assert {word for word in words if word.startswith("--")} <= known[verb], verb
     alone = set(re.findall(r"`(--[a-z-]+)", BLENDER_PAGE.read_text()))

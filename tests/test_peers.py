@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.errors import InputError, MissingChannelError
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn
+from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn, name_oidn_guides
 
 pytestmark = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
 
@@ -79,6 +79,38 @@ def test_a_frame_without_mean_normals_gives_its_own(
     np.testing.assert_array_equal(given["albedo"], 1.0)
 
 
+def test_what_tells_nothing_is_left_out(full_frame: Frame, given: dict[str, Any]) -> None:
+    guides, flat = full_frame.gbuffer, np.zeros((*full_frame.shape, 3), np.float32)
+    # As a reader makes normals up where a file has none, but none where a lamp is.
+    flat[..., 2] = 1.0
+    flat[3, 4] = 0.0
+    for gbuffer, names in (
+        (GBuffer(), ()),
+        (GBuffer(normal=flat), ()),
+        (GBuffer(normal=flat, diffuse_albedo=guides.diffuse_albedo), ("albedo",)),
+        (GBuffer(normal=guides.normal, diffuse_albedo=guides.diffuse_albedo), ("albedo", "normal")),
+    ):
+        frame = full_frame.with_changes(gbuffer=gbuffer)
+        assert name_oidn_guides(frame) == names
+        denoise_oidn(frame)
+        assert tuple(name for name in ("albedo", "normal") if given[name] is not None) == names
+        # A network for guides without noise needs some.
+        assert given["clean_aux"] is bool(names)
+    image, _ = denoise_oidn(full_frame.with_changes(gbuffer=GBuffer()))
+    assert image.shape == (*full_frame.shape, 3)
+
+
+def test_guides_that_are_no_numbers_do_not_reach_it(full_frame: Frame, given: dict[str, Any]) -> None:
+    normal, albedo = np.array(full_frame.gbuffer.normal), np.array(full_frame.gbuffer.diffuse_albedo)
+    normal[2, 3], albedo[2, 4], albedo[2, 5] = np.nan, np.nan, np.inf
+    frame = full_frame.with_changes(gbuffer=GBuffer(normal=normal, diffuse_albedo=albedo))
+    denoise_oidn(frame, guides="mean")
+    np.testing.assert_array_equal(given["normal"][2, 3], 0.0)
+    np.testing.assert_array_equal(given["albedo"][2, 4:6], 0.0)
+    denoise_oidn(frame)
+    assert all(np.isfinite(given[name]).all() for name in ("albedo", "normal"))
+
+
 @pytest.mark.parametrize("kind", ["mean", "prefiltered"])
 def test_an_albedo_without_a_mean_of_the_area_is_that_of_the_samples(
     kind: str, full_frame: Frame, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
@@ -142,6 +174,4 @@ def test_frame_and_kept_filters_are_left_as_they_were(rng: np.random.Generator) 
 def test_mistakes_are_told(full_frame: Frame) -> None:
     with pytest.raises(InputError, match="guides"):
         denoise_oidn(full_frame, guides="prefilterd")
-    with pytest.raises(MissingChannelError, match="normal"):
-        denoise_oidn(full_frame.with_changes(gbuffer=GBuffer()))
     assert OIDN_GUIDES[0] == "prefiltered"

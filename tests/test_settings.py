@@ -101,6 +101,7 @@ class TestDeclarations:
             "screen_sigma": 1.0,
             "tau": 0.01,
             "hit_distance": False,
+            "with_oidn": False,
         }
         assert ResolvedSettings(**whole).radius == 8
         for name in whole:

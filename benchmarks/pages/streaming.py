@@ -53,7 +53,8 @@ bands: `denoise_file(..., memory=8)`.
 
 ## What cannot be done in bands
 
-- `--with-oidn`, because Open Image Denoise sees whole images; `--adaptive` and `--temporal`. Sequences without these go frame by frame, and each in bands.
+- `--with-oidn`, because Open Image Denoise takes whole images: in bands the quality `auto` is `high` without it, and the command says so; `--bands off` denoises a large file whole.
+- `--adaptive` and `--temporal`. Sequences without these go frame by frame, and each in bands.
 - Features of your own, which are images of the whole frame: use `denoise`.
 - Files whose image is beside subsampled channels (rows of which are not rows of the image). `--bands auto` takes such a file as a whole.
 

@@ -8,13 +8,14 @@ from typing import Any
 HEAD = """# Quality: how the noise enters
 
 `lobewise.denoise(frame, quality=...)`, `lobewise denoise --quality ...`. Guides and lobes tell which pixels reflect alike; they do not know how noisy a frame is, or how
-fast what is reflected changes. Three qualities:
+fast what is reflected changes. Three qualities, and `auto`, the default:
 
 | quality | what it does |
 | --- | --- |
 | `fast` | The paper's: one pass, weights from guides alone. Any form, radius, upsampling and histories. |
-| `balanced` (default) | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. A third, sparse pass over what that gave reaches further where light is diffuse or reflected by rough lobes. |
+| `balanced` | Both halves of the samples are filtered narrowly by lobes, which gives a pilot and, by how far the halves are apart, its noise; then widely, by lobes times how far apart two pixels are in the pilot, over its noise. A third, sparse pass over what that gave reaches further where light is diffuse or reflected by rough lobes. |
 | `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
+| `auto` (default) | The best that is here: `high`, mixed with the image of Open Image Denoise where that is installed (below). Forms other than the full one, upsampling and histories: `fast`. |
 
 Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
 
@@ -56,8 +57,9 @@ python -m benchmarks.training.train --cache DIR
 
 ## Together with Open Image Denoise
 
-`denoise(frame, with_oidn=True)`, `--with-oidn`: `high`, then a mixture with what Open Image Denoise makes of the frame, pixel by pixel, in proportions that a third network reads off the same
-inputs and the difference of both. Of a frame whose light is not told apart it is Open Image Denoise's image, because the network knows no such frames. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
+Where it is installed (`lobewise[best]`) and no quality is named; `with_oidn=True` or `--with-oidn` asks for it, `with_oidn=False` or `--offline` leaves it out. `Result.method`, `denoise` and `inspect` say what was used. `high`, then a mixture with what Open Image Denoise makes of the frame,
+pixel by pixel, in proportions that a third network reads off the same inputs and the difference of both. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
+as readers make them up, are left out. Of a frame whose light is not told apart it is Open Image Denoise's image, because the network knows no such frames. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
 
 {peer}
 

@@ -3,8 +3,8 @@
 The frames and references are those of `scenes.py` (none of the scenes that results are judged on). For every
 pixel the networks of both layers say in which proportions thirteen filtered images are mixed; what is minimised is the
 relative squared error of the sum of both layers, each frame counting by its error before. A fifth of the scenes is
-kept aside to tell when the networks only learn their scenes by heart. Then a third network learns to mix what comes out
-with what Open Image Denoise makes of the frame (``with_oidn``).
+kept aside to tell when the networks only learn their scenes by heart. The third network of the file, which mixes what
+comes out with what Open Image Denoise makes of the frame, stays as it is: `peer_share.py` trains that.
 
     python -m benchmarks.training.scenes --cache DIR --count 24 --size 384 --reference-spp 256
     python -m benchmarks.training.train --cache DIR
@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
-from lobewise.denoising.combining import denoise_with_peer, find_level, join_extras, list_pairs
 from lobewise.denoising.guided import finish_layer, resolve_guided
 from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network
 from lobewise.denoising.noisy import make_noisy_layers
-from lobewise.filters.mixing import LEAK, Network, find_features, mix_candidates
+from lobewise.filters.mixing import LEAK, Network, find_features
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image
 from lobewise.metrics import EPSILON
@@ -119,21 +118,6 @@ def collect(frame: Frame, scene: Scene) -> Examples:
         candidates[noisy.name] = [finish_layer(frame, noisy, pair, found.middle).image for pair in found.pairs]
     rest = find_rest(frame)
     return make_examples(scene, rest, features, candidates, sum((candidates[kind][MIDDLE] for kind in KINDS), rest))
-
-
-def collect_peer(frame: Frame, scene: Scene, networks: dict[str, Network]) -> Examples:
-    """Return the examples of a frame for the network that mixes with the peer."""
-    settings = resolve(frame)
-    image, extras = find_rest(frame), []
-    for noisy in make_noisy_layers(frame, settings, ()):
-        found = find_candidates(frame, noisy, settings)
-        light = mix_candidates(found.pairs, MIDDLE, found.extras, noisy.level, networks[noisy.name])
-        image = image + finish_layer(frame, noisy, (light,), found.middle).image
-        extras.append(found.extras)
-    pairs = list_pairs(image, denoise_with_peer(frame, image))
-    features = find_features(pairs, 0, join_extras(extras), find_level(image))
-    peer = pairs[1][0]
-    return make_examples(scene, np.zeros_like(image), {"peer": features}, {"peer": [image, peer]}, peer)
 
 
 def join(examples: list[Examples]) -> Examples:
@@ -262,6 +246,17 @@ def train_and_measure(
     return train(join(list(frames.values())), arguments.steps, arguments.seed), table
 
 
+def replace_networks(path: Path, networks: dict[str, Network]) -> dict[str, Array]:
+    """Write networks into a file that keeps its others, and return all arrays of it."""
+    arrays: dict[str, Array] = dict(np.load(path, allow_pickle=False)) if path.exists() else {}
+    for kind, each in networks.items():
+        arrays |= pack_network(each, kind)
+    temporary = path.with_suffix(".tmp.npz")
+    np.savez(temporary, **arrays)  # type: ignore[arg-type]
+    temporary.replace(path)
+    return arrays
+
+
 def main() -> None:
     """Collect, train, measure on scenes kept aside, train again on all, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -285,28 +280,17 @@ def main() -> None:
         print(f"scene {seed} collected", flush=True)
     kept = [seed for seed in seeds if seed % HELD_OUT_EVERY == 0]
     networks, table = train_and_measure(frames, kept, arguments)
-    frames = {
-        (seed, spp): collect_peer(read_frame(cache / f"train-{seed}-{spp}.exr"), scenes[seed], networks)
-        for seed in seeds
-        for spp in SAMPLES
-    }
-    with_peer, peer_table = train_and_measure(frames, kept, arguments)
-    networks |= with_peer
-    arrays = {name: array for kind, each in networks.items() for name, array in pack_network(each, kind).items()}
-    temporary = arguments.output.with_suffix(".tmp.npz")
-    np.savez(temporary, **arrays)  # type: ignore[arg-type]
-    temporary.replace(arguments.output)
+    arrays = replace_networks(arguments.output, networks)
     write_json(
         arguments.results,
         {
-            "what": "error of the mixture over that of the middle candidate, and of the mixture with the peer over the "
-            "peer's; geometric means over scenes, noise of the references subtracted",
+            "what": "error of the mixture over that of the middle candidate; geometric means over scenes, noise of the "
+            "references subtracted",
             "scenes": seeds,
             "kept_aside": kept,
             "weights": int(sum(array.size for array in arrays.values())),
             "steps": arguments.steps,
             "ratios": table,
-            "ratios_with_peer": peer_table,
             "machine": describe_machine(),
         },
     )

@@ -343,6 +343,8 @@ class Result:
         Every parameter that was used, defaults resolved.
     seconds : float
         Wall time of the call.
+    method : str
+        In one sentence, without its stop, which filters and networks the image is of, and by which guides.
     notes : tuple of str
         One sentence each: what is wrong with the guides (values that no surface can have, and what became of them), and
         that light was lost with fireflies, where the noise does not explain the change of the image's mean.
@@ -360,6 +362,7 @@ class Result:
     specular: FloatArray | None = None
     variance: FloatArray | None = None
     energy_lost: float = 0.0
+    method: str = ""
     layers: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

@@ -166,11 +166,12 @@ class DenoiseSettings(Declared):
     quality: Annotated[
         Quality | Auto,
         Knob(
-            'How much work goes into the noise: "fast" little, "balanced" more, "high" most. "fast" weighs by guides '
-            'alone, in one pass, as the paper does. "balanced" and "high" filter two halves of the samples narrowly, '
-            'and then widely by what that tells of light and noise; "high" does so in several ways and mixes what '
-            'comes out pixel by pixel. "auto" takes "balanced" for the full form and "fast" for the others, which have '
-            "nothing else; so have upsampling and histories.",
+            'How much work goes into the noise: "fast" little, "balanced" more, "high" most, "auto" the best that is '
+            'here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and "high" filter two '
+            'halves of the samples narrowly, and then widely by what that tells of light and noise; "high" does so in '
+            'several ways and mixes what comes out pixel by pixel. "auto" takes "high", and Open Image Denoise where '
+            'it is installed; for the other forms "fast", for they have nothing else; nor have upsampling and '
+            "histories.",
             label="Quality",
         ),
     ] = "auto"
@@ -257,16 +258,17 @@ class DenoiseSettings(Declared):
         ),
     ] = "auto"
     with_oidn: Annotated[
-        bool,
+        bool | Auto,
         Knob(
-            'With the quality "high", which it implies: mix the result pixel by pixel with that of Intel Open Image '
-            "Denoise; needs lobewise[compare]."
+            'Whether the result is mixed with that of Intel Open Image Denoise (lobewise[best]): "auto" does so where '
+            'it is installed and no quality is named. With the quality "high", which it implies.',
+            opposite="offline",
         ),
-    ] = False
+    ] = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        quality = "high" if self.with_oidn else self.quality
+        quality = "high" if self.asks_for_oidn else self.quality
         if quality in ("balanced", "high") and self.form != "full":
             raise InputError(
                 "form",
@@ -274,13 +276,18 @@ class DenoiseSettings(Declared):
                 got=repr(self.form),
                 action="use quality 'fast' for the other forms",
             )
-        if self.with_oidn and self.quality not in ("auto", "high"):
+        if self.asks_for_oidn and self.quality not in ("auto", "high"):
             raise InputError(
                 "quality",
                 expected="'high' with Open Image Denoise",
                 got=repr(self.quality),
                 action="leave the quality out",
             )
+
+    @property
+    def asks_for_oidn(self) -> bool:
+        """Whether Open Image Denoise is named, and not left to "auto"."""
+        return self.with_oidn != "auto" and bool(self.with_oidn)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,6 +301,7 @@ class ResolvedSettings(DenoiseSettings):
     screen_sigma: float
     tau: float
     hit_distance: bool
+    with_oidn: bool
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -361,7 +369,7 @@ class DenoiseChanges(TypedDict, total=False):
     band_limit: float | None
     lobes: int
     hit_distance: bool | Auto
-    with_oidn: bool
+    with_oidn: bool | Auto
 
 
 class TemporalChanges(DenoiseChanges, total=False):

@@ -153,7 +153,7 @@ class TestDenoise:
         np.testing.assert_array_equal(read_frame(out).radiance.specular, expected.specular)
         np.testing.assert_array_equal(read_frame(out).gbuffer.normal, read_frame(frame_file).gbuffer.normal)
         text, err = capsys.readouterr()
-        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality {quality}, comparing which way surfaces face, ")
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality {quality}, ")
         assert "bad pixel" not in text
         told = f"Settings: similarity normal, form full, quality {quality}, radius 3, beta 2.5, device cpu."
         assert told in err.splitlines()
@@ -174,8 +174,8 @@ class TestDenoise:
         assert f'"form": "{form}"' in attributes["lobewise/denoised"]
         assert np.isfinite(read_image(out)).all()
 
-    @pytest.mark.parametrize("with_oidn", [True, False])
-    def test_mixing_with_open_image_denoise_is_asked_for(self, with_oidn, frame_file, tmp_path, monkeypatch, capsys):
+    @pytest.mark.parametrize(("option", "with_oidn"), [("--with-oidn", True), ("--offline", False), ("", "auto")])
+    def test_open_image_denoise_is_asked_for(self, option, with_oidn, frame_file, tmp_path, monkeypatch, capsys):
         import lobewise.denoising
 
         asked = {}
@@ -187,23 +187,23 @@ class TestDenoise:
 
         monkeypatch.setattr(lobewise.denoising, "denoise", record)
         line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr")]
-        assert run([*line, "--with-oidn"] if with_oidn else line) == 0
-        assert asked["with_oidn"] is with_oidn
+        assert run([*line, option] if option else line) == 0
+        assert asked["with_oidn"] == with_oidn
         assert asked["quality"] == "auto"
         # Brackets are markup where help is printed.
         capsys.readouterr()
         monkeypatch.setenv("COLUMNS", "300")
         assert run(["denoise", "--help"]) == 0
-        assert "Image Denoise; needs lobewise[compare]." in capsys.readouterr().out
+        assert "Open Image Denoise (lobewise[best]): " in capsys.readouterr().out
 
     def test_open_image_denoise_that_is_not_installed_is_a_sentence(self, frame_file, tmp_path, monkeypatch, capsys):
         from lobewise import peers
         from lobewise.denoising import recipe
 
-        monkeypatch.setattr(peers, "has_oidn", lambda: False)
+        monkeypatch.setattr(peers, "_try_to_load", lambda: "Open Image Denoise is not here; install it")
         monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
-        assert err.endswith("Open Image Denoise is not installed; pip install 'lobewise[compare]'.\n")
+        assert err.endswith("Open Image Denoise is not here; install it.\n")
         assert not (tmp_path / "out.exr").exists()
 
     @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ class TestUpsample:
         np.testing.assert_allclose(read_image(out), expected.image, rtol=2e-3)
         assert read_frame(out).gbuffer.normal is not None
         text, err = capsys.readouterr()
-        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality fast, comparing what surfaces reflect, ")
+        assert text.startswith(f"Wrote {out}: 16x12 pixels, quality fast, ")
         assert "Settings" not in err
         assert run([*line[:-2], "--bilinear", "--verbose"]) == 0
         text, err = capsys.readouterr()

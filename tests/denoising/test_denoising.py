@@ -13,6 +13,7 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
+from lobewise.peers import has_oidn
 from lobewise.settings import DenoiseSettings
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
@@ -129,8 +130,9 @@ def test_default_is_what_auto_says() -> None:
     frame = make_frame()
     result = lobewise.denoise(frame)
     assert result.settings["similarity"] in ("sg", "ggx")
-    assert result.settings["quality"] == "balanced"
-    again = denoise(frame, DenoiseSettings(similarity=result.settings["similarity"], quality="balanced"))
+    assert result.settings["quality"] == "high"
+    assert result.settings["with_oidn"] is has_oidn()
+    again = denoise(frame, DenoiseSettings(**result.settings))
     assert result.image.tobytes() == again.image.tobytes()
     assert lobewise.denoise(frame, quality="fast").settings["beta"] == choose_beta(4.0)
 

@@ -14,7 +14,7 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import combining, denoise, high, recipe
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.combining import combine_with_peer, join_extras, share_out
+from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.guided import finish_layer, make_pass_guide, resolve_guided
 from lobewise.denoising.high import (
     COUNT,
@@ -31,7 +31,8 @@ from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.filters.mixing import Network, count_features
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.filters.noise import agreement
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.parsing import read_container
@@ -90,7 +91,7 @@ def make_networks(candidates: int) -> dict[str, Network]:
     return {
         "diffuse": make_network(inputs, candidates, 1),
         "specular": make_network(inputs, candidates, 2),
-        "peer": make_network(count_features(2, 2 * EXTRAS), 2, 5),
+        "peer": make_network(agreement.COUNT, 2, 5),
     }
 
 
@@ -475,7 +476,7 @@ class TestContract:
         # No pass has a tap but the pixel's own: reflections stay as they are.
         networks["specular"] = force(networks["specular"], MIDDLE)
         frame, _ = make_shadowed()
-        result = denoise(frame, radius=0, quality=quality, similarity="normal")
+        result = denoise(frame, radius=0, quality=quality, similarity="normal", with_oidn=False)
         assert result.settings["radius"] == 0
         assert result.energy_lost == 0.0
         np.testing.assert_allclose(result.specular, frame.radiance.specular, rtol=ROUNDING)
@@ -524,7 +525,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
-    monkeypatch.setattr(peers, "has_oidn", lambda: True)
+    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
     return told
 
 
@@ -533,8 +534,7 @@ OURS, PEERS = 0, 1
 
 class TestPeer:
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
-        extras = [np.random.default_rng(k).uniform(-9.0, 0.0, (*SHAPE, EXTRAS)).astype(np.float32) for k in range(2)]
-        return combine_with_peer(frame, ours, extras, "cpu")
+        return choose_between(frame, ours, denoise_with_peer(frame, ours))
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
@@ -550,18 +550,23 @@ class TestPeer:
         assert (mixed >= ours).all()
         assert (mixed <= peer["image"]).all()
         # In proportions that change from pixel to pixel.
-        assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 0.1
+        assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 1e-3
 
-    def test_of_light_that_is_not_told_apart_it_is_the_peers(self, networks, peer):
+    def test_without_guides_it_is_the_peers(self, networks, peer):
         networks["peer"] = force(networks["peer"], OURS)
         frame, ours = make_frame(apart=False), self.make_ours()
-        np.testing.assert_array_equal(self.combine(frame, ours), peer["image"])
+        np.testing.assert_allclose(self.combine(frame, ours), ours, rtol=ROUNDING)
+        flat = np.zeros((*SHAPE, 3), np.float32)
+        flat[..., 2] = 1.0
+        bare = frame.with_changes(gbuffer=GBuffer(normal=flat))
+        np.testing.assert_array_equal(self.combine(bare, ours), peer["image"])
 
     def test_the_peer_is_given_the_frame(self, networks, peer):
         frame = make_frame()
         self.combine(frame, self.make_ours())
         assert peer["frame"] is frame
-        assert peer["guides"] == "mean"
+        # With its own default, the best guides of the frame.
+        assert set(peer) == {"image", "frame"}
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
     def test_what_the_peer_spoils_is_ours(self, bad, networks, peer):
@@ -586,23 +591,39 @@ class TestPeer:
         np.testing.assert_array_equal(given.gbuffer.normal, frame.gbuffer.normal)
         assert np.isfinite(mixed).all()
 
-    def test_one_layer_stands_for_both(self):
-        first, second = np.zeros((2, 3, EXTRAS), np.float32), np.ones((2, 3, EXTRAS), np.float32)
-        both = join_extras([first, second])
-        assert both.shape == (2, 3, 2 * EXTRAS)
-        np.testing.assert_array_equal(both[..., :EXTRAS], first)
-        np.testing.assert_array_equal(both[..., EXTRAS:], second)
-        np.testing.assert_array_equal(join_extras([second]), np.ones((2, 3, 2 * EXTRAS)))
-
     def test_parts_are_shared_out_by_what_they_had(self):
-        diffuse, specular = np.full((1, 3, 3), 0.6, np.float32), np.full((1, 3, 3), 0.2, np.float32)
-        diffuse[0, 1], specular[0, 1] = 0.0, 0.0
+        # Both kinds; exact light alone; both, and darker than the exact light alone; neither.
+        diffuse, specular = np.full((1, 4, 3), 0.6, np.float32), np.full((1, 4, 3), 0.2, np.float32)
+        diffuse[0, [1, 3]], specular[0, [1, 3]] = 0.0, 0.0
         specular[0, 0] = np.nan
-        before = np.float32([[[0.7] * 3, [0.5] * 3, [0.8] * 3]])
-        image = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3]])
-        found = share_out(image, before, [diffuse, specular])
-        np.testing.assert_allclose(found[0][0, :, 0], [1.2, 0.0, 0.3], rtol=1e-5)
-        np.testing.assert_allclose(found[1][0, :, 0], [0.0, 0.0, 0.1], rtol=1e-5)
+        before = np.float32([[[0.7] * 3, [0.5] * 3, [1.8] * 3, [0.0] * 3]])
+        mixed = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3, [0.2] * 3]])
+        image, (scattered, reflected), gain = share_out(mixed, before, [diffuse, specular])
+        np.testing.assert_allclose(image[0, :, 0], [1.3, 0.9, 0.4, 0.0], rtol=1e-5)
+        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.0, 0.0], rtol=1e-5)
+        np.testing.assert_allclose(reflected[0, :, 0], 0.0, atol=1e-6)
+        np.testing.assert_allclose(gain[0, :, 0], [1.0, 1.8, 0.4, 1.0], rtol=1e-5)
+        rest = before - np.nan_to_num(diffuse) - np.nan_to_num(specular)
+        np.testing.assert_allclose(scattered + reflected + rest * gain, image, rtol=1e-5, atol=1e-6)
+
+    @pytest.mark.usefixtures("trusted")
+    def test_the_passes_of_a_result_make_up_its_image(self, networks, peer):
+        networks["peer"] = force(networks["peer"], PEERS)
+        frame = make_frame()
+        shone = np.zeros((*SHAPE, 3), np.float32)
+        # A sky, a lamp that is brighter than what the peer makes of it, and surfaces.
+        shone[:4], shone[6, 7] = 0.7, 50.0
+        light, guides = frame.radiance, frame.gbuffer
+        dark = {name: np.where(shone > 0.0, np.float32(0.0), getattr(light, name)) for name in ("diffuse", "specular")}
+        radiance = Radiance(dark["diffuse"] + dark["specular"] + shone, **dark)
+        normal, depth = np.array(guides.normal), np.array(guides.depth)
+        normal[:4], depth[:4] = 0.0, 0.0
+        bare = {"half_a": None, "half_b": None, "variance": None, "unscattered": {"emission": shone}}
+        frame = frame.with_changes(radiance=radiance, gbuffer=replace(guides, normal=normal, depth=depth), **bare)
+        result = denoise(frame, similarity="normal", with_oidn=True)
+        assert (result.image == peer["image"]).all(axis=-1).mean() > 0.9
+        total = result.diffuse + result.specular + result.also["emission"]
+        np.testing.assert_allclose(total, result.image, rtol=1e-4, atol=1e-5)
 
     @pytest.mark.usefixtures("trusted")
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
@@ -612,7 +633,7 @@ class TestPeer:
         assert "frame" not in peer
         assert (plain.diffuse is not None) is (plain.specular is not None) is apart
         for quality in ("auto", "high"):
-            for chosen, expected in ((OURS, plain.image if apart else peer["image"]), (PEERS, peer["image"])):
+            for chosen, expected in ((OURS, plain.image), (PEERS, peer["image"])):
                 networks["peer"] = force(usual, chosen)
                 result = denoise(frame, similarity="normal", quality=quality, with_oidn=True)
                 np.testing.assert_allclose(result.image, expected, rtol=ROUNDING)
@@ -620,7 +641,7 @@ class TestPeer:
                 assert result.settings["with_oidn"] is True
                 assert (result.diffuse is not None) is (result.specular is not None) is apart
 
-    @pytest.mark.usefixtures("networks", "peer")
+    @pytest.mark.usefixtures("networks", "peer", "trusted")
     def test_a_written_file_has_the_mixture_and_its_parts(self, tmp_path):
         source, out = tmp_path / "in.exr", tmp_path / "out.exr"
         write_frame(source, make_frame(), half=False)
@@ -642,18 +663,18 @@ class TestPeer:
         assert json.loads(attributes["lobewise/denoised"])["with_oidn"] is True
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
-        monkeypatch.setattr(peers, "has_oidn", lambda: False)
+        monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
         monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
-            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[compare\]'\.$"):
+            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
 
-    @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+    @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
     def test_the_real_one(self, networks):
         networks["peer"] = force(networks["peer"], PEERS)
         frame = make_frame()
         result = denoise(frame, similarity="normal", with_oidn=True)
-        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame, guides="mean")[0], rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame)[0], rtol=1e-4, atol=1e-5)
 
 
 class TestSettings:
@@ -699,8 +720,8 @@ class TestWeights:
         found = load_networks()
         assert sorted(found) == ["diffuse", "peer", "specular"]
         for kind, network in found.items():
-            candidates, extras = (2, 2 * EXTRAS) if kind == "peer" else (COUNT, EXTRAS)
-            inputs = count_features(candidates, extras)
+            candidates = 2 if kind == "peer" else COUNT
+            inputs = agreement.COUNT if kind == "peer" else count_features(COUNT, EXTRAS)
             assert network.mean.shape == network.scale.shape == (inputs,)
             assert network.weights[0].shape[0] == inputs
             assert network.weights[-1].shape[1] == candidates

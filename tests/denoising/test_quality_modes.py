@@ -294,7 +294,8 @@ class TestSettings:
     @pytest.mark.parametrize(
         ("settings", "expected"),
         [
-            ({}, "balanced"),
+            ({}, "high"),
+            ({"quality": "balanced"}, "balanced"),
             ({"form": "separable"}, "fast"),
             ({"form": "atrous"}, "fast"),
             ({"quality": "fast"}, "fast"),

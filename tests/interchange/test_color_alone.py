@@ -12,7 +12,7 @@ from lobewise.cli.main import run
 from lobewise.interchange import import_file
 from lobewise.interchange.preset import load_presets
 
-WEAK = "Of a color image alone lobewise makes a weak result"
+WEAK = "Of a color image alone lobewise's own filters make a weak result"
 
 
 def write_cycles(folder: Path, *passes: str) -> Path:
@@ -32,7 +32,7 @@ def test_it_is_told_once_with_what_to_switch_on(tmp_path: Path, capsys: pytest.C
     assert "gives it by" not in told
     for role in ("normal", "position", "layers", "roughness"):
         assert told.count(load_presets()["cycles"].advice[role]) == 1
-    assert "--with-oidn (pip install 'lobewise[compare]')" in told
+    assert "(pip install 'lobewise[best]')" in told
 
 
 @pytest.mark.parametrize("more", ["Normal", "DiffCol", "Position"])

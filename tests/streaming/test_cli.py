@@ -138,9 +138,7 @@ def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.
 def test_the_account_names_what_was_done() -> None:
     settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
     done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
-    assert describe_file_result(done) == (
-        "7680x4320 pixels in 12 bands, quality high, comparing what surfaces reflect, 61.23 s; 1 bad pixel refilled"
-    )
+    assert describe_file_result(done) == ("7680x4320 pixels in 12 bands, quality high, 61.23 s; 1 bad pixel refilled")
     assert describe_settings(done) == "similarity sg, form full, quality high, radius 8, beta 1, device cpu"
 
 

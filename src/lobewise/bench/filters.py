@@ -76,7 +76,7 @@ def measure_filters(
 
     advance(0.0)
     rows: list[dict[str, Any]] = []
-    skipped = [] if has_oidn() else ["Open Image Denoise is not installed: pip install 'lobewise[compare]'."]
+    skipped = [] if has_oidn() else ["Open Image Denoise is not installed: pip install 'lobewise[best]'."]
     if threads:
         rows += _time_threads(threads, extent)
         advance(each * len(threads))

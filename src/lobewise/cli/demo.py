@@ -198,7 +198,7 @@ def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], li
         pictures.append(Picture("oidn", "Open Image Denoise", image, note, {"quality": "high"}, seconds))
         remarks.append(OIDN_REMARK)
     else:
-        remarks.append("Open Image Denoise is not installed; pip install 'lobewise[compare]' adds it to this page.")
+        remarks.append("Open Image Denoise is not installed; pip install 'lobewise[best]' adds it to this page.")
     remarks.append(
         "The two normal-aware filters run with the settings that a grid search found best on the showroom frame inside "
         "the package, measured against its reference; the lobe filters run with their defaults."

@@ -60,11 +60,10 @@ if TYPE_CHECKING:
     FrameT = TypeVar("FrameT", bound=AnyFrame)
 
 OVER_TIME = (
-    "--temporal filters with the quality 'fast', and the light in total, not by its passes. It is for little flicker "
-    "at few samples; where noise is moderate, renders that were measured had less error frame by frame: leave "
-    "--temporal out, which filters with 'balanced' and the passes as well."
+    "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
+    "passes. It is for little flicker at few samples; where noise is moderate, renders that were measured had less "
+    "error frame by frame: leave --temporal out."
 )
-ALL_PEER = "The light is not told apart by lobes, so the image is that of Open Image Denoise."
 
 
 @dataclass
@@ -99,8 +98,6 @@ class Writing:
         )
         if self.pictures is not None:
             self.pictures.write(target, result.image)
-        if result.settings.get("with_oidn") and found.frame.radiance.parts is None:
-            notes = (*notes, ALL_PEER)
         for note in notes:
             if note not in self._told:
                 print_note(note)
@@ -160,7 +157,7 @@ def denoise(
     pictures = plan_pictures(png, exposure, find_first(source, output))
     reading, writing = Reading(preset, maps, camera, half, also, tables), Writing(suffix, only, confidence, pictures)
     alone = not is_pattern(source)
-    adapts, mixes = parse_percent(adaptive) > 0.0, settings["with_oidn"]
+    adapts, mixes = parse_percent(adaptive) > 0.0, settings["with_oidn"] is True
     takers = {"--temporal": temporal, "--adaptive": adapts, "--with-oidn": mixes}
     given = next((name for name, is_so in takers.items() if is_so), "")
     whole = given or reading.option or writing.option

@@ -21,9 +21,6 @@ from lobewise.lobe_table import LobeTable
 if TYPE_CHECKING:
     from lobewise.streaming import DenoisedFile
 
-COMPARING = ("comparing what surfaces reflect", "comparing which way surfaces face")
-"""What a filter did, in a user's words: with lobes, and with normals."""
-
 
 class _Console(Console):
     """A console that leaves closed pipes to the entry point."""
@@ -76,8 +73,8 @@ def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = 
     if settings.get("bilinear"):
         told.append("interpolated between pixels")
     else:
-        told += [f"quality {settings['quality']}"] if "quality" in settings else []
-        told += [COMPARING[settings["similarity"] == "normal"]] if "similarity" in settings else []
+        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
+        told += [f"quality {settings['quality']}{peer}"] if "quality" in settings else []
     told = [", ".join([*told, f"{result.seconds:.2f} s"])]
     count = result.bad_pixel_count
     if count:

@@ -276,7 +276,7 @@ def _is_large(source: Path, settings: dict[str, Any]) -> bool:
     from lobewise.io.exr.bands import BandReader
     from lobewise.streaming import list_images, needs_bands
 
-    asked = ask(None, settings)
+    asked = ask(None, settings, whole=False)
     try:
         return needs_bands(BandReader(source, wanted=list_images(asked)), asked)
     except LobewiseError:

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from lobewise.backend.devices import choose_device
 from lobewise.errors import InputError, require_choice
 from lobewise.lobes.band_limit import default_tau
+from lobewise.peers import explain_no_oidn, has_oidn
 from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
 from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: Similarity = "ggx"
 """What "auto" takes where the frame has lobes: the winner of benchmarks/results/similarities.json."""
-DEFAULT_QUALITY: Quality = "balanced"
-"""What "auto" takes for the full form."""
+DEFAULT_QUALITY: Quality = "high"
+"""What "auto" takes for the full form: the best of ours in the mean of every set of scenes that was measured
+(docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
 NOISE, FALL = 0.0825, 0.56
 """Of `expect_noise`: what it is at 4 samples, and with which power of their count it falls."""
 
@@ -37,8 +39,15 @@ def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> De
     return replace(settings, **changes)
 
 
-def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any]) -> DenoiseSettings:
-    """Return what `denoise` is asked for: settings with single parameters replaced and their quality chosen.
+def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: bool = True) -> DenoiseSettings:
+    """Return what `denoise` is asked for: settings with single parameters replaced, quality and ``with_oidn`` chosen.
+
+    Parameters
+    ----------
+    settings, changes
+        As of `denoise`.
+    whole : bool
+        Whether the image is denoised as a whole, which Open Image Denoise needs.
 
     Raises
     ------
@@ -46,25 +55,46 @@ def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any]) -> Denoise
         If a parameter is unknown or out of range.
     """
     asked = change_settings(settings or DenoiseSettings(), changes)
-    return replace(asked, quality=choose_quality(asked))
+    with_oidn = asked.asks_for_oidn or (whole and leaves_oidn_open(asked) and has_oidn())
+    return replace(asked, quality=choose_quality(asked), with_oidn=with_oidn)
+
+
+def explain_ours(settings: DenoiseSettings, *, whole: bool = True) -> str:
+    """Return why Open Image Denoise is left out although that is left to `denoise`; empty where it is not left out.
+
+    Parameters
+    ----------
+    settings : DenoiseSettings
+        Before anything is chosen.
+    whole : bool
+        As of `ask`.
+    """
+    if not leaves_oidn_open(settings):
+        return ""
+    return explain_no_oidn() if whole else "Open Image Denoise takes whole images, and this one is denoised in bands"
 
 
 def choose_quality(settings: DenoiseSettings) -> Quality:
     """Return the quality that "auto" stands for in `denoise`; others are returned as they are."""
     if settings.quality != "auto":
         return settings.quality
-    if settings.with_oidn:
+    if settings.asks_for_oidn:
         return "high"
     return DEFAULT_QUALITY if settings.form == "full" else "fast"
 
 
+def leaves_oidn_open(settings: DenoiseSettings) -> bool:
+    """Return whether it is left to `denoise` to use Open Image Denoise: nothing is named that excludes it."""
+    return settings.with_oidn == "auto" and settings.quality == "auto" and settings.form == "full"
+
+
 def require_plain(settings: DenoiseSettings, what: str) -> None:
     """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
-    if settings.quality not in ("auto", "fast") or settings.with_oidn:
+    if settings.quality not in ("auto", "fast") or settings.asks_for_oidn:
         raise InputError(
             "quality",
             expected=f"'fast' for {what}",
-            got="with_oidn" if settings.with_oidn else repr(settings.quality),
+            got="with_oidn" if settings.asks_for_oidn else repr(settings.quality),
             action="leave it out, or denoise frame by frame",
         )
 
@@ -156,6 +186,7 @@ def resolve_settings(
         band_limit=settings.band_limit,
         lobes=settings.lobes,
         hit_distance=settings.hit_distance not in ("auto", False),
+        with_oidn=False,
     )
 
 

@@ -55,7 +55,7 @@ def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
         tau=max(TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
         screen_sigma=widest if settings.screen_sigma == "auto" else settings.screen_sigma,
     )
-    return replace(resolve_settings(frame, told), quality=choose_quality(settings), with_oidn=settings.with_oidn)
+    return replace(resolve_settings(frame, told), quality=choose_quality(settings), with_oidn=settings.asks_for_oidn)
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], 
 
 @cache
 def load_networks() -> Mapping[str, Network]:
-    """Return the trained networks of this package: "diffuse", "specular", and "peer" for `combine_with_peer`."""
+    """Return the trained networks of this package: "diffuse", "specular", and "peer" for mixing with a peer."""
     with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
         arrays = dict(np.load(file, allow_pickle=False))
     return {kind: unpack_network(arrays, kind) for kind in ("diffuse", "specular", "peer")}
@@ -210,11 +210,11 @@ def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
     return arrays
 
 
-def mix_layer(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> tuple[CleanLayer, FloatArray]:
-    """Filter a layer in every way and mix what comes out; also return the candidates' extras."""
+def mix_layer(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> CleanLayer:
+    """Filter a layer in every way and mix what comes out."""
     candidates = find_candidates(frame, noisy, settings)
     kind = "diffuse" if noisy.layer.is_diffuse else "specular"
     light = mix_candidates(
         candidates.pairs, MIDDLE, candidates.extras, noisy.level, load_networks()[kind], settings.device
     )
-    return finish_layer(frame, noisy, (light,), candidates.middle), candidates.extras
+    return finish_layer(frame, noisy, (light,), candidates.middle)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,12 +13,18 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.also import filter_also
-from lobewise.denoising.automatic import ask, choose_quality, resolve_settings
+from lobewise.denoising.automatic import ask, change_settings, choose_quality, explain_ours, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.combining import combine_with_peer, share_out
+from lobewise.denoising.combining import (
+    can_mix,
+    choose_between,
+    denoise_with_peer,
+    describe_method,
+    find_level,
+    share_out,
+)
 from lobewise.denoising.evidence import count_blurred, describe_blurred, take_back_noisy
 from lobewise.denoising.guided import (
-    CleanLayer,
     filter_balanced,
     find_balanced_reach,
     resolve_guided,
@@ -36,7 +43,7 @@ from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
-from lobewise.peers import require_oidn
+from lobewise.peers import name_oidn_guides, require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 
 if TYPE_CHECKING:
@@ -52,6 +59,9 @@ def denoise(
 ) -> Result:
     """Denoise a frame by averaging, for every pixel, the neighbours that reflect like it.
 
+    Where Open Image Denoise is installed its image is mixed in, pixel by pixel, unless a quality is named or
+    ``with_oidn`` is False.
+
     Diffuse and specular radiance are filtered apart where the frame has both, each divided by its albedo where the
     frame has that; emission and background pass through. Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and
     Upsampling for Interactive Indirect Illumination". Departs: lobes of two radiances are never mixed, and the lobe
@@ -62,7 +72,7 @@ def denoise(
     frame : Frame
         Noisy radiance with its G-buffer; normals at least, for lobes also roughness, camera and position or depth.
     settings : DenoiseSettings, optional
-        Parameters; by default those that won the comparison.
+        Parameters; by default those that won the comparison, and Open Image Denoise where it is installed.
     features : sequence of Feature
         More distributions that two pixels must share, of your own or from `lobewise.features`; their
         similarities multiply the others in every layer.
@@ -89,29 +99,39 @@ def denoise(
     >>> frame = lobewise.read_frame("frame.exr")  # doctest: +SKIP
     >>> clean = lobewise.denoise(frame, radius=12).image  # doctest: +SKIP
     """
-    start = time.perf_counter()
     require_kind("frame", frame, Frame)
+    return run_recipe(frame, change_settings(settings or DenoiseSettings(), changes), features)
+
+
+def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
+    """Denoise a frame; ``named`` are the settings before anything is chosen."""
+    start = time.perf_counter()
     notes = tuple(map(str, find_unusable(frame)))
     frame = bound_guides(frame)
-    chosen = resolve_all(frame, ask(settings, changes))
+    chosen = resolve_all(frame, ask(named, {}))
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
     found = filter_frame(frame, chosen, features)
-    image, parts = found.image, found.parts
-    image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
+    image = fill_holes(found.image, found.find_holes(bad), frame, chosen.device)
+    parts = found.parts
+    gains = [] if found.gain is None else [found.gain[..., None]]
     if chosen.with_oidn:
-        before, image = image, combine_with_peer(frame, image, found.choose_extras(), chosen.device)
-        parts = share_out(image, before, parts)
+        peer = denoise_with_peer(frame, image)
+        mixed = choose_between(frame, image, peer)
+        image, parts, gain = share_out(mixed, image, parts)
+        before, parts = parts, take_back_noisy(frame, image, found.layers, parts, find_level(image))
+        image = sum((after - was for after, was in zip(parts, before, strict=True)), image)
+        gains.append(gain)
     diffuse, specular = join_parts(found.layers, parts)
     layers: dict[str, FloatArray] = {}
     if frame.layers:
         layers = {layer.name: blacken_bad(part) for layer, part in zip(found.layers, parts, strict=True)}
     more = frame.also or any(layer.parts for layer in frame.layers)
     also = filter_also(frame, chosen, features, layers, image) if more else {}
-    if found.gain is not None:
-        also |= {name: blacken_bad(light * found.gain[..., None]) for name, light in frame.unscattered.items()}
+    if gains:
+        also |= {name: blacken_bad(reduce(np.multiply, gains, light)) for name, light in frame.unscattered.items()}
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
@@ -130,6 +150,12 @@ def denoise(
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         energy_lost=share_bounded,
+        method=describe_method(
+            chosen,
+            name_oidn_guides(frame),
+            mixes=can_mix(frame),
+            why_ours=explain_ours(named),
+        ),
         notes=notes,
         unused=list_unused(frame, chosen),
     )
@@ -164,15 +190,8 @@ class Filtered:
     """All parts and what is in none of them, (height, width, 3); see `compose`."""
     tallies: Sequence[NDArray[np.float64]] = ()
     """What fireflies took of every layer, row by row."""
-    extras: Sequence[FloatArray] = ()
-    """What a network sees of every layer, with the quality "high"."""
     gain: FloatArray | None = None
     """What light of no layer was multiplied by, (height, width); None for 1."""
-
-    def choose_extras(self) -> list[FloatArray]:
-        """Return the extras of the first layer of each kind, diffuse before specular."""
-        kinds = [layer.is_diffuse for layer in self.layers]
-        return [self.extras[kinds.index(kind)] for kind in (True, False) if kind in kinds]
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image is none, (height, width): not finite, or bad and reached by no layer."""
@@ -217,15 +236,8 @@ def filter_guided(
 ) -> Filtered:
     """Filter both halves of every layer by their guides and by what they tell of light and noise."""
     noisy = make_noisy_layers(frame, settings, features, levels)
-    extras: list[FloatArray] = []
-    clean: list[CleanLayer] = []
-    for each in noisy:
-        if settings.quality == "high":
-            found, seen = mix_layer(frame, each, settings)
-            extras.append(seen)
-        else:
-            found = filter_balanced(frame, each, settings)
-        clean.append(found)
+    run = mix_layer if settings.quality == "high" else filter_balanced
+    clean = [run(frame, each, settings) for each in noisy]
     parts = [each.image for each in clean]
     tallies = [each.bounded.tally for each in noisy]
     rest, share = find_rest(frame), frame.gbuffer.object_share
@@ -239,7 +251,7 @@ def filter_guided(
         # With a mixture the evidence is sought when the mixture is there.
         parts = take_back_noisy(frame, image, layers, parts, max(each.level for each in noisy))
         image = compose(frame, parts, rest)
-    return Filtered(layers, parts, clean, image, tallies, extras, gain)
+    return Filtered(layers, parts, clean, image, tallies, gain)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

@@ -29,6 +29,7 @@ from lobewise.io.exr.describe import describe_file as describe_own
 from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
+from lobewise.peers import name_oidn_guides
 
 
 def describe_file(
@@ -108,6 +109,7 @@ def describe_import(found: Imported) -> FileDescription:
         ),
         unusable=tuple(channels.refused.values()),
         alone=" ".join(describe_alone(channels, frame)),
+        oidn_guides=name_oidn_guides(frame),
     )
 
 

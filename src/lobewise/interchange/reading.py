@@ -271,7 +271,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
     alpha = _take_alpha(images, channels, albedos, notes)
     alpha, meant = check_alpha(alpha, guides, channels, find_second(container, channels), read, albedos)
     motion = images.get("motion")
-    is_split = light.layers or diffuse_albedo is not None
+    # Of light that is not told apart nothing is resolved by silhouettes.
+    is_split = light.layers or {"diffuse", "specular"} <= images.keys()
     silhouettes = take_silhouettes(channels, read, notes) if is_split else Silhouettes()
     coverage = silhouettes.coverage
     gbuffer = GBuffer(

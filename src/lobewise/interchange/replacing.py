@@ -183,7 +183,9 @@ def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
 def _note_noisy(found: Imported, result: Result) -> list[str]:
     """Say which passes of the layers stay noisy, because the result does not have them."""
     images = _list_images(result)
-    left = [output.found.label for name, output in found.outputs.items() if name not in images]
+    # Light that no surface scattered has no noise to leave.
+    exact = found.frame.unscattered
+    left = [output.found.label for name, output in found.outputs.items() if name not in images and name not in exact]
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 

@@ -38,7 +38,7 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) 
         planes = [plane for one in passes for plane in read.read_planes(one)]
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
         if any(plane.any() for plane in shares):
-            notes.append(f"Silhouettes are resolved by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
+            notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
             return Silhouettes(find_coverage(ids, shares), find_object_share(shares))
     return _take_alpha_silhouettes(channels, read, notes)
 
@@ -55,5 +55,5 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader, notes: list
     # Where all is between, it is no share of the area: glass, volumes, a fade.
     if not FEWEST_EDGES < edges.mean() < 0.5 or not (alpha >= 0.99).any():
         return Silhouettes()
-    notes.append(f"Silhouettes against the background are resolved by {found.label}; no Cryptomatte tells the others.")
+    notes.append(f"Silhouettes against the background are told by {found.label}; no Cryptomatte tells the others.")
     return Silhouettes(find_coverage([np.ones(alpha.shape, np.uint32)], [alpha]), find_object_share([alpha]))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lobewise.denoising import denoise
-from lobewise.denoising.automatic import ask
+from lobewise.denoising.automatic import ask, change_settings
 from lobewise.denoising.linear import LinearFilter
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance
@@ -93,7 +93,7 @@ class Denoiser:
         )
         self._announced = {"albedo": bool(albedo), "normals": bool(normals)}
         self._denoise_alpha = bool(denoise_alpha)
-        self._settings = ask(settings, changes)
+        self._settings = change_settings(settings or DenoiseSettings(), changes)
         self._history = History(settings, changes) if temporal else None
         self._notes: tuple[str, ...] = ()
 
@@ -195,7 +195,7 @@ class Denoiser:
         InputError
             If it is none.
         """
-        settings = self._settings
+        settings = ask(self._settings, {})
         if self._history is not None or settings.quality != "fast" or settings.form != "full":
             whose = "a history" if self._history is not None else f"quality {settings.quality!r}"
             whose += f" and form {settings.form!r}" if settings.form != "full" else ""
@@ -219,6 +219,7 @@ class Denoiser:
         else:
             result = denoise(frame, self._settings)
             clean = result.image
+            notes.append(f"Used: {result.method}.")
             if result.bad_pixel_count:
                 notes.append(f"{result.bad_pixel_count} pixels were NaN, infinite or negative, and were refilled.")
         parts = [clean[..., :count]]
@@ -266,7 +267,9 @@ class Denoiser:
 
     def _clean_alpha(self, frame: Frame, alpha: FloatArray) -> FloatArray:
         """Return alpha, (height, width, 1), filtered as light that falls on white."""
-        clean = denoise(_make_alpha_frame(frame, alpha), self._settings)
+        # Open Image Denoise was trained on light, not on shares of pixels.
+        own = replace(ask(self._settings, {}), with_oidn=False)
+        clean = denoise(_make_alpha_frame(frame, alpha), own)
         return np.clip(clean.image[..., :1], 0.0, 1.0)
 
 

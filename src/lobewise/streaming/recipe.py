@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.automatic import ask, judge_noise, list_relative_variances, needs_spp
+from lobewise.denoising.automatic import (
+    ask,
+    change_settings,
+    explain_ours,
+    judge_noise,
+    list_relative_variances,
+    needs_spp,
+)
 from lobewise.denoising.bad_pixels import (
     REFILL_REACH,
     blacken_bad,
@@ -21,6 +28,7 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
+from lobewise.denoising.combining import describe_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_images, list_unused
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, Rows, describe_loss, sum_light
@@ -68,7 +76,7 @@ class DenoisedFile:
         (height, width).
     bands : int
         In how many bands it was filtered.
-    bad_pixel_count, energy_lost, settings, seconds, notes, unused
+    bad_pixel_count, energy_lost, settings, seconds, notes, unused, method
         As in `lobewise.Result`.
     """
 
@@ -80,6 +88,7 @@ class DenoisedFile:
     seconds: float
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    method: str = ""
 
 
 def denoise_file(
@@ -96,14 +105,15 @@ def denoise_file(
     """Denoise an EXR file of any size in bounded memory.
 
     The file that comes out is that of ``write_result(output, denoise(read_frame(source), ...), source=source)``, to the
-    byte. It appears whole or not at all, whatever interrupts this.
+    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so the quality "auto" is "high" without it.
+    The file appears whole or not at all, whatever interrupts this.
 
     Parameters
     ----------
     source, output : path
         The file to read; the one to write, which may be the same.
     settings, **changes
-        As in `lobewise.denoise`; Open Image Denoise, which sees whole images, cannot be mixed in.
+        As in `lobewise.denoise`; Open Image Denoise cannot be asked for.
     lobe_tables : sequence of LobeTable, optional
         As in `lobewise.read_frame`.
     rows : int, optional
@@ -126,7 +136,8 @@ def denoise_file(
         As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
     """
     start = time.perf_counter()
-    asked = ask(settings, changes)
+    named = change_settings(settings or DenoiseSettings(), changes)
+    asked = ask(named, {}, whole=False)
     _check(source, asked, rows, memory)
     require_writable(output)
     tell = progress or (lambda what, done, total: None)
@@ -165,13 +176,14 @@ def denoise_file(
         energy_lost=share_bounded,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=(*(one.told for one in check_own_mark(reader.container)), *seen.describe(share_bounded)),
+        notes=seen.list_notes(reader, share_bounded),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
+        method=describe_method(chosen, ("normal",), mixes=apart, why_ours=explain_ours(named, whole=False)),
     )
 
 
 def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: float) -> None:
-    if asked.with_oidn:
+    if asked.asks_for_oidn:
         raise InputError(
             "with_oidn",
             expected="False for bands, because Open Image Denoise sees whole images",
@@ -213,14 +225,14 @@ class _Seen:
     blurred: list[Rows] = field(default_factory=list)
     unusable: list[Unusable] = field(default_factory=list)
 
-    def describe(self, share_bounded: float) -> tuple[str, ...]:
-        """Return what is to be told of all rows; ``share_bounded`` as of `describe_loss`."""
+    def list_notes(self, reader: BandReader, share_bounded: float) -> tuple[str, ...]:
+        """Return what is told of the whole frame, one sentence each."""
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
-        blurred = np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))
         return (
+            *(one.told for one in check_own_mark(reader.container)),
             *map(str, join_unusable(self.unusable)),
             *describe_loss(light, share_bounded),
-            *describe_blurred(blurred),
+            *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
 
 

@@ -87,7 +87,7 @@ class FrameTarget:
             width=frame.width,
             height=frame.height,
             similarities=similarities,
-            qualities=("fast",) if sparse else QUALITIES,
+            qualities=("fast",) if sparse else ("auto", *QUALITIES),
             forms=("full",) if sparse else FORMS,
             views=tuple(name for name, there in has.items() if there),
             sparse=sparse,

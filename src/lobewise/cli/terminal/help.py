@@ -34,7 +34,7 @@ EXAMPLES = {
     "lobewise render scene.xml -o 'out.####.exr' --frames 24 --camera-path still",
     "view": "lobewise view kitchen\nlobewise view clean.exr",
     "denoise": "lobewise denoise frame.exr -o clean.exr\n"
-    "lobewise denoise frame.exr -o clean.exr --quality high --png\n"
+    "lobewise denoise frame.exr -o clean.exr --quality fast --png\n"
     "lobewise denoise 'shot.####.exr' -o 'clean.####.exr'\n"
     "lobewise denoise frame.exr -o clean.exr --map normal=N.X,N.Y,N.Z",
     "upsample": "lobewise upsample sparse.exr -o full.exr",

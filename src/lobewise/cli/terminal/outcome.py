@@ -20,12 +20,13 @@ class Remarks:
         self._told: set[str] = set()
 
     def tell(self, result: Result | FileInBands) -> None:
-        """Print what is wrong with the guides of a frame, and which of its images were not used."""
+        """Print what made the image, what is wrong with the guides, and which images of the frame were not used."""
         from lobewise.cli.output import print_note
 
         done = result.done if isinstance(result, FileInBands) else result
         unused = f"Not used with these settings: {', '.join(done.unused)}."
-        for note in (*done.notes, *([unused] if done.unused else [])):
+        used = [f"Used: {done.method}."] if done.method else []
+        for note in (*used, *done.notes, *([unused] if done.unused else [])):
             key = re.sub(r"\d+(\.\d+)?", "#", note)
             if key not in self._told:
                 print_note(note)

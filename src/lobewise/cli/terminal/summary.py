@@ -11,9 +11,12 @@ from rich.console import Console
 from rich.table import Table
 
 from lobewise.cli.output import make_text, open_console
+from lobewise.denoising.automatic import ask, explain_ours
+from lobewise.denoising.combining import describe_method
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
 from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
+from lobewise.settings import DenoiseSettings
 
 MAX_NOTES = 6
 """Notes in the summary; `inspect --all` prints all of them."""
@@ -56,6 +59,7 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
     grid.add_column(overflow="fold")
     told = {found.alone, *found.unusable, *found.refusals, *(lack.told for lack in found.lacks)}
     rows: list[tuple[str, Sequence[str]]] = [
+        ("Denoised", [f"by {foretell_method(found)}"] if found.outputs or found.roles else []),
         ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
         ("Unusable", found.unusable),
@@ -72,6 +76,14 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
             grid.add_row(make_text("" if number else label), make_text(text))
     console.print(grid)
     _print_commands(console, found, options)
+
+
+def foretell_method(found: FileDescription) -> str:
+    """Return what `lobewise denoise` makes the image of a file by where nothing else is asked for, in a sentence."""
+    settings = DenoiseSettings()
+    return describe_method(
+        ask(settings, {}), found.oidn_guides, mixes="layers" in found.uses, why_ours=explain_ours(settings)
+    )
 
 
 def describe_quality(found: FileDescription) -> str:
@@ -136,10 +148,8 @@ def _describe_light(found: FileDescription) -> Iterator[str]:
         yield told
     if "albedo" in found.uses:
         yield "textures are taken out by the surface colors, so they stay sharp"
-    if "halves" in found.uses or "variance" in found.uses:
-        yield "the noise is known" + (
-            " from two halves of the samples" if "halves" in found.uses else " of every pixel"
-        )
+    if "halves" in found.uses:
+        yield "the noise is known from two halves of the samples"
 
 
 def _shorten(notes: Sequence[str]) -> list[str]:

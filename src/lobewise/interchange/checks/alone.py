@@ -23,8 +23,8 @@ def describe_alone(channels: ChannelMap, frame: Frame) -> list[str]:
     advice = [text for role in SWITCHES if (text := preset.advice.get(role, "none")) and not text.startswith("none")]
     lead = "render with" if preset.name == "generic" else f"switch on in {preset.title}:"
     return [
-        "Of a color image alone lobewise makes a weak result, with 4 to 16 times the error of Open Image Denoise: "
-        f"{lead} {'; '.join(advice)}. Or add --with-oidn (pip install 'lobewise[compare]'), which gives the image of "
-        "Open Image Denoise; but not where a pixel filter spreads samples over several pixels (Mitsuba's), whose noise "
-        "stays there."
+        "Of a color image alone lobewise's own filters make a weak result, with 4 to 16 times the error of Open Image "
+        "Denoise, which is used where it is installed (pip install 'lobewise[best]') and neither --offline nor a "
+        f"quality is given: {lead} {'; '.join(advice)}. Where a pixel filter spreads samples over several pixels "
+        "(Mitsuba's) Open Image Denoise leaves their noise."
     ]

@@ -21,9 +21,8 @@ def list_uses(channels: ChannelMap, frame: Frame) -> tuple[str, ...]:
         "camera": frame.is_placed,
         "layers": frame.radiance.parts is not None,
         "albedo": guides.diffuse_albedo is not None or guides.specular_albedo is not None,
-        "silhouettes": guides.coverage is not None,
+        "silhouettes": guides.coverage is not None and frame.radiance.parts is not None,
         "halves": frame.half_a is not None,
-        "variance": frame.variance is not None,
     }
     return tuple(use for use in USES if there[use])
 

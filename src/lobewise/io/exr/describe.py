@@ -74,7 +74,7 @@ COSTS = {
 """What follows where a frame lacks something."""
 REMEDY = "lobewise render, which writes every guide in one pass"
 """What gives a file in lobewise's names the images that it lacks."""
-USES = (*COSTS, "silhouettes", "halves", "variance")
+USES = (*COSTS, "silhouettes", "halves")
 """What denoising can use of a frame; "camera" stands for a camera with positions or depths."""
 
 
@@ -101,6 +101,13 @@ class Lack:
     remedy: str = ""
     reason: str = ""
     told: str = ""
+
+
+OIDN_FIELDS = {
+    "albedo": {"diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"},
+    "normal": {"normal", "mean_normal"},
+}
+"""Images of a frame that Open Image Denoise is handed, by what they are to it."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +158,8 @@ class FileDescription:
         The notes that say which passes are there but cannot be used, and why.
     alone : str
         The note that says what to expect where there is nothing to denoise by but the image; empty where there is.
+    oidn_guides : tuple of str
+        What Open Image Denoise would be handed beside the image, of "albedo" and "normal".
     """
 
     path: str
@@ -175,6 +184,7 @@ class FileDescription:
     refusals: tuple[str, ...] = ()
     unusable: tuple[str, ...] = ()
     alone: str = ""
+    oidn_guides: tuple[str, ...] = ()
 
 
 def describe_file(path: PathLike) -> FileDescription:
@@ -233,6 +243,7 @@ def describe_file(path: PathLike) -> FileDescription:
         lacks=tuple(lacks),
         outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in found),
         refusals=tuple(refusals),
+        oidn_guides=tuple(name for name, fields in OIDN_FIELDS.items() if fields & gbuffer),
     )
 
 
@@ -245,10 +256,9 @@ def _list_uses(found: set[tuple[str, str]], camera: Camera | None) -> tuple[str,
         "camera": camera is not None and bool(guides & {"depth", "position"}),
         "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= found,
         "albedo": bool(guides & {"diffuse_albedo", "specular_albedo"}),
-        "silhouettes": "coverage" in guides,
         "halves": {("half_a", "color"), ("half_b", "color")} <= found,
-        "variance": ("variance", "color") in found,
     }
+    there["silhouettes"] = there["layers"] and "coverage" in guides
     return tuple(use for use in USES if there[use])
 
 

@@ -1,0 +1,202 @@
+"""What the quality "auto" stands for, with and without Open Image Denoise, and what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise import peers
+from lobewise.denoising import combining, denoise, recipe
+from lobewise.denoising.automatic import ask, choose_quality
+from lobewise.errors import InputError
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.interchange import write_result
+from lobewise.io import read_frame, write_frame
+from lobewise.mitsuba import Denoiser
+from lobewise.settings import DenoiseSettings
+from lobewise.streaming import denoise_file
+from lobewise.temporal import TemporalFilter
+
+MISSING = "Open Image Denoise is not installed; pip install 'lobewise[best]'"
+CHEAP: dict[str, Any] = {"similarity": "normal"}
+
+
+@pytest.fixture
+def absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make Open Image Denoise one that is not installed."""
+    monkeypatch.setattr(peers, "_try_to_load", lambda: MISSING)
+
+
+@pytest.fixture
+def present(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+    """Make Open Image Denoise one that gives light of 3 everywhere; return the frames that it is given."""
+    given: list[Frame] = []
+
+    def run(frame: Frame) -> tuple[np.ndarray, float]:
+        given.append(frame)
+        return np.full((*frame.shape, 3), 3.0, np.float32), 0.1
+
+    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    return given
+
+
+def join_light(frame: Frame) -> Frame:
+    """Return a frame whose light is not told apart."""
+    return frame.with_changes(radiance=Radiance(frame.radiance.color), half_a=None, half_b=None, variance=None)
+
+
+@pytest.mark.parametrize("quality", ["auto", "fast", "balanced", "high"])
+@pytest.mark.parametrize("with_oidn", ["auto", True, False])
+@pytest.mark.parametrize("is_here", [True, False])
+def test_it_is_taken_where_it_is_left_open_or_asked_for(
+    quality: Any, with_oidn: Any, is_here: bool, request: pytest.FixtureRequest
+) -> None:
+    request.getfixturevalue("present" if is_here else "absent")
+    if with_oidn is True and quality in ("fast", "balanced"):
+        with pytest.raises(InputError, match="'high' with Open Image Denoise"):
+            DenoiseSettings(quality=quality, with_oidn=True)
+        return
+    chosen = ask(DenoiseSettings(quality=quality, with_oidn=with_oidn), {})
+    assert chosen.quality == ("high" if quality == "auto" else quality)
+    assert chosen.with_oidn is (with_oidn is True or (with_oidn == "auto" and quality == "auto" and is_here))
+    # What is chosen once stays so.
+    assert ask(chosen, {}) == chosen
+    # A part of an image is left to our own filters.
+    if with_oidn != True:  # noqa: E712
+        assert ask(DenoiseSettings(quality=quality, with_oidn=with_oidn), {}, whole=False).with_oidn is False
+
+
+@pytest.mark.usefixtures("present")
+@pytest.mark.parametrize("form", ["separable", "atrous"])
+def test_other_forms_are_fast_without_it(form: Any) -> None:
+    chosen = ask(DenoiseSettings(form=form), {})
+    assert (chosen.quality, chosen.with_oidn) == ("fast", False)
+    assert choose_quality(DenoiseSettings(form=form)) == "fast"
+
+
+def test_the_default_mixes(
+    make_frame: Callable[..., Frame], present: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The samples say that what stands for Open Image Denoise is wrong.
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+    frame = make_frame(height=12, width=16)
+    result = denoise(frame, **CHEAP)
+    assert len(present) == 1
+    assert (result.settings["quality"], result.settings["with_oidn"]) == ("high", True)
+    assert result.method == (
+        "Open Image Denoise with albedo and normal, mixed pixel by pixel with lobewise's own filters, "
+        "comparing which way surfaces face"
+    )
+    ours = denoise(frame, **CHEAP, with_oidn=False)
+    assert len(present) == 1
+    assert ours.method == "lobewise's own filters, comparing which way surfaces face, quality high"
+    assert (result.image >= np.minimum(ours.image, 3.0) * 0.999).all()
+    assert (result.image <= np.maximum(ours.image, 3.0) * 1.001).all()
+    assert not np.allclose(result.image, ours.image)
+    # Settings of a result make it again.
+    again = denoise(frame, DenoiseSettings(**result.settings))
+    np.testing.assert_array_equal(again.image, result.image)
+
+
+@pytest.mark.usefixtures("present")
+def test_without_guides_it_is_all(make_frame: Callable[..., Frame], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+    frame = join_light(make_frame(height=12, width=16))
+    flat = np.zeros((12, 16, 3), np.float32)
+    flat[..., 2] = 1.0
+    result = denoise(frame.with_changes(gbuffer=GBuffer(normal=flat)), **CHEAP)
+    np.testing.assert_array_equal(result.image, 3.0)
+    assert result.method == (
+        "Open Image Denoise without guides, alone, because the frame has neither albedo nor normals"
+    )
+    assert "mixed pixel by pixel" in denoise(frame, **CHEAP).method
+
+
+@pytest.mark.parametrize(
+    ("kept", "words"),
+    [
+        (("albedo", "normal"), "with albedo and normal,"),
+        (("normal",), "with normal,"),
+        (("albedo",), "with albedo,"),
+        ((), "without guides,"),
+    ],
+)
+@pytest.mark.usefixtures("present")
+def test_guides_are_named(kept: tuple[str, ...], words: str, make_frame: Callable[..., Frame]) -> None:
+    frame = join_light(make_frame(height=12, width=16))
+    changes: dict[str, Any] = {}
+    if "albedo" not in kept:
+        names = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo")
+        changes |= dict.fromkeys(names)
+    if "normal" not in kept:
+        # As a reader makes them up, but none where a lamp is.
+        flat = np.zeros((12, 16, 3), np.float32)
+        flat[..., 2] = 1.0
+        flat[3, 4] = 0.0
+        changes |= {"normal": flat, "mean_normal": None}
+    frame = frame.with_changes(gbuffer=replace(frame.gbuffer, **changes))
+    assert f"Open Image Denoise {words}" in denoise(frame, **CHEAP).method
+
+
+@pytest.mark.usefixtures("absent")
+def test_without_it_the_default_is_high_and_says_why(make_frame: Callable[..., Frame]) -> None:
+    frame = make_frame(height=12, width=16)
+    result = denoise(frame, **CHEAP)
+    assert (result.settings["quality"], result.settings["with_oidn"]) == ("high", False)
+    assert result.method == f"lobewise's own filters, comparing which way surfaces face, quality high ({MISSING})"
+    for changes in ({"quality": "high"}, {"with_oidn": False}):
+        same = denoise(frame, **CHEAP, **changes)
+        assert same.method == "lobewise's own filters, comparing which way surfaces face, quality high"
+        np.testing.assert_array_equal(same.image, result.image)
+
+
+@pytest.mark.usefixtures("present")
+def test_bands_are_of_our_own_filters_and_say_why(make_frame: Callable[..., Frame], tmp_path: Path) -> None:
+    source = tmp_path / "in.exr"
+    write_frame(source, make_frame(height=24, width=16).with_changes(lobe_tables=(), gbuffer=make_plain(make_frame)))
+    done = denoise_file(source, tmp_path / "bands.exr", rows=8, **CHEAP)
+    assert (done.settings["quality"], done.settings["with_oidn"]) == ("high", False)
+    assert done.method == (
+        "lobewise's own filters, comparing which way surfaces face, quality high "
+        "(Open Image Denoise takes whole images, and this one is denoised in bands)"
+    )
+    result = denoise(read_frame(source), **CHEAP, with_oidn=False)
+    write_result(tmp_path / "whole.exr", result, source=source)
+    np.testing.assert_array_equal(
+        read_frame(tmp_path / "bands.exr").radiance.color, read_frame(tmp_path / "whole.exr").radiance.color
+    )
+    assert denoise_file(source, tmp_path / "b.exr", rows=8, quality="high", **CHEAP).method.endswith("quality high")
+
+
+def make_plain(make_frame: Callable[..., Frame]) -> Any:
+    """Return guides that a file of 16 by 24 pixels can hold without lobe tables."""
+    return replace(make_frame(height=24, width=16).gbuffer, material=None)
+
+
+def test_a_history_and_an_alpha_leave_it_out(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
+    frame = make_frame(height=12, width=16)
+    assert TemporalFilter(similarity="normal").add(frame).settings["with_oidn"] is False
+    assert not present
+    clean = Denoiser((16, 12), denoise_alpha=True, **CHEAP)
+    noisy = np.concatenate([frame.radiance.color, np.ones((12, 16, 1), np.float32)], axis=-1)
+    assert frame.gbuffer.normal is not None
+    image = clean(noisy, normals=frame.gbuffer.normal)
+    assert len(present) == 1
+    assert "Used: Open Image Denoise with normal" in " ".join(clean.notes)
+    np.testing.assert_allclose(image[..., 3], 1.0, rtol=1e-5)
+
+
+def test_an_installation_that_cannot_be_loaded_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(name: str) -> None:
+        raise OSError("libOpenImageDenoise.so: wrong ELF class\n")
+
+    monkeypatch.setattr(peers.importlib, "import_module", fail)
+    monkeypatch.setattr(peers, "_try_to_load", peers._try_to_load.__wrapped__)
+    assert not peers.has_oidn()
+    assert "cannot be loaded (libOpenImageDenoise.so: wrong ELF class" in peers.explain_no_oidn()
