@@ -16,10 +16,19 @@ WORST = 0.001
 
 @dataclass(frozen=True)
 class Judge:
-    """Two renders of the truth with noise of their own, (height, width, 3) each."""
+    """Two renders of the truth with noise of their own, (height, width, 3) each.
+
+    Parameters
+    ----------
+    first, second : (height, width, 3)
+        Independent.
+    clean : (height, width, 3), optional
+        Both together without their noise, as well as that can be: what errors are relative to.
+    """
 
     first: NDArray[np.float64]
     second: NDArray[np.float64]
+    clean: NDArray[np.float64] | None = None
 
     def measure(self, image: FloatArray) -> tuple[float, float]:
         """Return the relative mean squared error of an image, freed of the noise of the reference.
@@ -27,13 +36,17 @@ class Judge:
         The first figure is that of all pixels, the second leaves out those `WORST` that are furthest off.
 
         It is `lobewise.metrics.rel_mse` but for two estimates of what an endless render would show: the square of the
-        difference is the product of the differences to both renders, and the square in the denominator the product of
-        both. Their noise is independent, so that it leaves nothing in the numerator on average; in the quotient noise
-        of variance v (relative) makes an error of e seem one of about e + v. A figure far below the reference's own
-        noise can come out negative.
+        difference is the product of the differences to both renders, and the square in the denominator that of
+        ``clean``, or without it the product of both. Their noise is independent, so that it leaves nothing in the
+        numerator on average; in the quotient without ``clean`` noise of variance v (relative) makes an error of e seem
+        one of about e + v. A figure far below the reference's own noise can come out negative.
         """
-        errors = np.sort(self._find_errors((image - self.first) * (image - self.second)).ravel())
+        errors = np.sort(self.make_error_map(image).ravel())
         return float(errors.mean()), float(errors[: len(errors) - round(WORST * len(errors))].mean())
+
+    def make_error_map(self, image: FloatArray) -> NDArray[np.float64]:
+        """Return the error of every pixel (height, width): its mean is the first figure of `measure`."""
+        return self._find_errors((image - self.first) * (image - self.second))
 
     def measure_noise(self) -> float:
         """Return the error, in the same sense, that the mean of both renders has itself."""
@@ -41,9 +54,11 @@ class Judge:
 
     def _find_errors(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the error of every pixel (height, width)."""
-        return np.asarray((square / (np.maximum(self.first * self.second, 0.0) + EPSILON)).mean(axis=-1))
+        scale = np.maximum(self.first * self.second, 0.0) if self.clean is None else self.clean**2
+        return np.asarray((square / (scale + EPSILON)).mean(axis=-1))
 
 
-def make_judge(first: FloatArray, second: FloatArray) -> Judge:
+def make_judge(first: FloatArray, second: FloatArray, clean: FloatArray | None = None) -> Judge:
     """Return the judge of two renders."""
-    return Judge(first.astype(np.float64), second.astype(np.float64))
+    base = None if clean is None else clean.astype(np.float64)
+    return Judge(first.astype(np.float64), second.astype(np.float64), base)

@@ -1,0 +1,114 @@
+"""What the cells of `benchmarks/users` amount to: mean ratios, and every cell in which a promise is broken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+NOISY, PEER = "noisy", "oidn"
+BASES = (NOISY, PEER)
+MOST_OVER_NOISY, MOST_OVER_PEER = 1.03, 1.02
+"""Largest ratios of errors that are no broken promise: of any method over the input, of "auto" over the peer."""
+MIXED = "auto"
+PROMISED = ("fast", "balanced", "high", MIXED)
+HELD_OUT, TRAIN = "held out", "tuned on"
+MOST_ENERGY = 0.005
+"""Largest share of the frame's light that a method may take away or add."""
+
+
+class Row(NamedTuple):
+    """The cells of one frame with one set of guides."""
+
+    scene: str
+    held_out: bool
+    guides: str
+    spp: int
+    methods: Mapping[str, Mapping[str, float]]
+
+
+def list_rows(scenes: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield what was measured, row by row."""
+    for name, scene in scenes.items():
+        for guides, by_spp in scene["guides"].items():
+            for spp, row in by_spp.items():
+                yield Row(name, scene["held_out"], guides, int(spp), row["methods"])
+
+
+def summarise(scenes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return mean ratios by group of scenes, and the broken promises."""
+    rows = list(list_rows(scenes))
+    groups: dict[str, Callable[[Row], bool]] = {
+        HELD_OUT: lambda row: row.held_out,
+        **{name: lambda row, name=name: row.held_out and _get_group(row) == name for name in _list_groups(rows)},  # type: ignore[misc]
+        TRAIN: lambda row: not row.held_out,
+    }
+    ratios = {
+        name: {base: find_ratios([row for row in rows if belongs(row)], base) for base in BASES}
+        for name, belongs in groups.items()
+        if any(belongs(row) for row in rows)
+    }
+    return {
+        "ratios": ratios,
+        "over noisy": find_broken(rows, NOISY, PROMISED, MOST_OVER_NOISY),
+        "over oidn": find_broken(rows, PEER, (MIXED,), MOST_OVER_PEER),
+        "energy": find_lost_energy(rows),
+    }
+
+
+def _get_group(row: Row) -> str:
+    return row.scene.partition("/")[0]
+
+
+def _list_groups(rows: list[Row]) -> list[str]:
+    return list(dict.fromkeys(_get_group(row) for row in rows if row.held_out))
+
+
+def find_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
+    """Return by guides, method and sample count the geometric mean of the error over the base's, and of how many.
+
+    A frame of which either error is not above 0, so small that the references' noise hides it, is left out.
+    """
+    logs: dict[tuple[str, str, int], list[float]] = {}
+    for row in rows:
+        below = row.methods.get(base, {}).get("rel_mse", 0.0)
+        for method, cell in row.methods.items():
+            if method != base and cell["rel_mse"] > 0.0 and below > 0.0:
+                logs.setdefault((row.guides, method, row.spp), []).append(math.log(cell["rel_mse"] / below))
+    found: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for (guides, method, spp), values in sorted(logs.items(), key=lambda item: item[0][2]):
+        cell = {"ratio": round(math.exp(sum(values) / len(values)), 4), "scenes": len(values)}
+        found.setdefault(guides, {}).setdefault(method, {})[str(spp)] = cell
+    return found
+
+
+def find_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: float) -> list[dict[str, Any]]:
+    """Return the cells whose error is more than ``most`` of the base's, the worst first.
+
+    "sure" says whether the excess over the noisy image is more than twice its doubt; None for another base.
+    """
+    found = []
+    for row in rows:
+        below = row.methods.get(base, {}).get("rel_mse", 0.0)
+        for method in methods:
+            cell = row.methods.get(method)
+            if cell is None or below <= 0.0 or cell["rel_mse"] <= most * below:
+                continue
+            sure = cell["rel_mse"] - most * below > 2.0 * cell["doubt"] if base == NOISY else None
+            place = {"scene": row.scene, "held_out": row.held_out, "guides": row.guides, "spp": row.spp}
+            found.append({**place, "method": method, "ratio": round(cell["rel_mse"] / below, 3), "sure": sure})
+    return sorted(found, key=lambda one: -one["ratio"])
+
+
+def find_lost_energy(rows: list[Row]) -> dict[str, dict[str, Any]]:
+    """Return by method the least and the most energy that it kept, where, and in how many cells it is off."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        for method, cell in row.methods.items():
+            one = found.setdefault(method, {"cells": 0, "off": 0, "least": [math.inf, ""], "most": [-math.inf, ""]})
+            place = f"{row.scene}, {row.guides}, {row.spp} spp"
+            one["cells"] += 1
+            one["off"] += abs(cell["energy"] - 1.0) > MOST_ENERGY
+            one["least"] = min(one["least"], [cell["energy"], place])
+            one["most"] = max(one["most"], [cell["energy"], place])
+    return found
