@@ -190,7 +190,7 @@ def make_method(data: Mapping[str, Any]) -> str:
 an albedo of each, the normal averaged over the pixel, one roughness, the depth and the camera. *Plain* keeps color, one albedo, the same normal and the depth. *Color* keeps color alone; our
 filters then get what reading such a file gives, OIDN gets no guide. The last three have no halves, no variance and no sample count, and are read as a file of an unknown renderer.""",
             """OIDN as called is given albedo and normal as they come and is told that they are noisy. At its best each goes through its own filter first, and it is told that they are clean.
-In *all*, frames of other renderers give it the albedo and normal that the renderer itself hands to it. The tuned normal-aware filter has the least mean error on the scenes that
+Of other renderers' frames it gets the albedo and normal that the renderer itself hands to it, but for *color*. The tuned normal-aware filter has the least mean error on the scenes that
 parameters were chosen on, at that sample count.""",
             """Errors. A reference is two renders r1 and r2 with seeds of their own; the error of x is the mean of (x - r1)(x - r2) / (c^2 + 0.01), in which the references' noise leaves nothing on
 average. c is the mean of both references, cleaned by OIDN without guides, the same for all methods. FLIP compares with the mean of both, whose noise counts.

@@ -22,7 +22,7 @@ from typing import Any
 
 from benchmarks.common import RESULTS, describe_machine
 from benchmarks.quality.measure import round_figure
-from benchmarks.users.guides import GUIDE_SETS, reduce_frame, sum_albedos
+from benchmarks.users.guides import GUIDE_SETS, make_peer, reduce_frame, sum_albedos
 from benchmarks.users.measuring import FIGURES, Meter, make_reference_judge
 from benchmarks.users.methods import METHODS, Shot, Tuning, list_methods, tune
 from benchmarks.users.scenes import Scene, find_scenes
@@ -58,12 +58,12 @@ def save(path: Path, data: Mapping[str, Any]) -> None:
 
 def make_shot(scene: Scene, frame: Frame, guides: str, spp: int) -> Shot | None:
     """Return a frame with one set of guides, None where the set is not in it."""
-    peer = scene.read_peer(spp, frame)
-    albedo = None if scene.renderer is None else sum_albedos(peer)
-    reduced = reduce_frame(frame, guides, albedo)
+    handed = scene.read_peer(spp, frame)
+    reduced = reduce_frame(frame, guides, None if handed is None else sum_albedos(handed))
     if reduced is None:
         return None
-    return Shot(reduced, peer if guides == "all" else reduced, guides, spp)
+    peer = handed if handed is not None else frame if guides == "all" else make_peer(frame)
+    return Shot(reduced, peer, guides, spp)
 
 
 class Bench:

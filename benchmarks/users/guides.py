@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.reading import import_planes
 
 GUIDE_SETS = ("all", "passes", "plain", "color")
@@ -57,6 +57,12 @@ def sum_albedos(frame: Frame) -> FloatArray | None:
     guides = frame.gbuffer
     parts = [part for part in (guides.diffuse_albedo, guides.specular_albedo) if part is not None]
     return np.clip(np.sum(parts, axis=0, dtype=np.float32), 0.0, 1.0) if parts else None
+
+
+def make_peer(frame: Frame) -> Frame:
+    """Return the guides that a file without "mean" images has for Open Image Denoise: its one albedo and its normal."""
+    normal = _take_surfaces(frame).get("normal")
+    return Frame(Radiance(frame.radiance.color), GBuffer(normal=normal, diffuse_albedo=sum_albedos(frame)))
 
 
 def _take_surfaces(frame: Frame) -> dict[str, FloatArray]:

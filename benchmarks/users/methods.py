@@ -30,7 +30,7 @@ class Shot:
     ----------
     frame : Frame
     peer : Frame
-        What Open Image Denoise is given: the same guides, in "all" those that the renderer itself hands to it.
+        What Open Image Denoise is given of the same guides: other renderers' frames, those that they hand to it.
     guides : str
     spp : int
         Which the frame of a file without it does not tell.

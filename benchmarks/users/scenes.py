@@ -66,10 +66,10 @@ class Scene:
         """Return the noisy frame with all that is in its file."""
         return lobewise.read_frame(self.frames[spp], light_passes=False)
 
-    def read_peer(self, spp: int, frame: Frame) -> Frame:
-        """Return the frame with the guides that its renderer hands to Open Image Denoise."""
+    def read_peer(self, spp: int, frame: Frame) -> Frame | None:
+        """Return the frame with the guides that its renderer hands to Open Image Denoise, None of our own renderer."""
         if self.renderer is None:
-            return frame
+            return None
         albedo, normal = (self.renderer.read_guide(self.frames[spp], index) for index in (0, 1))
         return Frame(Radiance(frame.radiance.color), GBuffer(normal=normal, diffuse_albedo=albedo))
 
