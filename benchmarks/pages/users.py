@@ -9,13 +9,17 @@ from benchmarks.interiors.scenes import INTERIORS
 from benchmarks.pages.tables import describe_run, make_table
 from benchmarks.users.summary import (
     HELD_OUT,
+    MIXED,
+    MOST_DOUBT,
     MOST_ENERGY,
     MOST_OVER_NOISY,
     MOST_OVER_PEER,
     NOISY,
     PEER,
     TRAIN,
+    UNKNOWN,
     Row,
+    is_known,
     list_rows,
 )
 
@@ -102,10 +106,9 @@ def make_ratios(bases: Mapping[str, Any], base: str) -> str:
 def make_promises(summary: Mapping[str, Any]) -> list[str]:
     """Return in how many cells each promise is broken, and the worst of them."""
     energy = summary["energy"]
-    over = {
-        f"error at most {MOST_OVER_NOISY} of the noisy image's": summary["over noisy"],
-        f"`auto`: error at most {MOST_OVER_PEER} of OIDN's at its best": summary["over oidn"],
-    }
+    over = {f"error at most {MOST_OVER_NOISY} of the noisy image's": summary["over noisy"]}
+    if MIXED in energy:
+        over[f"`{MIXED}`: error at most {MOST_OVER_PEER} of OIDN's at its best"] = summary["over oidn"]
     parts = []
     for promise, broken in over.items():
         counted = [
@@ -135,7 +138,7 @@ def make_broken(broken: list[Mapping[str, Any]]) -> str:
             one["guides"],
             str(one["spp"]),
             TITLES[one["method"]],
-            f"{one['ratio']:.2f}" + (" (not sure)" if one["sure"] is False else ""),
+            f"{one['ratio']:.2f}" + ("" if one["sure"] else " (not sure)"),
         ]
         for one in broken[:MOST_LISTED]
     ]
@@ -169,7 +172,7 @@ def make_figures(rows: list[Row], figure: str) -> str:
     methods = [method for method in TITLES if any(method in row.methods for row in rows)]
     ordered = sorted(rows, key=lambda row: (list(GROUPS).index(row.scene.partition("/")[0]), row.scene, row.spp))
     cells = [
-        [row.scene, str(row.spp), *(_show(row.methods.get(method, {}).get(figure)) for method in methods)]
+        [row.scene, str(row.spp), *(_show_cell(row.methods.get(method), figure) for method in methods)]
         for row in ordered
     ]
     return make_table(["scene", "spp", *(TITLES[method] for method in methods)], cells)
@@ -192,9 +195,10 @@ filters then get what reading such a file gives, OIDN gets no guide. The last th
             """OIDN as called is given albedo and normal as they come and is told that they are noisy. At its best each goes through its own filter first, and it is told that they are clean.
 Of other renderers' frames it gets the albedo and normal that the renderer itself hands to it, but for *color*. The tuned normal-aware filter has the least mean error on the scenes that
 parameters were chosen on, at that sample count.""",
-            """Errors. A reference is two renders r1 and r2 with seeds of their own; the error of x is the mean of (x - r1)(x - r2) / (c^2 + 0.01), in which the references' noise leaves nothing on
-average. c is the mean of both references, cleaned by OIDN without guides, the same for all methods. FLIP compares with the mean of both, whose noise counts.
-"Not sure" marks an excess of less than two standard errors over the pixels. A frame whose error is not above 0 is left out of the means.""",
+            f"""Errors. A reference is two renders r1 and r2 with seeds of their own; the error of x is the mean of (x - r1)(x - r2) / (c^2 + 0.01), in which the references' noise leaves nothing on
+average. c is the mean of both references, cleaned by OIDN without guides, the same for all methods. The {100 * UNKNOWN:g} % of the pixels at which the references differ most count for no method.
+FLIP compares with the mean of both, whose noise counts. "Not sure" marks an excess of less than two standard errors. A frame is left out of a mean where the references'
+noise leaves a standard error of more than {100 * MOST_DOUBT:g} % of either error; in the tables of every frame such errors have a question mark.""",
             make_table(["scene", "size", "error of both references together"], errors),
             make_table(["scene", "repository", "origin"], origins),
             "The interiors are not part of this project. `benchmarks/interiors` fetches them, at a pinned commit, and tells what is changed.",
@@ -211,7 +215,9 @@ def _name(base: str) -> str:
     return "the noisy image's" if base == NOISY else "that of OIDN at its best"
 
 
-def _show(value: float | None) -> str:
-    if value is None:
+def _show_cell(cell: Mapping[str, float] | None, figure: str) -> str:
+    if cell is None:
         return ""
-    return f"{value:.1e}" if abs(value) < 1e-3 else f"{value:.3g}"
+    value = cell[figure]
+    text = f"{value:.1e}" if abs(value) < 1e-3 else f"{value:.3g}"
+    return f"{text}?" if figure == "rel_mse" and not is_known(cell) else text

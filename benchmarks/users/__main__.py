@@ -38,8 +38,9 @@ def load(path: Path) -> dict[str, Any]:
     """Return what was measured so far."""
     before: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     return {
-        "what": "rel_mse (epsilon 0.01) without the noise of the references, the same without the worst 0.1 % of "
-        "pixels, its standard error against the noisy image's, FLIP, energy over the noisy image's",
+        "what": "rel_mse (epsilon 0.01) without the noise of the references; the standard error that this noise "
+        "leaves in it, and in its difference to the noisy image's; the same without the worst 0.1 % of pixels; FLIP; "
+        "energy over the noisy image's",
         "figures": FIGURES,
         "tuning": before.get("tuning", {}),
         "scenes": before.get("scenes", {}),

@@ -15,6 +15,10 @@ PROMISED = ("fast", "balanced", "high", MIXED)
 HELD_OUT, TRAIN = "held out", "tuned on"
 MOST_ENERGY = 0.005
 """Largest share of the frame's light that a method may take away or add."""
+UNKNOWN = 0.001
+"""Share of the pixels that count for no method: those at which the references differ most from each other."""
+MOST_DOUBT = 0.25
+"""Errors whose standard error is a larger share of them are left out of the means."""
 
 
 class Row(NamedTuple):
@@ -64,17 +68,23 @@ def _list_groups(rows: list[Row]) -> list[str]:
     return list(dict.fromkeys(_get_group(row) for row in rows if row.held_out))
 
 
+def is_known(cell: Mapping[str, float]) -> bool:
+    """Return whether the references tell the error of a cell."""
+    return cell["doubt"] < MOST_DOUBT * cell["rel_mse"]
+
+
 def find_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
     """Return by guides, method and sample count the geometric mean of the error over the base's, and of how many.
 
-    A frame of which either error is not above 0, so small that the references' noise hides it, is left out.
+    A frame of which either error is not known to `MOST_DOUBT`, for the noise of the references, is left out.
     """
     logs: dict[tuple[str, str, int], list[float]] = {}
     for row in rows:
-        below = row.methods.get(base, {}).get("rel_mse", 0.0)
+        below = row.methods.get(base)
         for method, cell in row.methods.items():
-            if method != base and cell["rel_mse"] > 0.0 and below > 0.0:
-                logs.setdefault((row.guides, method, row.spp), []).append(math.log(cell["rel_mse"] / below))
+            if method != base and below is not None and is_known(cell) and is_known(below):
+                ratio = cell["rel_mse"] / below["rel_mse"]
+                logs.setdefault((row.guides, method, row.spp), []).append(math.log(ratio))
     found: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     for (guides, method, spp), values in sorted(logs.items(), key=lambda item: item[0][2]):
         cell = {"ratio": round(math.exp(sum(values) / len(values)), 4), "scenes": len(values)}
@@ -85,7 +95,7 @@ def find_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dic
 def find_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: float) -> list[dict[str, Any]]:
     """Return the cells whose error is more than ``most`` of the base's, the worst first.
 
-    "sure" says whether the excess over the noisy image is more than twice its doubt; None for another base.
+    "sure" says whether the excess over the base is more than twice its standard error.
     """
     found = []
     for row in rows:
@@ -94,7 +104,8 @@ def find_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: floa
             cell = row.methods.get(method)
             if cell is None or below <= 0.0 or cell["rel_mse"] <= most * below:
                 continue
-            sure = cell["rel_mse"] - most * below > 2.0 * cell["doubt"] if base == NOISY else None
+            doubt = cell["doubt over noisy"] if base == NOISY else cell["doubt"]
+            sure = cell["rel_mse"] - most * below > 2.0 * doubt
             place = {"scene": row.scene, "held_out": row.held_out, "guides": row.guides, "spp": row.spp}
             found.append({**place, "method": method, "ratio": round(cell["rel_mse"] / below, 3), "sure": sure})
     return sorted(found, key=lambda one: -one["ratio"])
