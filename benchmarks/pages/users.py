@@ -16,6 +16,7 @@ from benchmarks.users.summary import (
     MOST_OVER_PEER,
     NOISY,
     PEER,
+    PROMISED,
     TRAIN,
     UNKNOWN,
     Row,
@@ -48,7 +49,7 @@ GROUPS = {
     "own": "Built-in scenes",
 }
 FIGURES = {"rel_mse": "Error", "flip": "FLIP"}
-MOST_LISTED = 40
+MOST_LISTED = 60
 """Broken promises that are listed one by one; the others are counted."""
 
 
@@ -117,9 +118,10 @@ def make_promises(summary: Mapping[str, Any]) -> list[str]:
             for guides in SETS
             if (found := [one for one in broken if one["method"] == method and one["guides"] == guides])
         ]
-        parts.append(f"Broken, {promise}: {len(broken)} cells.")
+        promised = [one for one in broken if one["method"] in PROMISED]
+        parts.append(f"Broken, {promise}: {len(promised)} cells, without those of `fast`, which promises nothing.")
         if counted:
-            parts += [make_table(["method", "guides", "cells", "worst ratio"], counted), make_broken(broken)]
+            parts += [make_table(["method", "guides", "cells", "worst ratio"], counted), make_broken(promised)]
     kept = [
         [TITLES[method], str(one["cells"]), str(one["off"]), *(f"{one[end][0]:.3f} ({one[end][1]})" for end in ("least", "most"))]
         for method in TITLES

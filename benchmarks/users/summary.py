@@ -11,7 +11,9 @@ BASES = (NOISY, PEER)
 MOST_OVER_NOISY, MOST_OVER_PEER = 1.03, 1.02
 """Largest ratios of errors that are no broken promise: of any method over the input, of "auto" over the peer."""
 MIXED = "auto"
-PROMISED = ("fast", "balanced", "high", MIXED)
+PROMISED = ("balanced", "high", MIXED)
+"""Methods that shall never be worse than the input. "fast" is counted beside them: it says so where it is."""
+COUNTED = ("fast", *PROMISED)
 HELD_OUT, TRAIN = "held out", "tuned on"
 MOST_ENERGY = 0.005
 """Largest share of the frame's light that a method may take away or add."""
@@ -54,7 +56,7 @@ def summarise(scenes: Mapping[str, Any]) -> dict[str, Any]:
     }
     return {
         "ratios": ratios,
-        "over noisy": find_broken(rows, NOISY, PROMISED, MOST_OVER_NOISY),
+        "over noisy": find_broken(rows, NOISY, COUNTED, MOST_OVER_NOISY),
         "over oidn": find_broken(rows, PEER, (MIXED,), MOST_OVER_PEER),
         "energy": find_lost_energy(rows),
     }
