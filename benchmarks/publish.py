@@ -23,6 +23,7 @@ from benchmarks.pages.results import (
 )
 from benchmarks.pages.streaming import make_streaming_page
 from benchmarks.pages.trials import make_trials_page
+from benchmarks.pages.users import make_users_page
 
 INTERACTIVE = ("interactive_quality", "interactive", "viewer")
 """What docs/interactive.md is made of."""
@@ -63,6 +64,8 @@ def main() -> None:
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
     foreign, speed = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
     (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign, speed))
+    users = json.loads((RESULTS / "users.json").read_text())
+    (ROOT / "docs" / "users_results.md").write_text(make_users_page(users))
     put_figures(ROOT / "docs" / "mitsuba.md", make_mitsuba_figures(json.loads((RESULTS / "mitsuba.json").read_text())))
     streamed = json.loads((RESULTS / "streaming.json").read_text())
     (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))

@@ -136,6 +136,12 @@ def test_quality_page_says_what_was_measured() -> None:
     assert page.read_text() == publisher.make_quality_page(json.loads(measured.read_text()))
 
 
+def test_page_of_users_frames_says_what_was_measured() -> None:
+    publisher = load_publisher()
+    measured, page = ROOT / "benchmarks" / "results" / "users.json", ROOT / "docs" / "users_results.md"
+    assert page.read_text() == publisher.make_users_page(json.loads(measured.read_text()))
+
+
 def test_page_for_mitsubas_users_says_what_was_measured() -> None:
     publisher = load_publisher()
     measured = json.loads((ROOT / "benchmarks" / "results" / "mitsuba.json").read_text())

@@ -16,10 +16,22 @@ WORST = 0.001
 
 @dataclass(frozen=True)
 class Judge:
-    """Two renders of the truth with noise of their own, (height, width, 3) each."""
+    """Two renders of the truth with noise of their own, (height, width, 3) each.
+
+    Parameters
+    ----------
+    first, second : (height, width, 3)
+        Independent.
+    clean : (height, width, 3), optional
+        Both together without their noise, as well as that can be: what errors are relative to.
+    known : (height, width) of bool, optional
+        Pixels that count; by default all.
+    """
 
     first: NDArray[np.float64]
     second: NDArray[np.float64]
+    clean: NDArray[np.float64] | None = None
+    known: NDArray[np.bool_] | None = None
 
     def measure(self, image: FloatArray) -> tuple[float, float]:
         """Return the relative mean squared error of an image, freed of the noise of the reference.
@@ -27,21 +39,30 @@ class Judge:
         The first figure is that of all pixels, the second leaves out those `WORST` that are furthest off.
 
         It is `lobewise.metrics.rel_mse` but for two estimates of what an endless render would show: the square of the
-        difference is the product of the differences to both renders, and the square in the denominator the product of
-        both. Their noise is independent, so that it leaves nothing in the numerator on average; in the quotient noise
-        of variance v (relative) makes an error of e seem one of about e + v. A figure far below the reference's own
-        noise can come out negative.
+        difference is the product of the differences to both renders, and the square in the denominator that of
+        ``clean``, or without it the product of both. Their noise is independent, so that it leaves nothing in the
+        numerator on average; in the quotient without ``clean`` noise of variance v (relative) makes an error of e seem
+        one of about e + v. A figure far below the reference's own noise can come out negative.
         """
-        errors = np.sort(self._find_errors((image - self.first) * (image - self.second)).ravel())
+        errors = np.sort(self.choose(self.make_error_map(image)))
         return float(errors.mean()), float(errors[: len(errors) - round(WORST * len(errors))].mean())
+
+    def make_error_map(self, image: FloatArray) -> NDArray[np.float64]:
+        """Return the error of every pixel (height, width): its mean is the first figure of `measure`."""
+        return self.find_errors((image - self.first) * (image - self.second))
+
+    def choose(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the errors of the pixels that count, in one row."""
+        return errors.ravel() if self.known is None else errors[self.known]
 
     def measure_noise(self) -> float:
         """Return the error, in the same sense, that the mean of both renders has itself."""
-        return float(self._find_errors(0.25 * (self.first - self.second) ** 2).mean())
+        return float(self.choose(self.find_errors(0.25 * (self.first - self.second) ** 2)).mean())
 
-    def _find_errors(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the error of every pixel (height, width)."""
-        return np.asarray((square / (np.maximum(self.first * self.second, 0.0) + EPSILON)).mean(axis=-1))
+    def find_errors(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the relative error of every pixel (height, width), of squares (height, width, 3)."""
+        scale = np.maximum(self.first * self.second, 0.0) if self.clean is None else self.clean**2
+        return np.asarray((square / (scale + EPSILON)).mean(axis=-1))
 
 
 def make_judge(first: FloatArray, second: FloatArray) -> Judge:

@@ -1,0 +1,99 @@
+"""The scenes of the bench: which frames and references of each are there, and which scenes are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import lobewise
+from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, find_frames
+from benchmarks.quality.summary import TRAIN
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.io.exr import read_image
+
+MITSUBA = Renderer("mitsuba", ("albedo", "normals"), ("", "albedo", "normals"))
+FOREIGN = (*RENDERERS, MITSUBA)
+FOREIGN_SEED = 1
+OWN, INTERIORS = "own", "interiors"
+GROUPS = (INTERIORS, *(renderer.name for renderer in FOREIGN), OWN)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene's files.
+
+    Parameters
+    ----------
+    group : str
+        One of `GROUPS`.
+    name : str
+    frames : mapping of int to Path
+        The noisy frame by samples per pixel.
+    references : tuple of Path
+        Two independent ones.
+    renderer : Renderer, optional
+        Whose files they are, where they are not lobewise's own.
+    """
+
+    group: str
+    name: str
+    frames: Mapping[int, Path]
+    references: tuple[Path, Path]
+    renderer: Renderer | None = None
+
+    @property
+    def key(self) -> str:
+        """Group and name."""
+        return f"{self.group}/{self.name}"
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether nothing was ever tuned or trained on it."""
+        return self.group != OWN or self.name not in TRAIN
+
+    @cached_property
+    def reference_images(self) -> tuple[FloatArray, FloatArray]:
+        """The radiance of both references."""
+        if self.renderer is None:
+            first, second = (read_image(path) for path in self.references)
+        else:
+            first, second = (lobewise.read_frame(path, light_passes=False).radiance.color for path in self.references)
+        return first, second
+
+    def read(self, spp: int) -> Frame:
+        """Return the noisy frame with all that is in its file."""
+        return lobewise.read_frame(self.frames[spp], light_passes=False)
+
+    def read_peer(self, spp: int, frame: Frame) -> Frame | None:
+        """Return the frame with the guides that its renderer hands to Open Image Denoise, None of our own renderer."""
+        if self.renderer is None:
+            return None
+        albedo, normal = (self.renderer.read_guide(self.frames[spp], index) for index in (0, 1))
+        return Frame(Radiance(frame.radiance.color), GBuffer(normal=normal, diffuse_albedo=albedo))
+
+
+def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
+    """Return the scenes whose references are there: those of `benchmarks.users.render` and of `benchmarks/foreign`."""
+    found = [scene for group in (INTERIORS, OWN) for scene in _find_ours(folder / group)]
+    for renderer in FOREIGN if foreign else ():
+        assert foreign is not None
+        place = foreign / renderer.name
+        for name, frames in find_frames(renderer, place).items() if place.is_dir() else ():
+            paths = {spp: seeds[FOREIGN_SEED] for spp, seeds in sorted(frames.items()) if FOREIGN_SEED in seeds}
+            first, second = (renderer.find(place, f"{name}_{REFERENCE}_{half}") for half in REFERENCES)
+            found.append(Scene(renderer.name, name, paths, (first, second), renderer))
+    return sorted(found, key=lambda scene: GROUPS.index(scene.group))
+
+
+def _find_ours(folder: Path) -> list[Scene]:
+    found = []
+    for first in sorted(folder.glob("*-ref-1.exr")):
+        name = first.name.removesuffix("-ref-1.exr")
+        second = folder / f"{name}-ref-2.exr"
+        ends = {path: path.stem.removeprefix(f"{name}-") for path in folder.glob(f"{name}-*.exr")}
+        frames = {int(end): path for path, end in ends.items() if end.isdecimal()}
+        if second.exists() and frames:
+            found.append(Scene(folder.name, name, dict(sorted(frames.items())), (first, second)))
+    return found
