@@ -27,6 +27,8 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.
+- **Edges of lamps and of the background.** Emission and background have no noise where a pixel shows one thing; at their edges they are as noisy as the choice of what a sample meets: dots and saw teeth, each as bright as the lamp.
+  Where the frame has `mean_emission` (`lobewise render` traces 16 rays for it, spread evenly over the pixel), the emission of the samples is averaged with it; it counts as 16 samples.
 - **Lights out of focus.** Emission and background pass as they are, for they have no noise where a pixel shows one object. Where Cryptomatte or alpha tells that depth of field or motion mixes objects over an area, dots beside such a
   light are shared out among their neighbours; the sum of the light stays.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
@@ -78,7 +80,7 @@ What remains of the error is mostly glass (reflected and refracted light are one
 ## What is not settled
 
 - Samples of pixels that two surfaces share count as samples of the one at the centre. Leaving them out made things worse.
-- Emission and background pass through as they came.
+- Emission and background pass through as they came where the frame has no `mean_emission`.
 - Radius and sigmas are those of images of some 400 to 1100 rows; scale `radius` with the resolution.
 """
 

@@ -28,6 +28,7 @@ from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
+from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
@@ -225,6 +226,8 @@ def filter_guided(
     parts = [each.image for each in clean]
     tallies = [each.bounded.tally for each in noisy]
     rest, share = find_rest(frame), frame.gbuffer.object_share
+    if rest is not None and frame.gbuffer.mean_emission is not None:
+        rest = average_emission(rest, frame.gbuffer.mean_emission, frame.spp)
     gain = None
     if rest is not None and share is not None:
         gain = share_out_specks(rest, share, device=settings.device)
