@@ -336,8 +336,9 @@ class Result:
     variance : (height, width) or None
         Estimated variance of the image's luminance, where a history tells it.
     energy_lost : float
-        Share of the light that was taken from fireflies before filtering, in [0, 1]. Fireflies are noise as well as
-        light: whether the image clearly lost light is told in ``notes``.
+        Share of the light of the filtered layers that the result lacks, in [0, 1]. What a filter takes from fireflies
+        is shared out over their layer, but for pixels that hold so much of its light that they tell nothing of its
+        mean. 0 with the quality "fast", which is not measured.
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
     also : mapping of str to (height, width, 3)
@@ -349,7 +350,7 @@ class Result:
         Wall time of the call.
     notes : tuple of str
         One sentence each: what is wrong with the guides (values that no surface can have, and what became of them), and
-        that light was lost with fireflies, where the noise does not explain the change of the image's mean.
+        that much light was taken from fireflies and shared out, where the noise does not explain how much.
     unused : tuple of str
         Images of the frame that change nothing with these settings.
     """

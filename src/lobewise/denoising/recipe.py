@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,16 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
-from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
+from lobewise.denoising.light_loss import (
+    MIN_SHARE_BOUNDED,
+    brighten,
+    describe_loss,
+    find_gain,
+    find_share_missing,
+    find_takers,
+    sum_light,
+    sum_missing,
+)
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
@@ -97,7 +106,8 @@ def denoise(
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
-    found = filter_frame(frame, chosen, features)
+    filtered = filter_frame(frame, chosen, features)
+    found, missing = keep_light(filtered)
     image, parts = found.image, found.parts
     image = fill_holes(image, found.find_holes(bad), frame, chosen.device)
     if chosen.with_oidn:
@@ -114,7 +124,7 @@ def denoise(
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
-        notes += describe_loss(sum_light(frame, image, bad), share_bounded)
+        notes += describe_loss(sum_light(frame, filtered.image, bad), share_bounded)
     return Result(
         image=image,
         diffuse=diffuse,
@@ -126,7 +136,7 @@ def denoise(
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        energy_lost=share_bounded,
+        energy_lost=missing,
         notes=notes,
         unused=list_unused(frame, chosen),
     )
@@ -165,6 +175,8 @@ class Filtered:
     """What a network sees of every layer, with the quality "high"."""
     gain: FloatArray | None = None
     """What light of no layer was multiplied by, (height, width); None for 1."""
+    levels: Sequence[float] = ()
+    """Mean light of the samples of every layer, over albedo; none with the quality "fast", which shares nothing out."""
 
     def choose_extras(self) -> list[FloatArray]:
         """Return the extras of the first layer of each kind, diffuse before specular."""
@@ -176,6 +188,21 @@ class Filtered:
         untouched = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
         holes: NDArray[np.bool_] = ~find_good(self.image) | (bad & untouched)
         return holes
+
+
+def keep_light(found: Filtered) -> tuple[Filtered, float]:
+    """Return layers whose light sums to that of their samples, and which share of it is missing still."""
+    layers = list(zip(found.layers, found.parts, found.levels, strict=False))
+    takers = [find_takers(layer, part, level) for layer, part, level in layers]
+    rows = [sum_missing(layer, part, taker) for (layer, part, _), taker in zip(layers, takers, strict=True)]
+    gains = [find_gain(each) for each in rows]
+    if not any(map(any, gains)):
+        return found, find_share_missing(rows, gains)
+    image, parts = found.image, []
+    for part, taker, gain in zip(found.parts, takers, gains, strict=True):
+        image = brighten(image, part, taker, gain)
+        parts.append(brighten(part, part, taker, gain))
+    return replace(found, image=image, parts=parts), find_share_missing(rows, gains)
 
 
 def filter_frame(
@@ -232,8 +259,8 @@ def filter_guided(
     if rest is not None and share is not None:
         gain = share_out_specks(rest, share, device=settings.device)
         rest = rest * gain[..., None]
-    layers = [each.layer for each in noisy]
-    return Filtered(layers, parts, clean, compose(frame, parts, rest), tallies, extras, gain)
+    layers, levels = [each.layer for each in noisy], [each.level for each in noisy]
+    return Filtered(layers, parts, clean, compose(frame, parts, rest), tallies, extras, gain, levels)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
