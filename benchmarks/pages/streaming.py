@@ -72,13 +72,14 @@ cannot be otherwise.
 - **What is a property of the whole frame is measured first**, in a pass over the file: how bright each layer's samples are (what is dark is a share of that),
   what fireflies lose, the noise that `fast` resolves "auto" by, the number of bad pixels. Each is a sum of one number for each row, so that it does not matter how the rows
   were cut. A filter's own output tells none of it, or it would have to run twice.
+- **What the filter lost is known when all bands are filtered.** They wait as floats in a second file without a name, with what each pixel takes of the light that is shared out.
 - **Holes that no filter reaches** are filled from up to 186 pixels away; finished rows wait until what follows is there. What has nothing
   so near becomes the mean of the frame's samples.
 - **Channels that are only copied are not kept.** Rows of all channels are in memory while they are decoded or encoded, at most 256 MiB of pixels at a time where
   a row of chunks has less. Beyond that only the channels that are filtered are held, and others of up to 200 bytes a pixel; further ones are decoded again
   for the copy. What `--bands auto` decides by counts the same channels. Whole frames are read and written in the same way.
 - **Files are cut and put together by their chunks**, which are coded independently. They wait in a file without a name beside the output, and are copied in the order of
-  the original when all are there: the disk needs room for the output twice.
+  the original when all are there: the disk needs room for the output twice, and for 13 to 45 bytes a pixel of bands that are filtered.
 """
 
 

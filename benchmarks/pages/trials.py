@@ -22,12 +22,15 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 ## What comes before and after
 
 - **Halves.** Where the file has the image from one half of the samples each (`lobewise render` writes them), these are used. Else the noise is read off the image itself: second differences along both axes, squared and filtered by the weights of the image, are the noise of a pass, for they cancel slopes and edges. Where pixels share samples they are taken two pixels apart.
-- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half. `Result.energy_lost` says
-  which share of the light that took. Fireflies are noise as well as light, so that share is no loss yet: the command line and `Result.notes` tell one where the image's mean fell by 1 % or more and by
-  2.5 times its standard error, which comes from the residuals.
+- **Fireflies** are bounded first: a pixel is no brighter than twice the second brightest of its 13x13 neighbours, or four times its own other half.
+- **Light is kept.** A filter that knows noise loses light, with fireflies and with all that is brighter than its neighbours: without the following 27 % of a classroom that the sun lights, at 4 samples. What a layer lost is shared out over its pixels, in proportion to their light but no more than to half the
+  layer's mean light: shadows stay dark, and spots that are too bright already do not grow. So the result is as bright as the noisy image, within 0.5 % on 80 frames of 1 to 64 samples; the error of log-brightness falls by 1 % in the geometric mean (of that classroom by 43 %), `rel_mse` rises by 6 %, for it favours images that are too dark where noise is left. Pixels that hold more of a layer's light than all others tell nothing of its mean; of what k of them lost `1 - 1/k^2` is shared out, and in any case 1 % of the layer's light. `Result.energy_lost` says
+  what is missing after that. The command line and `Result.notes` tell where the filter took 1 % of the image's light or more and 2.5 times the standard error of its mean, which comes from the residuals: that light is in the image, but where it falls is not known.
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.
+- **Edges of lamps and of the background.** Emission and background have no noise where a pixel shows one thing; at their edges they are as noisy as the choice of what a sample meets: dots and saw teeth, each as bright as the lamp.
+  Where the frame has `mean_emission` (`lobewise render` traces 16 rays for it, spread evenly over the pixel), the emission of the samples is averaged with it; it counts as 16 samples.
 - **Lights out of focus.** Emission and background pass as they are, for they have no noise where a pixel shows one object. Where Cryptomatte or alpha tells that depth of field or motion mixes objects over an area, dots beside such a
   light are shared out among their neighbours; the sum of the light stays.
 - **What reflections see.** Where the frame has albedo and normal of what its lobes hit (`hit_albedo`, `hit_normal`), specular pixels must agree in them too.
@@ -80,7 +83,7 @@ What remains of the error is mostly glass (reflected and refracted light are one
 ## What is not settled
 
 - Samples of pixels that two surfaces share count as samples of the one at the centre. Leaving them out made things worse.
-- Emission and background pass through as they came.
+- Emission and background pass through as they came where the frame has no `mean_emission`.
 - Radius and sigmas are those of images of some 400 to 1100 rows; scale `radius` with the resolution.
 """
 

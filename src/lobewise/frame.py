@@ -78,6 +78,9 @@ class GBuffer(Images):
         Mean of the shading normal over the pixel's area (0 for no surface), where ``normal`` is that of its centre.
     mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
         Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
+    mean_emission : array_like, shape (height, width, 3), optional
+        Mean over the pixel's area of the light that reaches the camera unscattered, from lamps and the background,
+        >= 0, without the noise of samples.
     coverage : array_like, shape (height, width, 9), optional
         Which shares of the pixel's area the surfaces at the centres of its 3x3 neighbours stand for best, row by row:
         in [0, 1], sum 1, that of the pixel itself at index 4, 0 for neighbours outside the image.
@@ -111,13 +114,14 @@ class GBuffer(Images):
     mean_normal: MaybeImage = ABSENT
     mean_diffuse_albedo: MaybeImage = ABSENT
     mean_specular_albedo: MaybeImage = ABSENT
+    mean_emission: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
     object_share: MaybeImage = ABSENT
     motion: MaybeImage = ABSENT
     material: MaybeImage = ABSENT
 
     def __post_init__(self) -> None:
-        vectors = ("position", "normal", "tangent", "albedo")
+        vectors = ("position", "normal", "tangent", "albedo", "emission")
         channels = {item.name: 3 if item.name.endswith(vectors) else None for item in fields(self)}
         self.check_images({**channels, "motion": 2, "coverage": 9})
 
@@ -332,8 +336,9 @@ class Result:
     variance : (height, width) or None
         Estimated variance of the image's luminance, where a history tells it.
     energy_lost : float
-        Share of the light that was taken from fireflies before filtering, in [0, 1]. Fireflies are noise as well as
-        light: whether the image clearly lost light is told in ``notes``.
+        Share of the light of the filtered layers that the result lacks, in [0, 1]. What a filter takes from fireflies
+        is shared out over their layer, but for pixels that hold so much of its light that they tell nothing of its
+        mean. 0 with the quality "fast", which is not measured.
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
     also : mapping of str to (height, width, 3)
@@ -347,7 +352,7 @@ class Result:
         In one sentence, without its stop, which filters and networks the image is of, and by which guides.
     notes : tuple of str
         One sentence each: what is wrong with the guides (values that no surface can have, and what became of them), and
-        that light was lost with fireflies, where the noise does not explain the change of the image's mean.
+        that much light was taken from fireflies and shared out, where the noise does not explain how much.
     unused : tuple of str
         Images of the frame that change nothing with these settings.
     """

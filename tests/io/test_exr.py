@@ -96,6 +96,7 @@ class TestRoundTrip:
         expected += [f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal") for c in "XYZ"]
         expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit") for c in "RGB"]
         expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
+        expected += [f"mean_emission.{c}" for c in "RGB"]
         expected += [*(f"coverage.{k}" for k in range(9)), "object_share.S"]
         assert sorted(channels) == sorted(expected)
         np.testing.assert_array_equal(channels["half_b.specular.G"], full_frame.half_b.specular[..., 1])

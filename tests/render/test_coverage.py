@@ -189,6 +189,31 @@ def test_mask_shows_what_is_behind_it_by_its_opacity(mi: Any, opacity: float) ->
     assert np.array_equal(gbuffer.coverage[:, 8, 4], np.full(SIZE, 1.0 if opacity < 0.5 else 0.5))
 
 
+@pytest.mark.parametrize("opacity", [1.0, 0.3])
+def test_mean_emission_is_that_of_the_area(mi: Any, opacity: float) -> None:
+    """A lamp up to x = 8.3, behind a mask, before a sky: each by its share of the pixel and of the light."""
+    lamp = make_wall(mi, paint(RED), right=8.3, z=-20.0)
+    lamp["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": [5.0, 3.0, 1.0]}}
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.1, 0.2, 0.4]}}
+    pane = make_wall(mi, {"type": "mask", "opacity": 1.0 - opacity, "nested": paint(GREEN)})
+    gbuffer = render(mi, lamp=lamp, sky=sky, **({"pane": pane} if opacity < 1.0 else {}))
+    bright, dim = opacity * np.array([5.0, 3.0, 1.0]), opacity * np.array([0.1, 0.2, 0.4])
+    assert np.allclose(gbuffer.mean_emission[:, :8], bright, atol=1e-3)
+    assert np.allclose(gbuffer.mean_emission[:, 9:], dim, atol=1e-3)
+    assert np.allclose(gbuffer.mean_emission[:, 8], 0.3 * bright + 0.7 * dim, atol=5.0 * EDGE)
+
+
+def test_indirect_light_has_no_mean_emission(mi: Any) -> None:
+    from lobewise.render import render_frame
+
+    camera = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
+    wall = make_wall(mi, paint(RED), z=-20.0)
+    scene = mi.load_dict({"type": "scene", "camera": camera, "wall": wall, "sky": {"type": "constant"}})
+    both, indirect = (render_frame(scene, spp=1, light=light).gbuffer for light in ("all", "indirect"))
+    assert both.mean_emission is not None
+    assert indirect.mean_emission is None
+
+
 @pytest.mark.parametrize("pixels", [5, 20])
 def test_tiles_change_nothing(mi: Any, monkeypatch: pytest.MonkeyPatch, pixels: int) -> None:
     from lobewise.render import renderer
@@ -197,7 +222,7 @@ def test_tiles_change_nothing(mi: Any, monkeypatch: pytest.MonkeyPatch, pixels: 
     whole = render(mi, 8, ball=ball)
     monkeypatch.setattr(renderer, "TILE_PIXELS", pixels)
     tiled = render(mi, 8, ball=ball)
-    for name in ("coverage", "mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"):
+    for name in ("coverage", "mean_normal", "mean_diffuse_albedo", "mean_specular_albedo", "mean_emission"):
         assert np.array_equal(getattr(tiled, name), getattr(whole, name)), name
 
 

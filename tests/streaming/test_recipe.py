@@ -59,12 +59,16 @@ def make_bad(**options: Any) -> Frame:
     return add_bad_pixels(make_scene(SHAPE, **options), [0, 9, 10, 19, 32, 33, 34, 49, 50, 66, 82])
 
 
-def test_light_lost_with_fireflies_is_told_of_the_whole_image(tmp_path: Path) -> None:
-    frame = make_scene(SHAPE, halves=False, apart=False)
-    color = np.array(frame.radiance.color)
-    color[3::13, 3::13] = 60.0
-    found = compare(frame.with_changes(radiance=Radiance(color)), tmp_path, (10, 33), quality="balanced")
-    assert [note for note in found.notes if "darker than the noisy image" in note]
+@pytest.mark.parametrize("apart", [False, True])
+def test_light_of_fireflies_is_shared_out_over_the_whole_image(apart: bool, tmp_path: Path) -> None:
+    frame = make_scene(SHAPE, halves=False, apart=apart)
+    color, parts = np.array(frame.radiance.color), frame.radiance.parts
+    spots = np.zeros_like(color)
+    spots[3::13, 3::13] = 60.0
+    light = Radiance(color + spots) if parts is None else Radiance(color + spots, parts[0] + spots, parts[1])
+    found = compare(frame.with_changes(radiance=light), tmp_path, (10, 33), quality="balanced")
+    assert found.image.sum(dtype=np.float64) == pytest.approx(light.color.sum(dtype=np.float64), rel=0.005)
+    assert [note for note in found.notes if "of the light was shared out" in note]
 
 
 @pytest.mark.parametrize("similarity", ["normal", "sg", "asg", "ggx", "sg_mixture"])

@@ -1,19 +1,29 @@
-"""Whether an image clearly lost light with its fireflies: the change of its mean against the noise of that mean.
+"""The light of an image before and after: what its filter lost is shared out, and where that is much it is told.
 
-Fireflies are light that the scene has, found by few samples: a mean without them is too dark, one with them is noisy.
-Which it is, their share alone does not tell: one of them may hold 4 % of an image whose mean is right by chance. So
-the change of the mean is compared with its standard error, from the squared residuals of all pixels; what k equal
-fireflies add to a mean is sqrt(k) of its errors. Source of the residual: `lobewise.filters.noise.residuals`.
+A filter that knows noise loses light: fireflies are bounded, and what is brighter than its neighbours counts less. So
+the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. What a layer lost is
+shared out over its pixels, in proportion to their light but no more than to `MAX_TAKER` of the layer's mean, so that
+shadows stay dark and spots that are still too bright take no more than others. Most of it was lost where no pixel
+tells; so it goes everywhere, too thin to be seen.
+
+Whether a filter clearly took light away is told by the change of its mean against the noise of that mean. Fireflies are
+light that the scene has, found by few samples: a mean without them is too dark, one with them is noisy. Which it is,
+their share alone does not tell: one of them may hold 4 % of an image whose mean is right by chance. So the change of
+the mean is compared with its standard error, from the squared residuals of all pixels; what k equal fireflies add to a
+mean is sqrt(k) of its errors. Source of the residual: `lobewise.filters.noise.residuals`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.layers import Layer
 from lobewise.filters.noise.residuals import DIFFERENCES, SHARED, SHARED_STEP
 from lobewise.frame import FloatArray, Frame
 
@@ -25,9 +35,100 @@ MIN_STANDARD_ERRORS = 2.5
 """Of the noisy image's mean: below, its noise may be the change. Measured on 87 frames of Blender, LuxCore and Mitsuba
 with references (benchmarks/foreign): the 12 that are told lack 5 to 25 % of their reference's light (LuxCore's
 ``sparks``), no other lacks more than 3 %; at 2 one more would be told, which lacks 1.9 %."""
+MAX_TAKER = 0.5
+"""Times the layer's mean light, over albedo, above which a pixel takes no more of what is shared out."""
+MAX_SHARED_AS_NOISE = 0.01
+"""Share of a layer's light that is shared out even if it is no more than the noise of the layer's mean. One pixel may
+hold more light than all others: then that is noise, and would make the image brighter by as much."""
+MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
+"""By how much the light that takes part in sharing grows at most; what is left goes to all light in proportion, which
+grows by no more than the second."""
 ROWS_AT_ONCE = 128
 
 Rows = NDArray[np.float64]
+
+
+def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
+    """Return by which share of its light a pixel takes part in what is shared out, (height, width), in [0, 1].
+
+    Parameters
+    ----------
+    layer : Layer
+        Whose light it is.
+    part : array, shape (height, width, 3)
+        The layer, filtered; what is not finite or negative takes nothing.
+    level : float
+        Mean light of the layer's samples, over albedo.
+    """
+    light = _add_channels(np.where(find_good(part)[..., None], part, np.float32(0.0)))
+    bound = np.full_like(light, 3.0)
+    if layer.albedo is not None:
+        bound = _add_channels(np.where(find_good(layer.albedo)[..., None], layer.albedo, np.float32(0.0)))
+    bound *= MAX_TAKER * level
+    share = np.divide(bound, light, out=np.zeros_like(light), where=light > 0.0)
+    return np.minimum(share, 1.0).astype(np.float32)
+
+
+def sum_missing(layer: Layer, part: FloatArray, taker: FloatArray, rows: slice = slice(None)) -> Rows:
+    """Return for some rows of a layer, over good pixels, what `find_gain` asks for, (rows, 4).
+
+    They are the sums of its noisy light, of what the filtered ``part`` lacks of it, of the square of that, and of the
+    light that takes part in sharing. Light is the sum of the three channels.
+    """
+    found = []
+    for noisy, done, share in zip(layer.radiance[rows], part[rows], taker[rows], strict=True):
+        good = find_good(noisy) & find_good(done)
+        before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
+        missing = before - after
+        # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
+        found.append([one.sum() for one in (before, missing, missing * missing, after * share)])
+    return np.array(found, np.float64).reshape(-1, 4)
+
+
+class Gain(NamedTuple):
+    """What the light of a layer gains, as shares of it: what takes part in sharing, and all of it."""
+
+    takers: float = 0.0
+    all: float = 0.0
+
+    def sum_light(self, rows: Rows) -> float:
+        """Return the light that is shared out, the sum of all pixels and channels, from what `sum_missing` gave."""
+        noisy, missing, _, taking = rows.sum(axis=0)
+        return float(self.takers * taking + self.all * (noisy - missing))
+
+
+def find_gain(rows: Rows) -> Gain:
+    """Return what the light of a layer gains.
+
+    Of k equal fireflies, and nothing else, the share ``1 - 1/k^2`` is shared out, and of the rest `MAX_SHARED_AS_NOISE`
+    of the layer's light: the error of what is missing is the root of the sum of its squares.
+    """
+    noisy, missing, squared, taking = (float(each) for each in rows.sum(axis=0))
+    if not taking > 0.0 or not math.isfinite(squared) or missing == 0.0:
+        return Gain()
+    known = max(1.0 - (squared / (missing * missing)) ** 2, 0.0) * abs(missing)
+    shared = max(known, min(abs(missing), MAX_SHARED_AS_NOISE * noisy))
+    if missing < 0.0:
+        return Gain(all=-shared / (noisy - missing))
+    takers = min(shared / taking, MAX_TAKERS_GAIN)
+    return Gain(takers, min((shared - takers * taking) / (noisy - missing), MAX_GAIN))
+
+
+def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain) -> FloatArray:
+    """Return an image, (height, width, 3), with the light that a layer's ``part`` gains."""
+    if not any(gain):
+        return image
+    return np.asarray(image + part * (np.float32(gain.takers) * taker + np.float32(gain.all))[..., None], np.float32)
+
+
+def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:
+    """Return which share of the light of all layers is missing after sharing, in [0, 1]."""
+    noisy = missing = 0.0
+    for each, gain in zip(rows, gains, strict=True):
+        sums = each.sum(axis=0)
+        noisy, missing = noisy + float(sums[0]), missing + float(sums[1]) - gain.sum_light(each)
+    # Rounding leaves a little behind.
+    return min(missing / noisy, 1.0) if missing > 1e-6 * noisy else 0.0
 
 
 def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: slice = slice(None)) -> Rows:
@@ -69,12 +170,12 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
 
 
 def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
-    """Return the sentence that light was lost, or none where the noise explains the change.
+    """Return the sentence that light was moved, or none where the noise explains the change.
 
     Parameters
     ----------
     rows : array, shape (height, 3)
-        What `sum_light` gave.
+        What `sum_light` gave, of the image before its light is shared out.
     share_bounded : float
         Share of the light that was taken from fireflies, in [0, 1].
     """
@@ -85,9 +186,10 @@ def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
     if not (lost >= MIN_SHARE_LOST and lost >= MIN_STANDARD_ERRORS * error):
         return ()
     return (
-        f"The result is {100.0 * lost:.2g} % darker than the noisy image, more than its noise explains "
+        f"{100.0 * lost:.2g} % of the light was shared out over the image, more than its noise explains "
         f"({100.0 * error:.2g} %): very bright pixels that few samples hit (fireflies, as of caustics and small lamps) "
-        "were bounded; to keep their light, render more samples, or use larger lamps or an integrator that finds them.",
+        "were bounded; the image stays as bright, but where this light falls is not known; to see it, render more "
+        "samples, or use larger lamps or an integrator that finds them.",
     )
 
 

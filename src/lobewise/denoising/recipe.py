@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING
 
@@ -32,10 +32,20 @@ from lobewise.denoising.guided import (
 from lobewise.denoising.high import find_high_reach, mix_layer
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import Layer, Support, filter_layer, find_support, make_layers
-from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
+from lobewise.denoising.light_loss import (
+    MIN_SHARE_BOUNDED,
+    brighten,
+    describe_loss,
+    find_gain,
+    find_share_missing,
+    find_takers,
+    sum_light,
+    sum_missing,
+)
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
+from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
@@ -113,7 +123,8 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         require_oidn()
     bad = find_bad_pixels(frame)
     require_some_good(int(np.count_nonzero(bad)), bad.size, "pixel")
-    found = filter_frame(frame, chosen, features)
+    filtered = filter_frame(frame, chosen, features)
+    found, missing = keep_light(filtered)
     image = fill_holes(found.image, found.find_holes(bad), frame, chosen.device)
     parts = found.parts
     gains = [] if found.gain is None else [found.gain[..., None]]
@@ -135,9 +146,9 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     weight_sum, effective_samples = find_support(found.layers, found.supports)
     share_bounded = find_energy_lost(found.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
-        notes += describe_loss(sum_light(frame, image, bad), share_bounded)
+        notes += describe_loss(sum_light(frame, filtered.image, bad), share_bounded)
     if chosen.quality == "fast":
-        notes += describe_blurred(count_blurred(frame, found.image))
+        notes += describe_blurred(count_blurred(frame, filtered.image))
     return Result(
         image=image,
         diffuse=diffuse,
@@ -149,7 +160,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         bad_pixels=bad,
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        energy_lost=share_bounded,
+        energy_lost=missing,
         method=describe_method(
             chosen,
             name_oidn_guides(frame),
@@ -192,12 +203,29 @@ class Filtered:
     """What fireflies took of every layer, row by row."""
     gain: FloatArray | None = None
     """What light of no layer was multiplied by, (height, width); None for 1."""
+    levels: Sequence[float] = ()
+    """Mean light of the samples of every layer, over albedo; none with the quality "fast", which shares nothing out."""
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image is none, (height, width): not finite, or bad and reached by no layer."""
         untouched = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
         holes: NDArray[np.bool_] = ~find_good(self.image) | (bad & untouched)
         return holes
+
+
+def keep_light(found: Filtered) -> tuple[Filtered, float]:
+    """Return layers whose light sums to that of their samples, and which share of it is missing still."""
+    layers = list(zip(found.layers, found.parts, found.levels, strict=False))
+    takers = [find_takers(layer, part, level) for layer, part, level in layers]
+    rows = [sum_missing(layer, part, taker) for (layer, part, _), taker in zip(layers, takers, strict=True)]
+    gains = [find_gain(each) for each in rows]
+    if not any(map(any, gains)):
+        return found, find_share_missing(rows, gains)
+    image, parts = found.image, []
+    for part, taker, gain in zip(found.parts, takers, gains, strict=True):
+        image = brighten(image, part, taker, gain)
+        parts.append(brighten(part, part, taker, gain))
+    return replace(found, image=image, parts=parts), find_share_missing(rows, gains)
 
 
 def filter_frame(
@@ -241,17 +269,19 @@ def filter_guided(
     parts = [each.image for each in clean]
     tallies = [each.bounded.tally for each in noisy]
     rest, share = find_rest(frame), frame.gbuffer.object_share
+    if rest is not None and frame.gbuffer.mean_emission is not None:
+        rest = average_emission(rest, frame.gbuffer.mean_emission, frame.spp)
     gain = None
     if rest is not None and share is not None:
         gain = share_out_specks(rest, share, device=settings.device)
         rest = rest * gain[..., None]
-    layers = [each.layer for each in noisy]
+    layers, levels = [each.layer for each in noisy], [each.level for each in noisy]
     image = compose(frame, parts, rest)
     if not settings.with_oidn:
         # With a mixture the evidence is sought when the mixture is there.
-        parts = take_back_noisy(frame, image, layers, parts, max(each.level for each in noisy))
+        parts = take_back_noisy(frame, image, layers, parts, max(levels))
         image = compose(frame, parts, rest)
-    return Filtered(layers, parts, clean, image, tallies, gain)
+    return Filtered(layers, parts, clean, image, tallies, gain, levels)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

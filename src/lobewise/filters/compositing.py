@@ -19,6 +19,11 @@ from lobewise.frame import FloatArray
 
 SMALLEST_SHARE = 1e-6
 """Sum of shares times albedos below which a pixel keeps the light at its own centre."""
+EMISSION_WORTH = 16.0
+"""Samples that `lobewise.GBuffer.mean_emission` counts as: its rays are so many. Spread evenly over the pixel they are
+worth twice as much at straight edges, and no more than samples where lamps are smaller than a pixel."""
+UNKNOWN_SPP = 16.0
+"""Samples that emission counts for where nobody told how many there are."""
 REACH = 1
 """Pixels to each side whose light may fall on a pixel's area."""
 
@@ -54,6 +59,26 @@ def composite_light(
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
     (composite,) = run_pointwise(_define_composite, {**named, **others}, {})
     return np.asarray(composite)
+
+
+def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) -> FloatArray:
+    """Return the emission of samples averaged with a mean over the pixel's area, (height, width, 3), by their worth.
+
+    Where a pixel shows one lamp or one part of the sky both are equal. At the edge of a lamp the samples are as noisy
+    as the choice of what they meet: dots and saw teeth, each as bright as the lamp.
+
+    Parameters
+    ----------
+    emission : array, shape (height, width, 3)
+        Of the samples, finite, >= 0.
+    mean : array, shape (height, width, 3)
+        As `lobewise.GBuffer.mean_emission`. What is negative or not finite there does not count.
+    spp : float or None
+        Samples per pixel.
+    """
+    share = np.float32(EMISSION_WORTH / (EMISSION_WORTH + (UNKNOWN_SPP if spp is None else spp)))
+    good = (mean >= 0.0) & (mean <= np.finfo(np.float32).max)
+    return np.where(good, emission + share * (np.where(good, mean, np.float32(0.0)) - emission), emission)
 
 
 def _define_composite(grid: Grid) -> list[Vector]:

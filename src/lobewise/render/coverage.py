@@ -71,12 +71,16 @@ class _Look:
 
 @dataclass
 class _Sums:
-    """Running sums over the rays of a pixel: how many each neighbour stands for, normals, albedos of both lobes."""
+    """Running sums over the rays of a pixel.
+
+    They are how many rays each neighbour stands for, normals, albedos of both lobes, and emission.
+    """
 
     counts: list[Any] = field(default_factory=lambda: [mi.Float(0) for _ in _NEIGHBOURS])
     normal: Any = starts_as("Vector3f")
     diffuse_albedo: Any = starts_as("Color3f")
     specular_albedo: Any = starts_as("Color3f")
+    emission: Any = starts_as("Color3f")
 
 
 @dataclass
@@ -89,18 +93,26 @@ class _Layers:
     normal: Any = starts_as("Vector3f")
     diffuse_albedo: Any = starts_as("Color3f")
     specular_albedo: Any = starts_as("Color3f")
+    emission: Any = starts_as("Color3f")
     count: Any = starts_as("UInt32")
     active: Any = starts_as("Bool", True)
 
 
 def trace_coverage(
-    scene: Any, materials: dict[int, Material], camera: Camera, *, pixels: tuple[int, int], size: tuple[int, int]
+    scene: Any,
+    materials: dict[int, Material],
+    camera: Camera,
+    *,
+    pixels: tuple[int, int],
+    size: tuple[int, int],
+    emission: bool = True,
 ) -> dict[str, Any]:
     """Return the guides of a run of pixels that belong to their areas, as Dr.Jit arrays by their names in `GBuffer`.
 
-    ``coverage`` is a list of nine Float, ``mean_normal`` a Vector3f, and ``mean_diffuse_albedo`` and
-    ``mean_specular_albedo`` are Color3f. Rays are the same in every pixel; a pixel's values do not depend on the run,
-    ``pixels``: the first (row-major) and how many, of an image of ``size``, width and height.
+    ``coverage`` is a list of nine Float, ``mean_normal`` a Vector3f, and ``mean_diffuse_albedo``,
+    ``mean_specular_albedo`` and, with ``emission``, ``mean_emission`` are Color3f. Rays are the same in every
+    pixel; a pixel's values do not depend on the run, ``pixels``: the first (row-major) and how many, of an image of
+    ``size``, width and height.
     """
     # The centres of the run, and of a row and a pixel more on each side.
     begin = max(pixels[0] - size[0] - 1, 0)
@@ -139,6 +151,7 @@ def trace_coverage(
         sums.normal += layers.normal
         sums.diffuse_albedo += layers.diffuse_albedo
         sums.specular_albedo += layers.specular_albedo
+        sums.emission += layers.emission
         return (sums,)
 
     (sums,) = repeat(take, mi.UInt32(0), RAYS, _Sums(), label="coverage")
@@ -148,6 +161,8 @@ def trace_coverage(
         "mean_diffuse_albedo": dr.clip(sums.diffuse_albedo / RAYS, 0.0, 1.0),
         "mean_specular_albedo": dr.clip(sums.specular_albedo / RAYS, 0.0, 1.0),
     }
+    if emission:
+        found["mean_emission"] = sums.emission / RAYS
     dr.eval(found)
     return found
 
@@ -162,13 +177,18 @@ def find_place(index: Any) -> tuple[Any, Any]:
 
 
 def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Layers:
-    """Return the first surface of a ray that is more opaque than not, and the sums over all, weighted by opacity."""
+    """Return the first surface of a ray that is more opaque than not, and the sums over all, weighted by opacity.
+
+    Emission is that of lamps and of the background, weighted by how much light reaches the camera from there.
+    """
 
     def add(state: _Layers) -> _Layers:
         si = scene.ray_intersect(state.ray, mi.RayFlags.All, True, state.active)
         found = state.active & si.is_valid()
         surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
         share = dr.select(found, state.light * surface.opacity, 0.0)
+        emitted = si.emitter(scene, state.active).eval(si, state.active)
+        state.emission += dr.select(state.active, state.light * emitted, 0.0)
         state.normal += share * surface.normal
         state.diffuse_albedo += share * surface.diffuse_albedo
         state.specular_albedo += share * surface.specular_albedo

@@ -67,14 +67,14 @@ class _Pass:
         self._seed = require_integer("seed", seed, 0, (1 << 32) - 1)
         fewest = LIGHTS[require_choice("light", light, LIGHTS)]
         self.scene = scene
-        self._settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest, **settings)
+        self.settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest, **settings)
         self.size = get_image_size(scene)
-        self.materials = read_scene_materials(scene) if self._settings.guides else {}
+        self.materials = read_scene_materials(scene) if self.settings.guides else {}
 
     @property
     def has_light(self) -> bool:
         """Whether there is radiance, and not only guides."""
-        return self._settings.radiance
+        return self.settings.radiance
 
     def run(
         self,
@@ -97,17 +97,17 @@ class _Pass:
         return join(tiles, columns, rows)
 
     def _sum_tile(self, pixels: tuple[int, int], advance: Callable[[int], None], where: dict[str, Any]) -> Sums:
-        sums = make_sums(pixels[1], self._settings.guides)
+        sums = make_sums(pixels[1], self.settings.guides)
         for samples in _cut(self.spp, max(1, CHUNK_SAMPLES // pixels[1])):
             part = {"pixels": pixels, "size": self.size, "samples": samples, "seed": self._seed, **where}
-            sums = add_samples(self.scene, self.materials, sums, settings=self._settings, **part)
+            sums = add_samples(self.scene, self.materials, sums, settings=self.settings, **part)
             dr.sync_thread()
             advance(pixels[1] * (samples[1] - samples[0]))
         return sums
 
     def finish_radiance(self, _: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
         """Return the radiance of a run of pixels."""
-        return finish_radiance(sums, self.spp, self._settings.fewest_bounces < 2)
+        return finish_radiance(sums, self.spp, self.settings.fewest_bounces < 2)
 
 
 def render_frame(
@@ -201,7 +201,9 @@ def _render_by_paths(
     def finish(pixels: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
         guides = trace_guides(scene, run.materials, camera, pixels=pixels, size=run.size)
         if coverage:
-            guides |= trace_coverage(scene, run.materials, camera, pixels=pixels, size=run.size)
+            guides |= trace_coverage(
+                scene, run.materials, camera, pixels=pixels, size=run.size, emission=not run.settings.fewest_bounces
+            )
         return finish_guides(sums, guides, spp) | run.finish_radiance(pixels, sums)
 
     images = run.run(*run.size, finish, progress)

@@ -20,18 +20,26 @@ from lobewise.denoising.automatic import (
     needs_spp,
 )
 from lobewise.denoising.bad_pixels import (
-    REFILL_REACH,
     blacken_bad,
     find_bad_pixels,
     find_mean_color,
-    refill,
     require_some_good,
     sum_colors,
 )
 from lobewise.denoising.combining import describe_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_images, list_unused
-from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, Rows, describe_loss, sum_light
+from lobewise.denoising.light_loss import (
+    MIN_SHARE_BOUNDED,
+    Gain,
+    Rows,
+    describe_loss,
+    find_gain,
+    find_share_missing,
+    find_takers,
+    sum_light,
+    sum_missing,
+)
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import filter_frame, resolve_all
 from lobewise.errors import InputError, name_value
@@ -47,6 +55,8 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
+from lobewise.streaming.finishing import Finisher, finish_bands
+from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
     DEFAULT_MEMORY,
     MEASURED_ROWS,
@@ -144,7 +154,7 @@ def denoise_file(
     reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
     apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
     height, _ = reader.shape
-    with open_spool(output) as spool:
+    with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
         # What "auto" stands for hangs on what there is, not on the pixels; but for the noise, which is measured.
         probe = reader.read_frame(0, 1)
@@ -163,17 +173,17 @@ def denoise_file(
             variances = measure().variances if noisy else np.empty(0)
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         levels = measure().levels if guided else None
-        finisher = _Finisher(lambda: measure().mean_color, chosen.device)
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED)
-        bad_count = _filter(reader, writer, finisher, chosen, levels, bands, tell, seen)
-        require_some_good(bad_count, reader.shape[0] * reader.shape[1], "pixel")
+        kept = KeptBands(waiting)
+        bad_count = _filter(reader, kept, chosen, levels, bands, tell, seen)
+        finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
         bad_pixel_count=bad_count,
-        energy_lost=share_bounded,
+        energy_lost=seen.find_share_missing(),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         notes=seen.list_notes(reader, share_bounded),
@@ -223,6 +233,8 @@ class _Seen:
     """Whether so much was taken from fireflies that the light before and after is compared."""
     light: list[Rows] = field(default_factory=list)
     blurred: list[Rows] = field(default_factory=list)
+    missing: list[list[Rows]] = field(default_factory=list)
+    """Of every layer what its rows lack, as `sum_missing` gives it."""
     unusable: list[Unusable] = field(default_factory=list)
 
     def list_notes(self, reader: BandReader, share_bounded: float) -> tuple[str, ...]:
@@ -234,6 +246,18 @@ class _Seen:
             *describe_loss(light, share_bounded),
             *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
+
+    def join_missing(self) -> list[Rows]:
+        """Return what all rows of every layer lack, (rows, 4) each; nothing with the quality "fast"."""
+        return [np.concatenate(rows) for rows in zip(*self.missing, strict=True)]
+
+    def find_gains(self) -> list[Gain]:
+        """Return what the light of every layer gains."""
+        return [find_gain(rows) for rows in self.join_missing()]
+
+    def find_share_missing(self) -> float:
+        """Return which share of the light is missing still."""
+        return find_share_missing(self.join_missing(), self.find_gains())
 
 
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
@@ -271,34 +295,31 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
 
 def _filter(
     reader: BandReader,
-    writer: BandWriter,
-    finisher: _Finisher,
+    kept: KeptBands,
     settings: ResolvedSettings,
     levels: Sequence[float] | None,
     bands: Bands,
     tell: Progress,
     seen: _Seen,
 ) -> int:
-    """Filter band after band and hand what is finished to the writer; return how many pixels were bad.
+    """Filter band after band and keep what comes out; return how many pixels were bad.
 
     What is to be told of each band is added to ``seen``.
     """
-    height, _ = reader.shape
+    height, width = reader.shape
     reach, bad_count = find_band_reach(settings), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
-        images, holes, bad = _filter_band(reader, settings, levels, (top, bottom), core, seen)
-        finisher.add(images, holes)
+        images, bad = _filter_band(reader, settings, levels, (top, bottom), core, seen)
+        kept.add(images)
         bad_count += bad
-        del images, holes
-        last = number + 1 == len(bands)
-        done = finisher.release(last=last)
-        if done is not None:
-            writer.add(done)
-        reader.forget(writer.row if last else min(writer.row, widen(bands[number + 1], reach, height)[0]))
+        del images
+        if number + 1 < len(bands):
+            reader.forget(widen(bands[number + 1], reach, height)[0])
         tell("Filtering", band[1], height)
+    require_some_good(bad_count, height * width, "pixel")
     return bad_count
 
 
@@ -309,8 +330,12 @@ def _filter_band(
     rows: tuple[int, int],
     core: slice,
     seen: _Seen,
-) -> tuple[dict[str, FloatArray], NDArray[np.bool_], int]:
-    """Return the images of the rows of ``core`` by their fields, where the total is none, and how many were bad."""
+) -> tuple[dict[str, NDArray[Any]], int]:
+    """Return the images of the rows of ``core`` by their fields, and how many pixels were bad.
+
+    Beside the fields there are ``holes``, where the total is none, and ``taker0`` and so on, how much of what is shared
+    out the pixels of each layer take.
+    """
     frame = reader.read_frame(*rows)
     seen.unusable += find_unusable(frame, core)
     frame = bound_guides(frame)
@@ -318,51 +343,15 @@ def _filter_band(
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), levels)
     bad = find_bad_pixels(frame)
-    holes = found.find_holes(bad)[core].copy()
+    takers = [find_takers(*each) for each in zip(found.layers, found.parts, found.levels, strict=False)]
+    seen.missing.append([sum_missing(*each, core) for each in zip(found.layers, found.parts, takers, strict=False)])
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
     if settings.quality == "fast":
         seen.blurred.append(count_blurred(frame, found.image, core))
-    images = {"color": found.image[core].copy()}
+    images: dict[str, NDArray[Any]] = {"color": found.image[core], "holes": found.find_holes(bad)[core]}
     if len(found.parts) == 2:
         for field, part in zip(("diffuse", "specular"), found.parts, strict=True):
-            images[field] = blacken_bad(part[core]).copy()
-    return images, holes, int(np.count_nonzero(bad[core]))
-
-
-class _Finisher:
-    """Rows that are filtered, until what surrounds their holes is there as well."""
-
-    def __init__(self, find_mean: Callable[[], FloatArray], device: str) -> None:
-        self._find_mean, self._device = find_mean, device
-        self._images: dict[str, FloatArray] = {}
-        self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
-        self._context = 0
-        """How many of the rows are out already, and only tell on those that follow."""
-
-    def add(self, images: dict[str, FloatArray], holes: NDArray[np.bool_]) -> None:
-        """Take the next rows."""
-        if not self._images:
-            self._images, self._holes = images, holes
-            return
-        self._images = {field: np.concatenate([self._images[field], image]) for field, image in images.items()}
-        self._holes = np.concatenate([self._holes, holes])
-
-    def release(self, *, last: bool) -> dict[str, FloatArray] | None:
-        """Return the rows that nothing which follows can change; None for none."""
-        first, count = self._context, len(self._holes)
-        # A row without holes is as it will be.
-        stop = count if last or not self._holes[first:].any() else count - REFILL_REACH
-        if stop <= first:
-            return None
-        done = {field: image[first:stop] for field, image in self._images.items()}
-        if self._holes[first:stop].any():
-            begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
-            around = self._images["color"][begin:end], self._holes[begin:end]
-            done["color"] = refill(*around, self._find_mean(), self._device)[first - begin : stop - begin]
-        keep = max(stop - REFILL_REACH, 0)
-        # Copies, so that the rows above are let go.
-        self._images = {field: image[keep:].copy() for field, image in self._images.items()}
-        self._holes = self._holes[keep:].copy()
-        self._context = stop - keep
-        return done
+            images[field] = blacken_bad(part[core])
+    images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}
+    return images, int(np.count_nonzero(bad[core]))

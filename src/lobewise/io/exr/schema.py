@@ -82,6 +82,8 @@ _GBUFFER = (
      "not needed to denoise"),
     ("mean_specular_albedo", "mean_specular_albedo", "RGB", "mean of specular_albedo over the pixel's area, 0..1",
      "not needed to denoise"),
+    ("mean_emission", "mean_emission", "RGB", "mean over the pixel's area of unscattered light, radiance, >= 0",
+     "edges of lamps and of the background are as noisy as the samples"),
     ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
      "not needed to denoise"),
     ("object_share", "object_share", "S", "largest share of the pixel's area that one object has, 0..1",
@@ -97,8 +99,14 @@ def _make_slots() -> Iterable[Slot]:
             prefix = ".".join(part for part in (copy, layer) if part)
             yield Slot(owner, field, _name(prefix, "RGB"), kind, meaning.format(what), missing.format(without))
     for field, prefix, suffixes, meaning, missing in _GBUFFER:
-        kind = "share" if field.endswith(("albedo", "coverage", "share")) else "geometry"
-        yield Slot("gbuffer", field, _name(prefix, suffixes), kind, meaning, missing)
+        yield Slot("gbuffer", field, _name(prefix, suffixes), _name_kind(field), meaning, missing)
+
+
+def _name_kind(field: str) -> str:
+    """Return the kind of an image of the G-buffer, as in `Slot`."""
+    if field == "mean_emission":
+        return "radiance"
+    return "share" if field.endswith(("albedo", "coverage", "share")) else "geometry"
 
 
 SLOTS: tuple[Slot, ...] = tuple(_make_slots())

@@ -1,0 +1,76 @@
+"""What is done to filtered bands when the whole image is known: light is shared out, holes are filled, rows written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.bad_pixels import REFILL_REACH, refill
+from lobewise.denoising.light_loss import Gain, brighten
+from lobewise.frame import FloatArray
+from lobewise.io.exr.bands import BandReader, BandWriter
+from lobewise.streaming.kept import KeptBands
+
+
+def finish_bands(
+    reader: BandReader, kept: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[Gain]
+) -> None:
+    """Hand the bands to the writer, with what every layer gains, and their holes filled."""
+    height, _ = reader.shape
+    reader.forget(height)
+    row = 0
+    for images in kept.read():
+        holes, row = images.pop("holes"), row + len(images["color"])
+        takers = [images.pop(f"taker{number}") for number in range(len(gains))]
+        names = ("diffuse", "specular") if "diffuse" in images else ("color",)
+        total = images["color"]
+        for name, taker, gain in zip(names, takers, gains, strict=False):
+            total = brighten(total, images[name], taker, gain)
+            images[name] = brighten(images[name], images[name], taker, gain)
+        images["color"] = total
+        finisher.add(images, holes)
+        last = row == height
+        done = finisher.release(last=last)
+        if done is not None:
+            writer.add(done)
+        reader.forget(writer.row)
+
+
+class Finisher:
+    """Rows that are filtered, until what surrounds their holes is there as well."""
+
+    def __init__(self, find_mean: Callable[[], FloatArray], device: str) -> None:
+        self._find_mean, self._device = find_mean, device
+        self._images: dict[str, FloatArray] = {}
+        self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self._context = 0
+        """How many of the rows are out already, and only tell on those that follow."""
+
+    def add(self, images: dict[str, FloatArray], holes: NDArray[np.bool_]) -> None:
+        """Take the next rows."""
+        if not self._images:
+            self._images, self._holes = images, holes
+            return
+        self._images = {field: np.concatenate([self._images[field], image]) for field, image in images.items()}
+        self._holes = np.concatenate([self._holes, holes])
+
+    def release(self, *, last: bool) -> dict[str, FloatArray] | None:
+        """Return the rows that nothing which follows can change; None for none."""
+        first, count = self._context, len(self._holes)
+        # A row without holes is as it will be.
+        stop = count if last or not self._holes[first:].any() else count - REFILL_REACH
+        if stop <= first:
+            return None
+        done = {field: image[first:stop] for field, image in self._images.items()}
+        if self._holes[first:stop].any():
+            begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
+            around = self._images["color"][begin:end], self._holes[begin:end]
+            done["color"] = refill(*around, self._find_mean(), self._device)[first - begin : stop - begin]
+        keep = max(stop - REFILL_REACH, 0)
+        # Copies, so that the rows above are let go.
+        self._images = {field: image[keep:].copy() for field, image in self._images.items()}
+        self._holes = self._holes[keep:].copy()
+        self._context = stop - keep
+        return done
