@@ -357,7 +357,8 @@ class TestDemo:
         text = page.read_text(encoding="utf-8")
         titles = ("noisy", "normal-aware", "band-limited", "single SG", "ggx", "ggx lobe and noise", "reference")
         peer = demo.has_oidn()
-        made = "Here: Open Image Denoise with albedo and normal, mixed" if peer else "own filters, comparing what surfaces reflect, quality high (Open"
+        ours = "own filters, comparing what surfaces reflect, quality high (Open"
+        made = "Here: Open Image Denoise with albedo and normal, mixed" if peer else ours
         for words in (*titles, made, "Specular pixels", "lobewise demo", "normal_exponent", "band_limit", "threads"):
             assert words in text
         assert text.count("quality fast") == 4
