@@ -1,20 +1,17 @@
-"""Write the pictures of the README from the frames that ``quality/similarities.py`` has rendered.
+"""Write the picture of the README from the frame inside the package.
 
-python -m benchmarks.pictures.readme --cache ~/.cache/lobewise-quality
+python -m benchmarks.pictures.readme
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-from pathlib import Path
-
 import numpy as np
 
 from benchmarks.common import ROOT
-from benchmarks.quality.similarities import fetch, fetch_reference
+from lobewise.cli.demo import load_bundled
 from lobewise.denoising import denoise
 from lobewise.io.png import encode_png
+from lobewise.peers import denoise_oidn, require_oidn
 from lobewise.reporting.display import choose_exposure, map_tones
 
 # Two spheres, the patchwork floor and their reflections: rows, columns.
@@ -23,19 +20,10 @@ GAP = 6
 
 
 def main() -> None:
-    """Write docs/images/showroom.png: noisy, normal-aware (tuned), lobe-aware (default), reference."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cache", type=Path, required=True, help="folder that quality/similarities.py has filled")
-    arguments = parser.parse_args()
-    frame, reference = fetch(arguments.cache, "showroom", 4), fetch_reference(arguments.cache, "showroom")
-    similarities = json.loads((ROOT / "benchmarks" / "results" / "similarities.json").read_text())
-    tuned = similarities["scenes"]["showroom"]["4"]["normal"]["settings"]
-    images = [
-        frame.radiance.color,
-        denoise(frame, quality="fast", similarity="normal", **tuned).image,
-        denoise(frame, quality="fast").image,
-        reference,
-    ]
+    """Write docs/images/showroom.png: noisy, Open Image Denoise at its best, the default, reference."""
+    require_oidn()
+    frame, reference, _ = load_bundled()
+    images = [frame.radiance.color, denoise_oidn(frame)[0], denoise(frame).image, reference]
     exposure = choose_exposure(reference)
     panels = [map_tones(image, exposure)[CROP] for image in images]
     gap = np.full((panels[0].shape[0], GAP, 3), 255, dtype=np.uint8)

@@ -194,7 +194,7 @@ class TestDenoise:
         capsys.readouterr()
         monkeypatch.setenv("COLUMNS", "300")
         assert run(["denoise", "--help"]) == 0
-        assert "Open Image Denoise (lobewise[best]): " in capsys.readouterr().out
+        assert "(lobewise[best])" in capsys.readouterr().out
 
     def test_open_image_denoise_that_is_not_installed_is_a_sentence(self, frame_file, tmp_path, monkeypatch, capsys):
         from lobewise import peers

@@ -14,6 +14,7 @@ from lobewise import peers
 from lobewise.denoising import combining, denoise, recipe
 from lobewise.denoising.automatic import ask, choose_quality
 from lobewise.errors import InputError
+from lobewise.features import ScreenFeature
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
@@ -142,6 +143,15 @@ def test_guides_are_named(kept: tuple[str, ...], words: str, make_frame: Callabl
         changes |= {"normal": flat, "mean_normal": None}
     frame = frame.with_changes(gbuffer=replace(frame.gbuffer, **changes))
     assert f"Open Image Denoise {words}" in denoise(frame, **CHEAP).method
+
+
+def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
+    frame = make_frame(height=12, width=16)
+    result = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)])
+    assert not present
+    assert result.method.endswith("quality high (Open Image Denoise knows no features of your own)")
+    assert denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], with_oidn=True).settings["with_oidn"] is True
+    assert len(present) == 1
 
 
 @pytest.mark.usefixtures("absent")

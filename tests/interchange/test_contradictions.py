@@ -42,7 +42,7 @@ ABSENT = {
 PAIRS = (
     (r"The camera (is that|was found)", r"No camera:|camera that nothing tells|no camera tells"),
     (r"Nothing tells surfaces apart but the image", r"comparing (which way|what)|Denoise with (albedo and )?normal"),
-    (r"(\w+) stays? as (it is|they are)", r"Left noisy, as the result has no part for them: [^.]*(Emi|Env)"),
+    (r"(\w+) stays? as (it is|they are)", r"Left noisy, as the result has no part for them: .*(Emi|Env|emis)"),
     (r"told by Cryptomatte|told by [\w.]*A;", r"Not used with these settings: [^\n]*coverage"),
     (r"with albedo", r"No albedo:|surface colors: textures"),
 )

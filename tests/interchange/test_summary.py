@@ -213,7 +213,7 @@ def test_an_image_alone_is_called_weak_once(tmp_path: Path, capsys: pytest.Captu
     path = tmp_path / "a.exr"
     OpenEXR.File({}, {name: np.ones((8, 8), "f4") for name in "RGB"}).write(str(path))
     told = " ".join(ask(capsys, "inspect", path).split())
-    assert "Expected quality: weak. Of a color image alone lobewise makes a weak result" in told
+    assert "Expected quality: weak. Of a color image alone lobewise's own filters make a weak result" in told
     assert told.count("a pass named normal, in world space") == 1
     assert "lobewise denoise" in told
     found = describe_file(path)

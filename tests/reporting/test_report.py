@@ -356,10 +356,14 @@ class TestDemo:
         assert page == tmp_path / "a" / "b" / "report.html"
         text = page.read_text(encoding="utf-8")
         titles = ("noisy", "normal-aware", "band-limited", "single SG", "ggx", "ggx lobe and noise", "reference")
-        for words in (*titles, "Specular pixels", "lobewise demo", "normal_exponent", "band_limit", "threads"):
+        peer = demo.has_oidn()
+        ours = "own filters, comparing what surfaces reflect, quality high (Open"
+        made = "Here: Open Image Denoise with albedo and normal, mixed" if peer else ours
+        for words in (*titles, made, "Specular pixels", "lobewise demo", "normal_exponent", "band_limit", "threads"):
             assert words in text
         assert text.count("quality fast") == 4
         assert text.count("quality balanced") == 1
+        assert '"left": "noisy", "right": "default"' in text
         assert ("Open Image Denoise is a neural network" in text) == demo.has_oidn()
         assert list(dict.fromkeys(what for what, _, _ in told)) == ["Filtering", "Measuring"]
         for stage in ("Filtering", "Measuring"):

@@ -37,7 +37,7 @@ class TestWholeFrames:
         found = FrameTarget(str(floor_file)).describe()
         assert (found.width, found.height, found.camera, found.sparse) == (48, 32, None, False)
         assert found.similarities[0] == "auto"
-        assert (found.qualities, found.look.quality) == (("fast", "balanced", "high"), "balanced")
+        assert (found.qualities, found.look.quality) == (("auto", "fast", "balanced", "high"), "balanced")
         assert found.hit_distance
         assert set(found.views) > {"image", "noisy", "specular", "sharpness", "weight_sum", "hit_distance", "normal"}
 

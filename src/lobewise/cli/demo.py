@@ -59,14 +59,20 @@ METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         "balanced",
         "ggx lobe and noise",
         "The same lobes, and what two halves of the samples tell: pixels that differ by more than noise are kept "
-        "apart. What `lobewise denoise` does if nothing else is said.",
+        "apart.",
         {"similarity": "ggx", "quality": "balanced"},
+    ),
+    (
+        "default",
+        "lobewise",
+        "What `lobewise denoise` makes if nothing else is said.",
+        {},
     ),
 )
 OIDN_REMARK = (
     "Open Image Denoise is a neural network trained on many renders, given the same radiance with the same albedo and "
     "normals. It knows neither the camera nor the roughness, and no parameter was tuned for it. It stands here as what "
-    "there is to reach, not as a baseline of the same kind."
+    "there is to reach. The default of lobewise mixes its image with that of the lobes, pixel by pixel."
 )
 
 
@@ -134,8 +140,8 @@ def make_demo(
         pictures=pictures,
         reference=Picture("reference", "reference", reference, f"Path traced with {samples} samples per pixel."),
         baseline="normal",
-        left="normal",
-        right="balanced",
+        left="noisy",
+        right="default",
         mask=mask if mask.any() else None,
         command=shlex.join(command),
         facts=_list_facts(),
@@ -187,7 +193,8 @@ def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], li
         # The first call compiles the kernel; people wait for that once, and the page tells the time of the second.
         denoise(frame, device=device, **settings)
         result = denoise(frame, device=device, **settings)
-        shown = {name: result.settings[name] for name in _choose_settings(settings)}
+        shown = {name: result.settings[name] for name in _choose_settings(result.settings)}
+        note += "" if settings else f" Here: {result.method}."
         pictures.append(Picture(key, title, result.image, note, shown, result.seconds))
     say("Filtering", total - 1, total)
     remarks = []
@@ -198,7 +205,9 @@ def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], li
         pictures.append(Picture("oidn", "Open Image Denoise", image, note, {"quality": "high"}, seconds))
         remarks.append(OIDN_REMARK)
     else:
-        remarks.append("Open Image Denoise is not installed; pip install 'lobewise[best]' adds it to this page.")
+        remarks.append(
+            "Open Image Denoise is not installed; pip install 'lobewise[best]' adds it to this page and to the default."
+        )
     remarks.append(
         "The two normal-aware filters run with the settings that a grid search found best on the showroom frame inside "
         "the package, measured against its reference; the lobe filters run with their defaults."

@@ -39,7 +39,9 @@ def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> De
     return replace(settings, **changes)
 
 
-def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: bool = True) -> DenoiseSettings:
+def ask(
+    settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: bool = True, with_features: bool = False
+) -> DenoiseSettings:
     """Return what `denoise` is asked for: settings with single parameters replaced, quality and ``with_oidn`` chosen.
 
     Parameters
@@ -48,6 +50,8 @@ def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: 
         As of `denoise`.
     whole : bool
         Whether the image is denoised as a whole, which Open Image Denoise needs.
+    with_features : bool
+        Whether pixels are compared by features of the caller, of which Open Image Denoise would know nothing.
 
     Raises
     ------
@@ -55,22 +59,24 @@ def ask(settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: 
         If a parameter is unknown or out of range.
     """
     asked = change_settings(settings or DenoiseSettings(), changes)
-    with_oidn = asked.asks_for_oidn or (whole and leaves_oidn_open(asked) and has_oidn())
+    with_oidn = asked.asks_for_oidn or (whole and not with_features and leaves_oidn_open(asked) and has_oidn())
     return replace(asked, quality=choose_quality(asked), with_oidn=with_oidn)
 
 
-def explain_ours(settings: DenoiseSettings, *, whole: bool = True) -> str:
+def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features: bool = False) -> str:
     """Return why Open Image Denoise is left out although that is left to `denoise`; empty where it is not left out.
 
     Parameters
     ----------
     settings : DenoiseSettings
         Before anything is chosen.
-    whole : bool
+    whole, with_features : bool
         As of `ask`.
     """
     if not leaves_oidn_open(settings):
         return ""
+    if with_features:
+        return "Open Image Denoise knows no features of your own"
     return explain_no_oidn() if whole else "Open Image Denoise takes whole images, and this one is denoised in bands"
 
 

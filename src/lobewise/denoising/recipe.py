@@ -85,7 +85,7 @@ def denoise(
         Parameters; by default those that won the comparison, and Open Image Denoise where it is installed.
     features : sequence of Feature
         More distributions that two pixels must share, of your own or from `lobewise.features`; their
-        similarities multiply the others in every layer.
+        similarities multiply the others in every layer. With any, Open Image Denoise is used only if it is asked for.
     **changes
         Single parameters, by name, that replace those of ``settings``.
 
@@ -118,7 +118,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     start = time.perf_counter()
     notes = tuple(map(str, find_unusable(frame)))
     frame = bound_guides(frame)
-    chosen = resolve_all(frame, ask(named, {}))
+    chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()
     bad = find_bad_pixels(frame)
@@ -165,7 +165,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
             chosen,
             name_oidn_guides(frame),
             mixes=can_mix(frame),
-            why_ours=explain_ours(named),
+            why_ours=explain_ours(named, with_features=bool(features)),
         ),
         notes=notes,
         unused=list_unused(frame, chosen),

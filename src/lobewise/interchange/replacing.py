@@ -142,8 +142,10 @@ def _plan_foreign(found: Imported, result: Result) -> Planes:
     """Return which channels of another renderer's file get which values."""
     images = _list_images(result)
     planes: Planes = {}
+    # What is scaled of exact light makes up the image with filtered passes: where these stay noisy it stays as well.
+    kept = set(found.frame.unscattered) if _list_left(found, images) else set()
     for name, output in found.outputs.items():
-        if name not in images:
+        if name not in images or name in kept:
             continue
         image = images[name]
         if output.divided_by is not None:
@@ -152,6 +154,12 @@ def _plan_foreign(found: Imported, result: Result) -> Planes:
         mine = planes.setdefault(output.found.source.part.index, {})
         mine |= {channel: image[..., k] for k, channel in enumerate(output.found.channels)}
     return planes
+
+
+def _list_left(found: Imported, images: Mapping[str, FloatArray]) -> list[str]:
+    """Return the passes of scattered light that a result has no image for; exact light has no noise to leave."""
+    exact = found.frame.unscattered
+    return [output.found.label for name, output in found.outputs.items() if name not in images and name not in exact]
 
 
 def _list_images(result: Result) -> Mapping[str, FloatArray]:
@@ -182,10 +190,7 @@ def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
 
 def _note_noisy(found: Imported, result: Result) -> list[str]:
     """Say which passes of the layers stay noisy, because the result does not have them."""
-    images = _list_images(result)
-    # Light that no surface scattered has no noise to leave.
-    exact = found.frame.unscattered
-    left = [output.found.label for name, output in found.outputs.items() if name not in images and name not in exact]
+    left = _list_left(found, _list_images(result))
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 
