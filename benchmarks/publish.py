@@ -29,6 +29,8 @@ INTERACTIVE = ("interactive_quality", "interactive", "viewer")
 """What docs/interactive.md is made of."""
 PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials", "taps")
 """What docs/performance.md is made of."""
+TRIALS = ("quality_trials", "training", "peer_share")
+"""What docs/quality.md is made of."""
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
 
 
@@ -59,8 +61,8 @@ def main() -> None:
     (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
     measured = (json.loads((RESULTS / f"{name}.json").read_text()) for name in INTERACTIVE)
     (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))
-    trials, training = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
-    (ROOT / "docs" / "quality.md").write_text(make_trials_page(trials, training))
+    trials = (json.loads((RESULTS / f"{name}.json").read_text()) for name in TRIALS)
+    (ROOT / "docs" / "quality.md").write_text(make_trials_page(*trials))
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
     foreign, speed = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
     (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign, speed))

@@ -219,6 +219,6 @@ def test_default_similarity_is_the_winner_of_the_comparison() -> None:
 
 def test_page_of_qualities_is_that_of_the_trials() -> None:
     results = ROOT / "benchmarks" / "results"
-    trials, training = (json.loads((results / f"{name}.json").read_text()) for name in ("quality_trials", "training"))
-    page = load_publisher().make_trials_page(trials, training)
+    publisher = load_publisher()
+    page = publisher.make_trials_page(*(json.loads((results / f"{name}.json").read_text()) for name in publisher.TRIALS))
     assert (ROOT / "docs" / "quality.md").read_text() == page

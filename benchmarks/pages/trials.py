@@ -17,7 +17,7 @@ fast what is reflected changes. Three qualities, and `auto`, the default:
 | `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
 | `auto` (default) | The best that is here: `high`, mixed with the image of Open Image Denoise where that is installed (below). Forms other than the full one, upsampling and histories: `fast`. |
 
-Either way the result is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
+The result of each is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
 
 ## What comes before and after
 
@@ -26,6 +26,8 @@ Either way the result is a convex average of the pixels of a neighbourhood, divi
 - **Light is kept.** A filter that knows noise loses light, with fireflies and with all that is brighter than its neighbours: without the following 27 % of a classroom that the sun lights, at 4 samples. What a layer lost is shared out over its pixels, in proportion to their light but no more than to half the
   layer's mean light: shadows stay dark, and spots that are too bright already do not grow. So the result is as bright as the noisy image, within 0.5 % on 80 frames of 1 to 64 samples; the error of log-brightness falls by 1 % in the geometric mean (of that classroom by 43 %), `rel_mse` rises by 6 %, for it favours images that are too dark where noise is left. Pixels that hold more of a layer's light than all others tell nothing of its mean; of what k of them lost `1 - 1/k^2` is shared out, and in any case 1 % of the layer's light. `Result.energy_lost` says
   what is missing after that. The command line and `Result.notes` tell where the filter took 1 % of the image's light or more and 2.5 times the standard error of its mean, which comes from the residuals: that light is in the image, but where it falls is not known.
+- **The noisy image is taken back** where it is nearer to the truth. At high sample counts a filter blurs more than the noise was. The squared difference of result and noisy image, less the variance of the noisy image, is the error of the result; its mean over a neighbourhood, less 2.2 of its own standard errors, says how much of
+  that error is certain, and both images are mixed by that and the variance. The variance comes from halves of the samples; without them it is the residual of the difference, and no less than a variance pass. So `balanced`, `high` and `auto` tend to their input as samples grow. `fast` stays a linear filter: it says in how much of the image it blurs by more than the noise.
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.
@@ -61,8 +63,9 @@ python -m benchmarks.training.train --cache DIR
 ## Together with Open Image Denoise
 
 Where it is installed (`lobewise[best]`) and no quality is named; `with_oidn=True` or `--with-oidn` asks for it, `with_oidn=False` or `--offline` leaves it out. `Result.method`, `denoise` and `inspect` say what was used. `high`, then a mixture with what Open Image Denoise makes of the frame,
-pixel by pixel, in proportions that a third network reads off the same inputs and the difference of both. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
-as readers make them up, are left out. Of a frame whose light is not told apart it is Open Image Denoise's image, because the network knows no such frames. It was trained on the same scenes (error of the mixture over that of Open Image Denoise alone):
+pixel by pixel. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
+as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes, a fifth of them kept aside, with guides missing at random
+(`benchmarks/training/peer_share.py`). A frame that has neither albedo nor normals gets Open Image Denoise's image. At the end the noisy image is taken back as above. Where neighbouring pixels share samples, Open Image Denoise leaves most of the noise, and ours is taken instead. Error of the mixture over that of Open Image Denoise with the same guides, on scenes kept aside:
 
 {peer}
 
@@ -115,12 +118,30 @@ def make_ratios(ratios: dict[str, dict[str, float]]) -> str:
     return make_table(["samples", *names], rows)
 
 
-def make_trials_page(trials: dict[str, Any], training: dict[str, Any]) -> str:
+SETS = {
+    "all": "all",
+    "passes": "split light, albedos, normal, depth, roughness; no halves",
+    "plain": "color, one albedo, normal, depth; no halves",
+    "shared": "all, no halves, and a pixel filter that shares samples",
+}
+
+
+def make_shares(ratios: dict[str, dict[str, float]]) -> str:
+    """Return the table of the network that mixes with Open Image Denoise."""
+    rows = [
+        [told, str(ratios[name]["frames"]), f"{ratios[name]['mean']:.2f}", f"{ratios[name]['largest']:.2f}"]
+        for name, told in SETS.items()
+    ]
+    return make_table(["guides", "frames", "geometric mean", "largest"], rows)
+
+
+def make_trials_page(trials: dict[str, Any], training: dict[str, Any], share: dict[str, Any]) -> str:
     """Return docs/quality.md."""
     tail = TAIL.format(
         scenes=len(training["scenes"]),
         weights=training["weights"],
         ratios=make_ratios(training["ratios"]),
-        peer=make_ratios(training["ratios_with_peer"]),
+        shared_scenes=share["scenes"],
+        peer=make_shares(share["ratios"]["kept aside"]),
     )
     return HEAD + make_trials(trials["trials"]) + tail
