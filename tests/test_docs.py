@@ -220,5 +220,6 @@ def test_default_similarity_is_the_winner_of_the_comparison() -> None:
 def test_page_of_qualities_is_that_of_the_trials() -> None:
     results = ROOT / "benchmarks" / "results"
     publisher = load_publisher()
-    page = publisher.make_trials_page(*(json.loads((results / f"{name}.json").read_text()) for name in publisher.TRIALS))
+    given = (json.loads((results / f"{name}.json").read_text()) for name in publisher.TRIALS)
+    page = publisher.make_trials_page(*given)
     assert (ROOT / "docs" / "quality.md").read_text() == page
