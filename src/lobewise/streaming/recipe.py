@@ -231,7 +231,7 @@ class _Seen:
         return np.concatenate(self.light) if self.light else np.zeros((0, 3))
 
     def join_missing(self) -> list[Rows]:
-        """Return what all rows of every layer lack, (rows, 4) each; nothing with the quality "fast"."""
+        """Return what all rows of every layer lack, (rows, 5) each; nothing with the quality "fast"."""
         return [np.concatenate(rows) for rows in zip(*self.missing, strict=True)]
 
     def find_gains(self) -> list[Gain]:
