@@ -27,8 +27,10 @@ Call = tuple[Kernel, dict[str, Any]]
 SYMMETRIC = {
     # Means and differences of both halves of the samples.
     *((name, "a", "b") for name in ("light sums", "noise guide")),
-    ("dual buffer", "half_a", "half_b"),
+    *((name, "half_a", "half_b") for name in ("dual buffer", "excess")),
     *(("mixing", f"candidate{k}_a", f"candidate{k}_b") for k in range(COUNT)),
+    # Their difference, squared, over what both are.
+    ("excess", "filtered", "noisy"),
     # Without a history the samples are all that a sum has.
     ("accumulation", "weight", "weight_sum"),
     # Products.

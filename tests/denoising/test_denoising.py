@@ -203,6 +203,7 @@ dark is dark, has one pixel less of 2000."""
 @BOTH
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
 @pytest.mark.parametrize("channel", ["alpha", "normal", "position", "diffuse_albedo", "specular_albedo"])
+@pytest.mark.usefixtures("unshared")
 def test_garbage_guides_spoil_only_their_own_pixels(channel: str, bad: float, quality: str) -> None:
     clean = denoise(make_frame(), quality=quality)
     names = ("alpha_u", "alpha_v") if channel == "alpha" else (channel,)

@@ -133,7 +133,7 @@ def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
 
 
 class TestMixture:
-    @pytest.mark.usefixtures("trusted")
+    @pytest.mark.usefixtures("trusted", "unshared")
     def test_a_network_that_wants_one_candidate_gets_it(self, networks):
         frame = make_frame()
         images = list_images(frame)
@@ -149,7 +149,7 @@ class TestMixture:
         for each in images.values():
             assert min(np.abs(a - b).max() for a, b in pairwise(each)) > 0.01
 
-    @pytest.mark.usefixtures("trusted")
+    @pytest.mark.usefixtures("trusted", "unshared")
     def test_colour_alone_has_the_network_of_reflections(self, networks):
         frame = make_frame(apart=False)
         images = list_images(frame)["color"]
@@ -160,7 +160,7 @@ class TestMixture:
             assert result.diffuse is None
             assert result.specular is None
 
-    @pytest.mark.usefixtures("networks", "trusted")
+    @pytest.mark.usefixtures("networks", "trusted", "unshared")
     def test_the_mixture_is_between_the_candidates(self):
         frame = make_frame()
         result = denoise(frame, **CHEAP)
@@ -456,6 +456,7 @@ class TestContract:
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
     @pytest.mark.parametrize("channel", ["alpha_u", "normal", "specular_albedo"])
+    @pytest.mark.usefixtures("unshared")
     def test_garbage_guides_spoil_only_their_own_surroundings(self, channel, bad):
         shape = (REACH + 8, 11)
         guide = np.array(getattr(make_frame(shape).gbuffer, channel))

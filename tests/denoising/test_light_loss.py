@@ -12,6 +12,7 @@ from lobewise.cli.main import run
 from lobewise.denoising import denoise, light_loss
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import (
+    MAX_GAIN_PER_FIREFLY,
     MIN_STANDARD_ERRORS,
     Gain,
     brighten,
@@ -91,33 +92,58 @@ def test_the_light_of_every_layer_is_kept(quality: str, apart: bool, rng: np.ran
         assert result.image.max() < 1.1 * np.median(result.image)
 
 
-@pytest.mark.parametrize("fireflies", [1, 2, 3, 10])
-def test_so_much_is_shared_out_as_the_noise_leaves_sure(fireflies: int) -> None:
-    """A layer of 1000 pixels of light 3 and some fireflies that lost 300 each; all take part."""
-    noisy, missing = 3000.0 + 300.0 * fireflies, 300.0 * fireflies
-    rows = np.array([[noisy, missing, fireflies * 300.0**2, 3000.0]])
-    shared = max(missing * (1.0 - fireflies**-2.0), 0.01 * noisy)
+@pytest.mark.parametrize(("fireflies", "lost"), [(1, 300.0), (2, 10.0), (3, 30.0), (100, 20.0)])
+def test_so_much_is_shared_out_as_the_noise_leaves_sure(fireflies: int, lost: float) -> None:
+    """A layer of light 3000 and some fireflies that lost as much each; all take part."""
+    whole, missing = 3000.0, lost * fireflies
+    rows = np.array([[whole + missing, missing, fireflies * lost**2, whole, whole]])
+    shared = max(missing * (1.0 - fireflies**-2.0), min(missing, 0.01 * whole))
     assert find_gain(rows).sum_light(rows) == pytest.approx(shared)
-    assert find_share_missing([rows], [find_gain(rows)]) == pytest.approx((missing - shared) / noisy)
+    assert find_share_missing([rows], [find_gain(rows)]) == pytest.approx((missing - shared) / (whole + missing))
     # In two parts the same.
     halves = np.repeat(0.5 * rows, 2, axis=0)
     assert find_gain(halves) == find_gain(rows)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 10])
+@pytest.mark.parametrize("light", [1e6, 1e30])
+def test_a_few_hot_pixels_do_not_brighten_an_image(count: int, light: float, rng: np.random.Generator) -> None:
+    frame = make_frame(rng, 1, 0.0)
+    spoilt = np.array(frame.radiance.color)
+    # So far apart that they do not vouch for each other.
+    rows, columns = np.meshgrid(np.arange(3, 65, 14), np.arange(3, 65, 14))
+    spoilt[rows.flat[:count], columns.flat[:count]] = light
+    clean, result = (
+        denoise(frame.with_changes(radiance=Radiance(color)), quality="balanced").image
+        for color in (frame.radiance.color, spoilt)
+    )
+    assert np.isfinite(result).all()
+    assert 0.99 < np.median(result) / np.median(clean) < 1.01 + 2.0 * MAX_GAIN_PER_FIREFLY * count
+
+
+def test_what_is_no_part_of_a_layer_stays_as_it_is(rng: np.random.Generator) -> None:
+    frame = make_frame(rng, 25, 0.2)
+    normal, depth = np.array(frame.gbuffer.normal), np.ones(SHAPE)
+    normal[40:], depth[40:] = 0.0, 0.0
+    result = denoise(frame.with_changes(gbuffer=GBuffer(normal=normal, depth=depth)), quality="balanced")
+    np.testing.assert_array_equal(result.image[40:], frame.radiance.color[40:])
+    assert result.image.sum(dtype=np.float64) == pytest.approx(frame.radiance.color.sum(dtype=np.float64), rel=0.005)
+
+
 def test_light_that_was_added_is_taken_away() -> None:
-    rows = np.array([[1000.0, -100.0, 10.0, 700.0]])
+    rows = np.array([[1000.0, -100.0, 10.0, 700.0, 1100.0]])
     assert find_gain(rows) == (0.0, pytest.approx(-100.0 / 1100.0, rel=1e-5))
     assert find_share_missing([rows], [find_gain(rows)]) == 0.0
 
 
 def test_nothing_is_shared_out_over_nothing() -> None:
-    for sums in ([0.0, 0.0, 0.0, 0.0], [10.0, 10.0, 5.0, 0.0], [np.inf, np.inf, np.inf, 1.0]):
+    for sums in ([0.0] * 5, [10.0, 10.0, 5.0, 0.0, 0.0], [np.inf, np.inf, np.inf, 1.0, 1.0]):
         assert not any(find_gain(np.array([sums])))
 
 
 def test_what_takes_more_than_its_part_takes_the_rest_in_proportion() -> None:
     """Where little light takes part: it doubles, and all light takes what is left."""
-    rows = np.array([[1000.0, 400.0, 100.0, 50.0]])
+    rows = np.array([[1000.0, 400.0, 100.0, 50.0, 600.0]])
     gain = find_gain(rows)
     assert gain.takers == 1.0
     assert gain.all == pytest.approx(350.0 / 600.0, rel=1e-3)

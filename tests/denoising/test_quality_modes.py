@@ -161,6 +161,7 @@ class TestNoise:
 
     @pytest.mark.parametrize("channel", ["coverage", "mean_diffuse_albedo", "mean_specular_albedo", "depth"])
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
+    @pytest.mark.usefixtures("unshared")
     def test_garbage_in_other_guides_stays_near(self, channel, bad):
         frame, albedo = make_frame(), np.full((*SHAPE, 3), 0.5)
         coverage = np.zeros((*SHAPE, 9))
@@ -210,14 +211,15 @@ class TestEmission:
     def test_what_is_no_light_does_not_count(self, bad):
         frame = self.make_edge()
         mean = np.array(frame.gbuffer.mean_emission)
-        mean[5, 30] = bad
+        # Where samples met the lamp.
+        mean[4, 30] = bad
         whole, spoilt = (
             denoise(frame.with_changes(gbuffer=replace(frame.gbuffer, mean_emission=each)), quality="balanced").image
             for each in (frame.gbuffer.mean_emission, mean)
         )
-        # What is left are the samples, which missed the lamp there.
-        assert spoilt[5, 30, 0] == pytest.approx(whole[5, 31, 0], rel=1e-3)
-        spoilt[5, 30] = whole[5, 30]
+        # What is left are the samples.
+        assert spoilt[4, 30, 0] == pytest.approx(self.LAMP + whole[4, 31, 0], rel=1e-3)
+        spoilt[4, 30] = whole[4, 30]
         np.testing.assert_array_equal(spoilt, whole)
 
 
@@ -235,11 +237,11 @@ class TestFireflies:
         mean = Radiance(0.5 * (spiked + 1.0), dark, 0.5 * (spiked + 1.0))
         result = denoise(frame.with_changes(radiance=mean, half_a=lit), quality="balanced")
         pixels = SHAPE[0] * SHAPE[1]
-        # One pixel tells nothing of the mean: but for a hundredth its light is lost.
-        assert result.energy_lost == pytest.approx(499.5 / (pixels + 499.5) - 0.01, abs=1e-3)
+        # One pixel tells nothing of the mean: its light is lost but for a hundredth of what others have.
+        assert result.energy_lost == pytest.approx((499.5 - 0.01 * pixels) / (pixels + 499.5), abs=1e-3)
         assert result.image.max() < 1.1
         alone = denoise(frame.with_changes(radiance=lit, half_a=None, half_b=None), quality="balanced")
-        assert alone.energy_lost == pytest.approx(999.0 / (pixels + 999.0) - 0.01, abs=1e-3)
+        assert alone.energy_lost == pytest.approx((999.0 - 0.01 * pixels) / (pixels + 999.0), abs=1e-3)
         assert alone.image.max() < 1.1
 
 
@@ -284,6 +286,7 @@ class TestCoverage:
         assert columns[self.EDGE - 8] == pytest.approx(albedos[0] * lights[0], rel=0.02)
         assert columns[self.EDGE + 8] == pytest.approx(albedos[1] * lights[1], rel=0.02)
 
+    @pytest.mark.usefixtures("unshared")
     def test_without_coverage_it_is_the_surface_at_its_centre(self, monkeypatch: pytest.MonkeyPatch):
         # The noisy image tells that the edge is wrong, and would be taken back.
         monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))

@@ -64,7 +64,7 @@ def test_light_of_fireflies_is_shared_out_over_the_whole_image(apart: bool, tmp_
     frame = make_scene(SHAPE, halves=False, apart=apart)
     color, parts = np.array(frame.radiance.color), frame.radiance.parts
     spots = np.zeros_like(color)
-    spots[3::13, 3::13] = 60.0
+    spots[3::13, 3::13] = 20.0
     light = Radiance(color + spots) if parts is None else Radiance(color + spots, parts[0] + spots, parts[1])
     found = compare(frame.with_changes(radiance=light), tmp_path, (10, 33), quality="balanced")
     assert found.image.sum(dtype=np.float64) == pytest.approx(light.color.sum(dtype=np.float64), rel=0.005)

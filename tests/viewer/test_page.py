@@ -97,7 +97,7 @@ class TestFinishedFrame:
         assert name == "floor-lobewise.exr"
         saved = tmp_path / name
         saved.write_bytes(data)
-        expected = denoise(read_frame(floor_file), similarity="normal").image
+        expected = denoise(read_frame(floor_file), similarity="normal", quality="balanced").image
         np.testing.assert_allclose(read_image(saved), expected, rtol=1e-6)
 
     def test_a_file_of_blender(self, visit, tmp_path):

@@ -38,11 +38,16 @@ with references (benchmarks/foreign): the 12 that are told lack 5 to 25 % of the
 MAX_TAKER = 0.5
 """Times the layer's mean light, over albedo, above which a pixel takes no more of what is shared out."""
 MAX_SHARED_AS_NOISE = 0.01
-"""Share of a layer's light that is shared out even if it is no more than the noise of the layer's mean. One pixel may
-hold more light than all others: then that is noise, and would make the image brighter by as much."""
+"""Share of a layer's filtered light that is shared out even if it is no more than the noise of the layer's mean."""
+MAX_GAIN_PER_FIREFLY = 0.02
+"""Share of their light by which pixels grow at most, for each of the equal fireflies that would lose as much, once by
+what takes part and once by all. A few pixels may hold more light than all others: they tell nothing of the mean, and
+would make the image several times as bright."""
 MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
 """By how much the light that takes part in sharing grows at most; what is left goes to all light in proportion, which
 grows by no more than the second."""
+MAX_FALL = 0.5
+"""Share of its light that a layer loses at most, where its filter added some."""
 ROWS_AT_ONCE = 128
 
 Rows = NDArray[np.float64]
@@ -50,6 +55,8 @@ Rows = NDArray[np.float64]
 
 def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     """Return by which share of its light a pixel takes part in what is shared out, (height, width), in [0, 1].
+
+    What is no part of the layer passes as it is, and takes nothing.
 
     Parameters
     ----------
@@ -65,60 +72,65 @@ def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     if layer.albedo is not None:
         bound = _add_channels(np.where(find_good(layer.albedo)[..., None], layer.albedo, np.float32(0.0)))
     bound *= MAX_TAKER * level
-    share = np.divide(bound, light, out=np.zeros_like(light), where=light > 0.0)
+    share = np.divide(bound, light, out=np.zeros_like(light), where=layer.mask & (light > 0.0))
     return np.minimum(share, 1.0).astype(np.float32)
 
 
 def sum_missing(layer: Layer, part: FloatArray, taker: FloatArray, rows: slice = slice(None)) -> Rows:
-    """Return for some rows of a layer, over good pixels, what `find_gain` asks for, (rows, 4).
+    """Return for some rows of a layer, over good pixels, what `find_gain` asks for, (rows, 5).
 
-    They are the sums of its noisy light, of what the filtered ``part`` lacks of it, of the square of that, and of the
-    light that takes part in sharing. Light is the sum of the three channels.
+    They are the sums of its noisy light, of what the filtered ``part`` lacks of it, of the square of that, of the light
+    that takes part in sharing, and of all light of the pixels that take part. Light is the sum of the three channels.
     """
     found = []
     for noisy, done, share in zip(layer.radiance[rows], part[rows], taker[rows], strict=True):
         good = find_good(noisy) & find_good(done)
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
         missing = before - after
+        sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
         # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
-        found.append([one.sum() for one in (before, missing, missing * missing, after * share)])
-    return np.array(found, np.float64).reshape(-1, 4)
+        found.append([one.sum() for one in sums])
+    return np.array(found, np.float64).reshape(-1, 5)
 
 
 class Gain(NamedTuple):
-    """What the light of a layer gains, as shares of it: what takes part in sharing, and all of it."""
+    """What the light of a layer gains, as shares of it: what takes part in sharing, and all of the same pixels."""
 
     takers: float = 0.0
     all: float = 0.0
 
     def sum_light(self, rows: Rows) -> float:
         """Return the light that is shared out, the sum of all pixels and channels, from what `sum_missing` gave."""
-        noisy, missing, _, taking = rows.sum(axis=0)
-        return float(self.takers * taking + self.all * (noisy - missing))
+        taking, whole = rows[:, 3:].sum(axis=0)
+        return float(self.takers * taking + self.all * whole)
 
 
 def find_gain(rows: Rows) -> Gain:
     """Return what the light of a layer gains.
 
-    Of k equal fireflies, and nothing else, the share ``1 - 1/k^2`` is shared out, and of the rest `MAX_SHARED_AS_NOISE`
-    of the layer's light: the error of what is missing is the root of the sum of its squares.
+    Of k equal fireflies, and nothing else, the share ``1 - 1/k^2`` is shared out: the error of what is missing is the
+    root of the sum of its squares. Pixels grow by no more than `MAX_GAIN_PER_FIREFLY` for each of them, whatever these
+    hold.
     """
-    noisy, missing, squared, taking = (float(each) for each in rows.sum(axis=0))
-    if not taking > 0.0 or not math.isfinite(squared) or missing == 0.0:
+    _, missing, squared, taking, whole = (float(each) for each in rows.sum(axis=0))
+    if not (taking > 0.0 and squared > 0.0 and math.isfinite(squared)) or missing == 0.0:
         return Gain()
-    known = max(1.0 - (squared / (missing * missing)) ** 2, 0.0) * abs(missing)
-    shared = max(known, min(abs(missing), MAX_SHARED_AS_NOISE * noisy))
+    fireflies = max(missing * missing / squared, 1.0)
+    known = (1.0 - fireflies**-2.0) * abs(missing)
+    shared = max(known, min(abs(missing), MAX_SHARED_AS_NOISE * whole))
+    most = MAX_GAIN_PER_FIREFLY * fireflies
     if missing < 0.0:
-        return Gain(all=-shared / (noisy - missing))
-    takers = min(shared / taking, MAX_TAKERS_GAIN)
-    return Gain(takers, min((shared - takers * taking) / (noisy - missing), MAX_GAIN))
+        return Gain(all=-min(shared / whole, most, MAX_FALL))
+    takers = min(shared / taking, most, MAX_TAKERS_GAIN)
+    return Gain(takers, min((shared - takers * taking) / whole, most, MAX_GAIN))
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain) -> FloatArray:
     """Return an image, (height, width, 3), with the light that a layer's ``part`` gains."""
     if not any(gain):
         return image
-    return np.asarray(image + part * (np.float32(gain.takers) * taker + np.float32(gain.all))[..., None], np.float32)
+    factor = np.where(taker > 0.0, np.float32(gain.takers) * taker + np.float32(gain.all), np.float32(0.0))
+    return np.asarray(image + part * factor[..., None], np.float32)
 
 
 def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:

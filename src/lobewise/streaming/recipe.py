@@ -248,7 +248,7 @@ class _Seen:
         )
 
     def join_missing(self) -> list[Rows]:
-        """Return what all rows of every layer lack, (rows, 4) each; nothing with the quality "fast"."""
+        """Return what all rows of every layer lack, (rows, 5) each; nothing with the quality "fast"."""
         return [np.concatenate(rows) for rows in zip(*self.missing, strict=True)]
 
     def find_gains(self) -> list[Gain]:
