@@ -47,7 +47,7 @@ Whole processes, from the command line, kernels from the disk. Peak memory is th
 {machine["cores"]} cores, beside other work, which lengthens the time and hardly the processor time; `python -m benchmarks.performance.streaming`.
 
 Time per pixel grows by what is done twice: the file is read once more, to measure it (`fast` need not, unless it judges noise by variances), and the rows around every band are filtered with it; it falls by what a process does
-once. How many rows come along is told by the settings: 8 to each side for `fast` at radius 8, 47 for `balanced`, 93 for `high`, in proportion to the radius; 62 for the form
+once. How many rows come along is told by the settings: 40 to each side for `fast` at radius 8, 79 for `balanced`, 125 for `high`, in proportion to the radius; 94 for the form
 `atrous`. With a large radius of `high` they may fill the memory by themselves: bands then have 32 rows, and take more than 4 GiB. More memory makes taller
 bands: `denoise_file(..., memory=8)`.
 
@@ -64,8 +64,8 @@ cannot be otherwise.
 ## How it comes to the same bits
 
 - **Columns stay where they are.** Bands are whole rows, so vectors begin at the same pixels, and every kernel's pixel is computed by the same instructions.
-- **A band brings along what can tell on it.** `lobewise.denoising.recipe.find_reach` adds up the links: the window of the fireflies, the kernel of
-  every pass and the blur of its guide, the averages that the network reads, coverage. `tests/streaming/test_reach.py` holds each link against the
+- **A band brings along what can tell on it.** `lobewise.streaming.plan.find_band_reach` adds up the links: the window of the fireflies, the kernel of
+  every pass and the blur of its guide, the averages that the network reads, coverage, the neighbourhoods of evidence. `tests/streaming/test_reach.py` holds each link against the
   truth: a change at its edge shows, one outside changes nothing.
 - **Rays know their row.** The camera of a band (`Camera.crop_rows`) is that of the whole frame, and so are pixel angles and the band-limit.
 - **Bands begin at even rows**, because without halves of the samples the colours of a checkerboard tell fireflies.

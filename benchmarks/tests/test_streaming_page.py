@@ -12,8 +12,8 @@ import pytest
 
 from lobewise.denoising.automatic import ask
 from lobewise.denoising.bad_pixels import REFILL_REACH
-from lobewise.denoising.recipe import find_reach, resolve_all
-from lobewise.streaming.plan import FEWEST_ROWS, WHOLE
+from lobewise.denoising.recipe import resolve_all
+from lobewise.streaming.plan import FEWEST_ROWS, WHOLE, find_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT, load_publisher
 
@@ -38,7 +38,7 @@ def test_the_page_knows_how_far_filters_reach() -> None:
     text = " ".join(PAGE.read_text().split())
 
     def reach(**settings: Any) -> int:
-        return find_reach(resolve_all(make_scene((8, 8)), ask(None, settings)))
+        return find_band_reach(resolve_all(make_scene((8, 8)), ask(None, settings)))
 
     numbers = reach(quality="fast"), reach(quality="balanced"), reach(quality="high"), reach(form="atrous")
     assert "{} to each side for `fast` at radius 8, {} for `balanced`, {} for `high`".format(*numbers) in text
