@@ -17,7 +17,7 @@ fast what is reflected changes. Three qualities, and `auto`, the default:
 | `high` | Thirteen such filters, from narrow to wide, and a network of two small layers that says for every pixel in which proportions they count. |
 | `auto` (default) | The best that is here: `high`, mixed with the image of Open Image Denoise where that is installed (below). Forms other than the full one, upsampling and histories: `fast`. |
 
-The result of each is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after.
+Each filter is a convex average of the pixels of a neighbourhood, divided by albedo before and multiplied after; what comes after it is below.
 
 ## What comes before and after
 

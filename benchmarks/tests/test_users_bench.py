@@ -14,6 +14,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.exr import write_frame, write_image
+from lobewise.settings import QUALITIES
 
 pytest.importorskip("mitsuba", reason="the bench shares modules with those that render")
 pytest.importorskip("pyoidn", reason="the bench cleans its references with Open Image Denoise")
@@ -171,6 +172,10 @@ def test_cells_are_free_of_the_references_noise(frames: Path, tmp_path: Path, mo
     users.Bench(tmp_path / "users.json").measure_scene(scene, [4, 16], ["plain"], names)
     with pytest.raises(AssertionError, match="measured again"):
         users.Bench(tmp_path / "users.json", again=True).measure_scene(scene, [4], ["plain"], names)
+
+
+def test_every_quality_has_a_column() -> None:
+    assert {*QUALITIES, "auto"} <= set(users.METHODS)
 
 
 def test_energy_and_error_tell_a_wrong_image(frames: Path) -> None:

@@ -67,6 +67,12 @@ def is_bad(x: hl.Expr) -> hl.Expr:
     return (bits >= hl.u32(0x7F800000)) & (bits != hl.u32(0x80000000))
 
 
+def is_good(color: Sequence[hl.Expr]) -> hl.Expr:
+    """Return whether no channel of three is NaN, infinite or negative."""
+    bad = [is_bad(value) for value in color]
+    return ~(bad[0] | bad[1] | bad[2])
+
+
 class _Halide:
     """Expressions of float32."""
 

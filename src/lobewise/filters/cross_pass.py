@@ -179,7 +179,7 @@ def demodulate(
 ) -> tuple[list[hl.Expr], hl.Expr]:
     """Return the radiance at a pixel over its albedo, which no channel has below ``floor``, and whether it is good."""
     radiance: list[hl.Expr] = [source[k, at[0], at[1]] for k in range(3)]
-    good = ~(expressions.is_bad(radiance[0]) | expressions.is_bad(radiance[1]) | expressions.is_bad(radiance[2]))
+    good = expressions.is_good(radiance)
     if albedo is not None:
         column, row = albedo_at or at
         tints = [albedo[k, column, row] for k in range(3)]

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import halide as hl
-
-from lobewise.backend import expressions
+from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
 from lobewise.frame import FloatArray, Frame
 
@@ -80,19 +78,13 @@ def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     return even, odd
 
 
-def _is_good(colour: Vector) -> hl.Expr:
-    """Return whether all channels are finite and not negative."""
-    bad = [expressions.is_bad(value) for value in colour]
-    return ~(bad[0] | bad[1] | bad[2])
-
-
 def _define_marked(grid: Grid) -> list[Vector]:
     colour = grid.read("image")
-    good = _is_good(colour)
+    good = is_good(colour)
     return [[select_or_nan(good, value) for value in colour]]
 
 
 def _define_checkerboard(grid: Grid) -> list[Vector]:
     colour = grid.read("image")
-    good, even = _is_good(colour), (grid.x + grid.y) % 2 == 0
+    good, even = is_good(colour), (grid.x + grid.y) % 2 == 0
     return [[select_or_nan(good & here, value) for value in colour] for here in (even, ~even)]

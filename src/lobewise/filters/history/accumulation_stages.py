@@ -309,7 +309,7 @@ def accumulate(
     mean, effective, variance = summarize(sums)
     if albedo is not None:
         tints = [albedo[k, X, Y] for k in range(3)]
-        bad = expressions.is_bad(tints[0]) | expressions.is_bad(tints[1]) | expressions.is_bad(tints[2])
+        bad = ~expressions.is_good(tints)
         tints = pixels.keep("tint", *(hl.select(bad, hl.f32(0.0), value) for value in tints))
         mean = [value * tint for value, tint in zip(mean, tints, strict=True)]
         luminance = find_luminance(tints)

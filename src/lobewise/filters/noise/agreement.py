@@ -8,28 +8,25 @@ network tells the step (`lobewise.denoising.combining`).
 
 from __future__ import annotations
 
-import math
-
 import halide as hl
 import numpy as np
 
 from lobewise.backend import expressions
+from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import (
-    RESIDUAL_VARIANCE,
-    SHARED_VARIANCE,
     add_channels,
     average_light,
     blur_image,
     clamp_to_image,
-    is_good,
-    square_residual,
+    count_weights,
+    estimate_noise,
+    gather_noise,
 )
 from lobewise.frame import FloatArray
 
 LEVELS = (0, 2, 3)
 """Which blurs are looked at, of `blur_image` with taps 1, 2, 4 and 8 pixels apart in turn."""
-SUMS = 7
 FEATURES_PER_LEVEL = 7
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 3
 """Features of a pixel."""
@@ -77,12 +74,8 @@ def find_agreement(
     InputError
         If the images differ in size.
     """
-    images: dict[str, FloatArray | None] = {"one": one, "other": other, "noisy": noisy}
-    factor = SHARED_VARIANCE if shared else 1.0
-    if halves is not None:
-        images |= {"half_a": halves[0], "half_b": halves[1]}
-    else:
-        factor = RESIDUAL_VARIANCE
+    told, factor = gather_noise(halves, None, shared=shared)
+    images = {"one": one, "other": other, "noisy": noisy, **told}
     floor = np.float32(min(max((DARK_SHARE * level) ** 2, 1e-24), 1e30))
     sums, light = run_pointwise(_define_sums, images, {"floor": floor})
     held: dict[str, FloatArray | None] = {"light": light}
@@ -90,7 +83,7 @@ def find_agreement(
         sums = blur_image(sums, 2**number)
         if number in LEVELS:
             held[f"sums{number}"] = sums
-    counts = [4.0 * math.pi * (4.0 ** (number + 1) - 1.0) / 3.0 / factor for number in LEVELS]
+    counts = [count_weights(number) / factor for number in LEVELS]
     numbers = {
         "counts": np.array(counts, np.float32),
         "level": np.float32(max(level, 1e-12)),
@@ -102,14 +95,8 @@ def find_agreement(
 
 def _define_sums(grid: Grid) -> list[Vector]:
     one, other, noisy = (grid.read(name) for name in ("one", "other", "noisy"))
-    good = is_good(noisy) & is_good(one) & is_good(other)
-    if grid.has("half_a"):
-        a, b = grid.read("half_a"), grid.read("half_b")
-        good = good & is_good(a) & is_good(b)
-        squares = [hl.f32(0.25) * (p - q) * (p - q) for p, q in zip(a, b, strict=True)]
-    else:
-        squares, known = square_residual(grid, "one")
-        good = good & known
+    squares, known = estimate_noise(grid, "one")
+    good = is_good(noisy) & is_good(one) & is_good(other) & known
     apart = [p - q for p, q in zip(other, one, strict=True)]
     to_one = [p - q for p, q in zip(noisy, one, strict=True)]
     to_other = [p - q for p, q in zip(noisy, other, strict=True)]

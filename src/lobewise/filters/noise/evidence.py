@@ -14,31 +14,27 @@ standard error is our own.
 
 from __future__ import annotations
 
-import math
-
 import halide as hl
 import numpy as np
 
+from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.filters.noise.pooling import (
-    RESIDUAL_VARIANCE,
-    SHARED_VARIANCE,
     add_channels,
     average_light,
     blur_image,
-    is_good,
-    square_residual,
+    count_weights,
+    estimate_noise,
+    gather_noise,
 )
 from lobewise.frame import FloatArray
 
 STANDARD_ERRORS = 2.2
-"""By so many the mean excess is lowered before it counts. With 2.2 no image of 72 frames (three methods each) got more
-than 0.9 % worse and the mean error fell by 2 %, by up to 67 % where a filter was worse than its input; with 1.7 one got
-2.8 % worse."""
+"""By so many the mean excess is lowered before it counts; chosen among 1.7, 2.2 and 3 (docs/quality.md)."""
 LEVELS = 4
 """Neighbourhoods, each a blur of the one before with taps twice as far apart: 1, 2.2, 4.6 and 9.2 pixels wide (standard
-deviations). A fifth gained 1 % on one frame of ten and doubled the reach."""
+deviations)."""
 FIRST_LEVEL = 1
 """The narrowest neighbourhood that is believed: fewer than 60 products say little of their own spread."""
 REACH: int = POOLING_REACH + 2 * (2**LEVELS - 1)
@@ -87,13 +83,8 @@ def find_noisy_share(
     InputError
         If the images differ in size.
     """
-    images: dict[str, FloatArray | None] = {"filtered": filtered, "noisy": noisy}
-    factor = SHARED_VARIANCE if shared else 1.0
-    if halves is not None:
-        images |= {"half_a": halves[0], "half_b": halves[1]}
-    else:
-        images |= {"variance": variance}
-        factor = RESIDUAL_VARIANCE
+    told, factor = gather_noise(halves, variance, shared=shared)
+    images = {"filtered": filtered, "noisy": noisy, **told}
     (sums,) = run_pointwise(_define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
     levels = []
     for number in range(LEVELS):
@@ -102,41 +93,28 @@ def find_noisy_share(
     near, wide = (np.ascontiguousarray(levels[number][..., k]) for number, k in ((0, 2), (-1, 1)))
     share = np.zeros(near.shape, np.float32)
     for number in range(FIRST_LEVEL, LEVELS):
-        # Variances of steps add up: 1 + 4 + 16 + ... A Gaussian of variance s averages as much as 4 pi s equal weights.
-        equal = 4.0 * math.pi * (4.0 ** (number + 1) - 1.0) / 3.0
         held = {"sums": levels[number], "near": near, "wide": wide, "share": share}
-        (share,) = run_pointwise(_define_share, held, {"error": np.float32(STANDARD_ERRORS**2 * factor / equal)})
+        error = STANDARD_ERRORS**2 * factor / count_weights(number)
+        (share,) = run_pointwise(_define_share, held, {"error": np.float32(error)})
     (share,) = run_pointwise(_define_kept, {"share": share, "noisy": noisy}, {})
     return np.asarray(share)
 
 
 def _define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
     """Define excess, its square, and variance; each a sum of the channels, over the local luminance squared."""
-    zero = hl.f32(0.0)
-
     luminance = average_light(grid, "filtered")
     if by_darker:
         luminance = hl.min(luminance, average_light(grid, "noisy"))
     filtered, noisy = grid.read("filtered"), grid.read("noisy")
-    good = is_good(noisy) & is_good(filtered)
-    if grid.has("half_a"):
-        a, b = grid.read("half_a"), grid.read("half_b")
-        good = good & is_good(a) & is_good(b)
-        squares = [hl.f32(0.25) * (p - q) * (p - q) for p, q in zip(a, b, strict=True)]
-    else:
-        squares, known = square_residual(grid, "filtered")
-        good = good & known
-        if grid.has("variance"):
-            told = grid.read("variance")
-            good = good & is_good(told)
-            squares = [hl.max(p, q) for p, q in zip(squares, told, strict=True)]
+    squares, known = estimate_noise(grid, "filtered")
+    good = is_good(noisy) & is_good(filtered) & known
     difference = add_channels([(p - q) * (p - q) for p, q in zip(noisy, filtered, strict=True)])
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
     excess, square = (difference - add_channels(squares)) * unit, add_channels(squares) * unit
     # Larger numbers would overflow when they are squared; they are fireflies, and certain of nothing.
     excess = hl.clamp(excess, hl.f32(-1e12), hl.f32(1e12))
     square = hl.min(square, hl.f32(1e12))
-    return [[hl.select(good, value, zero) * hl.f32(1.0) for value in (excess, excess * excess, square)]]
+    return [[hl.select(good, value, hl.f32(0.0)) for value in (excess, excess * excess, square)]]
 
 
 def _define_share(grid: Grid) -> list[Vector]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import halide as hl
 import numpy as np
 
-from lobewise.backend import expressions
+from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.residuals import DIFFERENCES
 from lobewise.frame import FloatArray
@@ -23,10 +25,49 @@ REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
 """Pixels to each side that a residual or the local light looks at."""
 
 
-def is_good(values: Vector) -> hl.Expr:
-    """Return whether no channel is NaN, infinite or negative."""
-    bad = [expressions.is_bad(value) for value in values]
-    return ~(bad[0] | bad[1] | bad[2])
+def gather_noise(
+    halves: tuple[FloatArray, FloatArray] | None, variance: FloatArray | None, *, shared: bool
+) -> tuple[dict[str, FloatArray | None], float]:
+    """Return the images that `estimate_noise` reads, and the variance of a mean over that of independent pixels.
+
+    Parameters
+    ----------
+    halves : two arrays, shape (height, width, 3), optional
+        Means of one half of the samples each.
+    variance : array, shape (height, width, 3), optional
+        Of the noisy image; looked at without halves.
+    shared : bool
+        Whether neighbouring pixels share their noise.
+    """
+    if halves is not None:
+        return {"half_a": halves[0], "half_b": halves[1]}, SHARED_VARIANCE if shared else 1.0
+    return {"variance": variance}, RESIDUAL_VARIANCE
+
+
+def estimate_noise(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
+    """Return the squared noise of every channel of the noisy image, and whether all pixels that tell it are good.
+
+    Halves of the samples tell it; without them the residual of the difference to the image ``name``, and at least what
+    a variance says.
+    """
+    if grid.has("half_a"):
+        a, b = grid.read("half_a"), grid.read("half_b")
+        squares = [hl.f32(0.25) * (p - q) * (p - q) for p, q in zip(a, b, strict=True)]
+        return squares, is_good(a) & is_good(b)
+    squares, good = square_residual(grid, name)
+    if grid.has("variance"):
+        told = grid.read("variance")
+        good = good & is_good(told)
+        squares = [hl.max(p, q) for p, q in zip(squares, told, strict=True)]
+    return squares, good
+
+
+def count_weights(level: int) -> float:
+    """Return as how many equal weights a blur counts, the ``level``-th in turn from 0, of taps twice as far apart each.
+
+    Variances of steps add up: 1 + 4 + 16 + ... A Gaussian of variance s averages as much as 4 pi s equal weights.
+    """
+    return 4.0 * math.pi * (4.0 ** (level + 1) - 1.0) / 3.0
 
 
 def clamp_to_image(grid: Grid, dx: int, dy: int) -> tuple[hl.Expr, hl.Expr]:
