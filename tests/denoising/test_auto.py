@@ -85,7 +85,7 @@ def test_the_default_mixes(
     make_frame: Callable[..., Frame], present: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The samples say that what stands for Open Image Denoise is wrong.
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP)
     assert len(present) == 1
@@ -107,7 +107,7 @@ def test_the_default_mixes(
 
 @pytest.mark.usefixtures("present")
 def test_without_guides_it_is_all(make_frame: Callable[..., Frame], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
     frame = join_light(make_frame(height=12, width=16))
     flat = np.zeros((12, 16, 3), np.float32)
     flat[..., 2] = 1.0

@@ -106,7 +106,7 @@ def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str,
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as they are where the noisy image has less error."""
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
 
 
 @pytest.fixture

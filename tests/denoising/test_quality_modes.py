@@ -289,7 +289,7 @@ class TestCoverage:
     @pytest.mark.usefixtures("unshared")
     def test_without_coverage_it_is_the_surface_at_its_centre(self, monkeypatch: pytest.MonkeyPatch):
         # The noisy image tells that the edge is wrong, and would be taken back.
-        monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, level: list(parts))
+        monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
         frame, truth = self.make_edge((0.5, 0.5), (2.0, 0.4))
         bare = frame.with_changes(gbuffer=replace(frame.gbuffer, coverage=None))
         image, resolved = (denoise(each, quality="balanced", similarity="normal").image for each in (bare, frame))

@@ -13,6 +13,8 @@ from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
+MAX_CONCENTRATION = 4.0
+"""Of the error of our own filters, which lies along edges and textures (docs/quality.md)."""
 DARK_SHARE = 0.03
 """Errors are relative to local luminance, and to this share of the whole image's."""
 MIN_SHARE_BLURRED = 0.01
@@ -21,7 +23,12 @@ Rows = NDArray[np.float64]
 
 
 def take_back_noisy(
-    frame: Frame, image: FloatArray, layers: Sequence[Layer], parts: Sequence[FloatArray], level: float
+    frame: Frame,
+    image: FloatArray,
+    layers: Sequence[Layer],
+    parts: Sequence[FloatArray],
+    level: float,
+    concentration: float = 1.0,
 ) -> list[FloatArray]:
     """Return the parts of a result mixed with the noisy ones, where the noisy image has less error for certain.
 
@@ -37,10 +44,17 @@ def take_back_noisy(
         What became of the layers. What is not finite stays.
     level : float
         About the mean luminance of the whole image.
+    concentration : float
+        As of `lobewise.filters.noise.evidence.find_noisy_share`.
     """
     floor = (DARK_SHARE * level) ** 2
     share = find_noisy_share(
-        image, frame.radiance.color, **_list_noise(frame), floor=floor, shared=frame.noise_is_shared
+        image,
+        frame.radiance.color,
+        **_list_noise(frame),
+        floor=floor,
+        shared=frame.noise_is_shared,
+        concentration=concentration,
     )
     if not share.any():
         return list(parts)

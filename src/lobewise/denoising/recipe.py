@@ -23,7 +23,7 @@ from lobewise.denoising.combining import (
     find_level,
     share_out,
 )
-from lobewise.denoising.evidence import count_blurred, describe_blurred, take_back_noisy
+from lobewise.denoising.evidence import MAX_CONCENTRATION, count_blurred, describe_blurred, take_back_noisy
 from lobewise.denoising.guided import (
     filter_balanced,
     find_balanced_reach,
@@ -279,7 +279,7 @@ def filter_guided(
     image = compose(frame, parts, rest)
     if not settings.with_oidn:
         # With a mixture the evidence is sought when the mixture is there.
-        parts = take_back_noisy(frame, image, layers, parts, max(levels))
+        parts = take_back_noisy(frame, image, layers, parts, max(levels), MAX_CONCENTRATION)
         image = compose(frame, parts, rest)
     return Filtered(layers, parts, clean, image, tallies, gain, levels)
 
