@@ -29,7 +29,7 @@ INTERACTIVE = ("interactive_quality", "interactive", "viewer")
 """What docs/interactive.md is made of."""
 PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials", "taps")
 """What docs/performance.md is made of."""
-TRIALS = ("quality_trials", "training", "peer_share")
+TRIALS = ("quality_trials", "training", "shares")
 """What docs/quality.md is made of."""
 START, END = "<!-- figures:start -->", "<!-- figures:end -->"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import groupby
 from typing import Any
 
@@ -29,8 +30,12 @@ Each filter is a convex average of the pixels of a neighbourhood, divided by alb
   and `rel_mse` rises by 6 % (at most by 62 %, `sparks` at 1 sample), for it favours images that are too dark where noise is left. The way was chosen on these very frames. A few pixels that hold more light than all others tell nothing of the mean: of what k equal ones lost `1 - 1/k^2` is shared out, no pixel grows by more than 2 % for each of
   them by either of its two shares, and 1 % of the layer's light is shared out in any case. `Result.energy_lost` says
   what is missing after that. The command line and `Result.notes` tell where the filter took 1 % of the image's light or more and 2.5 times the standard error of its mean, which comes from the residuals: that light is in the image, but where it falls is not known.
-- **The noisy image is taken back** where it is nearer to the truth. At high sample counts a filter blurs more than the noise was. The squared difference of result and noisy image, less the variance of the noisy image, is the error of the result; its mean over a neighbourhood, less 2.2 of its own standard errors, says how much of
-  that error is certain, and both images are mixed by that and the variance. Our own filters err along edges: there up to four times the mean error counts, as the squared difference is distributed. The variance comes from halves of the samples; without them it is the residual of the difference, and no less than a variance pass. So, with halves, `balanced`, `high` and `auto` tend to their input as samples grow. Without halves, noise and lost texture look alike, and at hundreds of samples `balanced` and `high` can be far worse than their input ([users_results.md](users_results.md)). `fast` stays a linear filter: it says in how much of the image it blurs by more than the noise.
+- **Detail is taken back.** What a filter blurred away is in the noisy image still, with its noise. A small network says for every pixel how much of the noisy image enters the result of `balanced`, `high` and `auto`. It tells detail from noise as a test of residuals does: noise of neighbouring pixels is independent, so products of the
+  difference between noisy image and result, a pixel or two apart, are 0 in the mean; detail's are not. It also sees the size of the difference, the noise (from halves, or from second differences without them) and the slope of the result, at three widths. Halves and guides were missing at random in training, up to 512 samples per pixel; so results tend to their input as samples grow,
+  with and without halves. Before, a formula took back what halves proved to be wrong, and nothing could be proved without halves. `fast` stays a linear filter: it says in how much of the image it blurs by more than the noise. Error on random scenes kept aside, over that of the result alone and over the noisy image's:
+
+{noisy}
+
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.
@@ -68,7 +73,7 @@ python -m benchmarks.training.train --cache DIR
 Where it is installed (`lobewise[best]`) and no quality is named; `with_oidn=True` or `--with-oidn` asks for it, `with_oidn=False` or `--offline` leaves it out. `Result.method`, `denoise` and `inspect` say what was used. `high`, then a mixture with what Open Image Denoise makes of the frame,
 pixel by pixel. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
 as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes, a fifth of them kept aside, with guides missing at random
-(`benchmarks/training/peer_share.py`). A frame that has neither albedo nor normals gets Open Image Denoise's image. At the end the noisy image is taken back as above. Where neighbouring pixels share samples, Open Image Denoise leaves most of the noise, and ours is taken instead. Error of the mixture over that of Open Image Denoise with the same guides, on scenes kept aside:
+(`benchmarks/training/shares.py`). A frame that has neither albedo nor normals gets Open Image Denoise's image. At the end detail is taken back as above. Where neighbouring pixels share samples, Open Image Denoise leaves most of the noise, and ours is taken instead. Error of the mixture over that of Open Image Denoise with the same guides, and over ours, on scenes kept aside:
 
 {peer}
 
@@ -129,13 +134,26 @@ SETS = {
 }
 
 
-def make_shares(ratios: dict[str, dict[str, float]]) -> str:
-    """Return the table of the network that mixes with Open Image Denoise."""
-    rows = [
-        [told, str(ratios[name]["frames"]), f"{ratios[name]['mean']:.2f}", f"{ratios[name]['largest']:.2f}"]
-        for name, told in SETS.items()
-    ]
-    return make_table(["guides", "frames", "geometric mean", "largest"], rows)
+HALVES = {"all": "all guides and halves", "less": "fewer, no halves"}
+RESULTS_NAMED = {"balanced": "`balanced`", "high": "`high`", "peer": "Open Image Denoise"}
+
+
+def make_shares(ratios: dict[str, dict[str, float]], image: str, other: str) -> str:
+    """Return the table of a network that mixes another image into an image: its errors over those of both."""
+    names = [f"over {image}", "largest", f"over {other}", "largest"]
+    keys = ("over_image", "over_image_largest", "over_other", "over_other_largest")
+    rows = [[name, str(row["images"]), *(f"{row[key]:.2f}" for key in keys)] for name, row in ratios.items()]
+    return make_table(["frames", "count", *names], rows)
+
+
+def rename(ratios: dict[str, dict[str, float]], sets: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """Return the rows of the trainer with names in words: what was mixed, its guides, its samples."""
+    named = {}
+    for group, row in ratios.items():
+        first, guides, samples = group.split(" ", 2)
+        words = [sets[guides], samples] if sets is SETS else [RESULTS_NAMED[first], sets[guides], samples]
+        named[", ".join(words)] = row
+    return named
 
 
 def make_trials_page(trials: dict[str, Any], training: dict[str, Any], share: dict[str, Any]) -> str:
@@ -145,6 +163,7 @@ def make_trials_page(trials: dict[str, Any], training: dict[str, Any], share: di
         weights=training["weights"],
         ratios=make_ratios(training["ratios"]),
         shared_scenes=share["scenes"],
-        peer=make_shares(share["ratios"]["kept aside"]),
+        peer=make_shares(rename(share["peer"]["kept aside"], SETS), "Open Image Denoise", "ours"),
     )
-    return HEAD + make_trials(trials["trials"]) + tail
+    noisy = make_shares(rename(share["noisy"]["kept aside"], HALVES), "the result", "the noisy image")
+    return HEAD.format(noisy=noisy) + make_trials(trials["trials"]) + tail

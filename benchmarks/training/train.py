@@ -4,7 +4,7 @@ The frames and references are those of `scenes.py` (none of the scenes that resu
 pixel the networks of both layers say in which proportions thirteen filtered images are mixed; what is minimised is the
 relative squared error of the sum of both layers, each frame counting by its error before. A fifth of the scenes is
 kept aside to tell when the networks only learn their scenes by heart. The third network of the file, which mixes what
-comes out with what Open Image Denoise makes of the frame, stays as it is: `peer_share.py` trains that.
+comes out with what Open Image Denoise makes of the frame, stays as it is: `shares.py` trains that.
 
     python -m benchmarks.training.scenes --cache DIR --count 24 --size 384 --reference-spp 256
     python -m benchmarks.training.train --cache DIR

@@ -31,7 +31,7 @@ from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.filters.mixing import Network, count_features
-from lobewise.filters.noise import agreement
+from lobewise.filters.noise import agreement, detail
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
@@ -91,7 +91,7 @@ def make_networks(candidates: int) -> dict[str, Network]:
     return {
         "diffuse": make_network(inputs, candidates, 1),
         "specular": make_network(inputs, candidates, 2),
-        "peer": make_network(agreement.COUNT, 2, 5),
+        "peer": make_network(agreement.COUNT + detail.COUNT, 3, 5),
     }
 
 
@@ -101,12 +101,6 @@ def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str,
     for module in (high, combining):
         monkeypatch.setattr(module, "load_networks", lambda: networks)
     return networks
-
-
-@pytest.fixture
-def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave results as they are where the noisy image has less error."""
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
 
 
 @pytest.fixture
@@ -443,7 +437,8 @@ class TestContract:
         color[20, 20] += 7.0
         lit = denoise(frame.with_changes(radiance=replace(frame.radiance, color=color)), **CHEAP)
         plain = denoise(frame, **CHEAP)
-        np.testing.assert_allclose(lit.image[20, 20] - plain.image[20, 20], 7.0, rtol=1e-5)
+        light = [each.image - each.diffuse - each.specular for each in (lit, plain)]
+        np.testing.assert_allclose((light[0] - light[1])[20, 20], 7.0, rtol=1e-5)
         np.testing.assert_allclose(lit.image[:5], color[:5], rtol=1e-6)
 
     def test_bad_background_is_refilled_from_the_screen(self):
@@ -530,12 +525,12 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return told
 
 
-OURS, PEERS = 0, 1
+OURS, NOISY, PEERS = 0, 1, 2
 
 
 class TestPeer:
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
-        return choose_between(frame, ours, denoise_with_peer(frame, ours))
+        return choose_between(frame, ours, denoise_with_peer(frame, ours), frame.radiance.color)
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
@@ -547,11 +542,14 @@ class TestPeer:
         networks["peer"] = force(usual, PEERS)
         np.testing.assert_allclose(self.combine(make_frame(), ours), peer["image"], rtol=ROUNDING)
         networks["peer"] = usual
-        mixed = self.combine(make_frame(), ours)
-        assert (mixed >= ours).all()
-        assert (mixed <= peer["image"]).all()
+        noisy, mixed = make_frame().radiance.color, self.combine(make_frame(), ours)
+        images = np.stack([ours, noisy, peer["image"]])
+        assert (mixed >= images.min(axis=0) * (1.0 - ROUNDING)).all()
+        assert (mixed <= images.max(axis=0) * (1.0 + ROUNDING)).all()
         # In proportions that change from pixel to pixel.
         assert np.ptp((mixed - ours) / (peer["image"] - ours)) > 1e-3
+        networks["peer"] = force(usual, NOISY)
+        np.testing.assert_allclose(self.combine(make_frame(), ours), noisy, rtol=1e-5, atol=1e-6)
 
     def test_without_guides_it_is_the_peers(self, networks, peer):
         networks["peer"] = force(networks["peer"], OURS)
@@ -671,6 +669,7 @@ class TestPeer:
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
 
     @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
+    @pytest.mark.usefixtures("trusted")
     def test_the_real_one(self, networks):
         networks["peer"] = force(networks["peer"], PEERS)
         frame = make_frame()
@@ -719,10 +718,10 @@ class TestWeights:
 
     def test_the_shipped_networks_fit(self):
         found = load_networks()
-        assert sorted(found) == ["diffuse", "peer", "specular"]
+        assert sorted(found) == ["diffuse", "noisy", "peer", "specular"]
+        shares = {"noisy": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
         for kind, network in found.items():
-            candidates = 2 if kind == "peer" else COUNT
-            inputs = agreement.COUNT if kind == "peer" else count_features(COUNT, EXTRAS)
+            inputs, candidates = shares.get(kind, (count_features(COUNT, EXTRAS), COUNT))
             assert network.mean.shape == network.scale.shape == (inputs,)
             assert network.weights[0].shape[0] == inputs
             assert network.weights[-1].shape[1] == candidates

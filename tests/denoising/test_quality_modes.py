@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
-from lobewise.denoising import denoise, recipe
+from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality
 from lobewise.denoising.guided import resolve_guided
 from lobewise.denoising.noisy import make_noisy_layers
@@ -101,6 +101,7 @@ class TestNoise:
             assert [feature.name for feature in specular.layer.features] == [similarity, own.name]
             assert diffuse.pilot_features == diffuse.layer.features
 
+    @pytest.mark.usefixtures("trusted")
     def test_rough_reflections_are_averaged_further_than_sharp_ones(self):
         # A single bright pixel is spread over what has weight: by the sparse pass four and more pixels further.
         reach = []
@@ -115,6 +116,7 @@ class TestNoise:
             reach.append(int(np.count_nonzero(row > 1.0 + 1e-5)))
         assert reach[0] > 2 * 5 + 1 >= reach[1] > 1
 
+    @pytest.mark.usefixtures("trusted")
     def test_neighbours_serve_as_halves_as_well(self):
         # Either way all samples count once: what is left of the noise is alike.
         errors = {"file": 0.0, "neighbours": 0.0}
@@ -286,10 +288,9 @@ class TestCoverage:
         assert columns[self.EDGE - 8] == pytest.approx(albedos[0] * lights[0], rel=0.02)
         assert columns[self.EDGE + 8] == pytest.approx(albedos[1] * lights[1], rel=0.02)
 
-    @pytest.mark.usefixtures("unshared")
-    def test_without_coverage_it_is_the_surface_at_its_centre(self, monkeypatch: pytest.MonkeyPatch):
+    @pytest.mark.usefixtures("unshared", "trusted")
+    def test_without_coverage_it_is_the_surface_at_its_centre(self):
         # The noisy image tells that the edge is wrong, and would be taken back.
-        monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, layers, parts, *_: list(parts))
         frame, truth = self.make_edge((0.5, 0.5), (2.0, 0.4))
         bare = frame.with_changes(gbuffer=replace(frame.gbuffer, coverage=None))
         image, resolved = (denoise(each, quality="balanced", similarity="normal").image for each in (bare, frame))

@@ -188,15 +188,15 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     return found
 
 
-@pytest.mark.parametrize(("quality", "expected"), [("balanced", 79), ("high", 125)])
+@pytest.mark.parametrize(("quality", "expected"), [("balanced", 81), ("high", 127)])
 def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
     frame = make_scene((8, 8))
     chosen = resolve_all(frame, ask(None, {"quality": quality}))
     # Fireflies, highlights, residuals, the lobes beside a pixel's; kernels each behind a blurred guide: pilot, wide
-    # (dense) and sparse ones; mixing; coverage; evidence: a residual's taps, then four blurs.
+    # (dense) and sparse ones; mixing; coverage; detail: local light, products two pixels apart, four blurs.
     kernels = {"balanced": (4, 5, 3 * 4), "high": (5, 8, 3 * 4, 3 * 10)}[quality]
     blur, mix = 3, {"balanced": 0, "high": 2 * 1 + 2 * 3 + 1}[quality]
-    doubt = 2 + 2 * (1 + 2 + 4 + 8)
+    doubt = 2 + 2 + 2 * (1 + 2 + 4 + 8)
     assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + mix + 1 + doubt == expected
 
 

@@ -1,23 +1,25 @@
-"""Our image and that of a neural denoiser, mixed pixel by pixel.
+"""Our image, that of a neural denoiser and the noisy one, mixed pixel by pixel.
 
 A network that was trained on pictures is good where light is smooth or looks like other pictures; lobes and halves are
 good where a surface reflects in a way that only its guides tell. Which of the two to trust is read off how far they are
 apart, how noisy the image is and which of them the samples are nearer to (`lobewise.filters.noise.agreement`), by a
-small network that was trained on random scenes with guides missing (``benchmarks/training/peer_share.py``).
+small network that was trained on random scenes with guides missing (``benchmarks/training/shares.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.chunks import Chunk, run_chunks
 from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.evidence import find_image_halves
 from lobewise.denoising.high import load_networks
-from lobewise.filters.mixing import LEAK, Network
+from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement
+from lobewise.filters.noise.detail import find_detail
+from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, name_oidn_guides
@@ -27,8 +29,8 @@ DARKEST = 1e-30
 """Radiance up to which there is no share of it."""
 
 
-def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray) -> FloatArray:
-    """Return a mixture of our image and the peer's, pixel by pixel, (height, width, 3).
+def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> FloatArray:
+    """Return a mixture of our image, the peer's and the noisy one, pixel by pixel, (height, width, 3).
 
     Where the frame has neither albedo nor normal it is the peer's image: the network was trained on no such frame.
 
@@ -38,42 +40,68 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray) -> FloatArr
         The noisy one.
     ours, peer : (height, width, 3)
         Finite, >= 0; the peer's is that of `denoise_with_peer`.
+    noisy : (height, width, 3)
+        The image of the frame without fireflies. Bad pixels are taken from ours.
     """
     if not can_mix(frame):
         return peer
-    halves = frame.half_a, frame.half_b
-    known = None if halves[0] is None or halves[1] is None else (halves[0].color, halves[1].color)
-    seen = find_agreement(
-        peer, ours, frame.radiance.color, halves=known, level=find_level(peer), shared=frame.noise_is_shared
+    shares = find_mixture(
+        frame.radiance.color,
+        ours,
+        peer,
+        load_networks()["peer"],
+        halves=find_image_halves(frame),
+        shared=frame.noise_is_shared,
     )
-    share = find_our_share(seen, load_networks()["peer"])[..., None]
-    return np.asarray(peer + share * (ours - peer), dtype=np.float32)
+    noisy = np.where(find_good(noisy)[..., None], noisy, ours)
+    return np.asarray(peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer), dtype=np.float32)
 
 
-def find_our_share(seen: FloatArray, network: Network) -> FloatArray:
-    """Return the share of our image at every pixel, (height, width), in (0, 1).
+def find_mixture(
+    noisy: FloatArray,
+    ours: FloatArray,
+    peer: FloatArray,
+    network: Network,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None,
+    shared: bool,
+) -> FloatArray:
+    """Return the shares of our image, of the noisy one and of the peer's, shape (height, width, 3), which sum to 1.
 
     Parameters
     ----------
-    seen : (height, width, features)
-        What `find_agreement` gives of the peer's image and ours.
+    noisy, ours, peer : (height, width, 3)
     network : Network
-        With two outputs, of ours and of the peer's.
+        Which reads `see_mixture` and has three outputs.
+    halves, shared
+        As in `see_mixture`.
     """
-    network.require_fit(seen.shape[-1], 2)
-    share = np.empty(seen.shape[:2], np.float32)
+    shares = np.empty((*noisy.shape[:2], 3), np.float32)
+    for rows, seen in see_mixture(noisy, ours, peer, halves=halves, shared=shared):
+        shares[rows] = find_shares(seen, network, 3)
+    return shares
 
-    def find(chunk: Chunk) -> None:
-        values = (seen[chunk].reshape(-1, seen.shape[-1]) - network.mean) * network.scale
-        for number, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
-            values = values @ weights + biases
-            if number + 1 < len(network.weights):
-                values = np.maximum(values, np.float32(LEAK) * values)
-        apart = np.clip(values[:, 1] - values[:, 0], -60.0, 60.0)
-        share[chunk] = (1.0 / (1.0 + np.exp(apart))).reshape(share[chunk].shape)
 
-    run_chunks(find, *seen.shape[:2])
-    return share
+def see_mixture(
+    noisy: FloatArray,
+    ours: FloatArray,
+    peer: FloatArray,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None,
+    shared: bool,
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield some rows and what is known of the three images there: `find_agreement`, then `find_detail` of the peer's.
+
+    Parameters
+    ----------
+    noisy, ours, peer : (height, width, 3)
+    halves, shared
+        As in `lobewise.filters.noise.detail.find_detail`.
+    """
+    level = find_level(peer)
+    agreement = find_agreement(peer, ours, noisy, halves=halves, level=level, shared=shared)
+    for rows, detail in find_detail(peer, noisy, halves=halves, level=level, shared=shared):
+        yield rows, np.concatenate([agreement[rows], detail], axis=-1)
 
 
 def can_mix(frame: Frame) -> bool:

@@ -1,36 +1,30 @@
-"""What the samples say of a result: where the noisy image is better, and whether a result is worse than its input."""
+"""What the samples say of a result: where it lost detail, and whether it is worse than its input."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import Layer
+from lobewise.denoising.bad_pixels import blacken_bad, find_good
+from lobewise.denoising.high import load_networks
+from lobewise.filters.mixing import Network
+from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
-MAX_CONCENTRATION = 4.0
-"""Of the error of our own filters, which lies along edges and textures (docs/quality.md)."""
-DARK_SHARE = 0.03
-"""Errors are relative to local luminance, and to this share of the whole image's."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels in which a result has clearly more error than its input, from which on one is told."""
 Rows = NDArray[np.float64]
 
 
 def take_back_noisy(
-    frame: Frame,
-    image: FloatArray,
-    layers: Sequence[Layer],
-    parts: Sequence[FloatArray],
-    level: float,
-    concentration: float = 1.0,
+    frame: Frame, image: FloatArray, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], level: float
 ) -> list[FloatArray]:
-    """Return the parts of a result mixed with the noisy ones, where the noisy image has less error for certain.
+    """Return the parts of a result mixed with the noisy ones, where what a filter took away is detail.
 
     Parameters
     ----------
@@ -38,27 +32,60 @@ def take_back_noisy(
         Noisy.
     image : array, shape (height, width, 3)
         The result: the parts and what is in none of them.
-    layers : sequence of Layer
-        Those of the frame.
+    noisy : sequence of arrays, shape (height, width, 3)
+        The layers of the frame without fireflies.
     parts : sequence of arrays, shape (height, width, 3)
         What became of the layers. What is not finite stays.
     level : float
         About the mean luminance of the whole image.
-    concentration : float
-        As of `lobewise.filters.noise.evidence.find_noisy_share`.
     """
-    floor = (DARK_SHARE * level) ** 2
-    share = find_noisy_share(
-        image,
+    share = find_share_taken_back(
+        blacken_bad(image),
         frame.radiance.color,
-        **_list_noise(frame),
-        floor=floor,
+        load_networks()["noisy"],
+        halves=find_image_halves(frame),
+        level=level,
         shared=frame.noise_is_shared,
-        concentration=concentration,
     )
-    if not share.any():
-        return list(parts)
-    return [_mix(part, layer.radiance, share) for layer, part in zip(layers, parts, strict=True)]
+    return [_mix(part, light, share) for part, light in zip(parts, noisy, strict=True)]
+
+
+def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
+    """Return the image from one half of the samples and from the other, None where the frame has none."""
+    a, b = frame.half_a, frame.half_b
+    return None if a is None or b is None else (a.color, b.color)
+
+
+def find_share_taken_back(
+    filtered: FloatArray,
+    noisy: FloatArray,
+    network: Network,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None,
+    level: float,
+    shared: bool,
+) -> FloatArray:
+    """Return the share of the noisy image with which a mixture of both has the least error, as a network tells it.
+
+    The network was trained on random scenes, with and without guides and halves (``benchmarks/training/shares.py``).
+
+    Parameters
+    ----------
+    filtered, noisy, halves, level, shared
+        As in `lobewise.filters.noise.detail.find_detail`.
+    network : Network
+        Of two outputs: the share of the noisy image, and that of the filtered one.
+
+    Returns
+    -------
+    array, shape (height, width)
+        In [0, 1]; 0 at bad pixels.
+    """
+    share = np.empty(noisy.shape[:2], np.float32)
+    for rows, seen in find_detail(filtered, noisy, halves=halves, level=level, shared=shared):
+        share[rows] = find_shares(seen, network, 2)[..., 0]
+    share[~find_good(noisy)] = 0.0
+    return share
 
 
 def _mix(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
@@ -66,14 +93,6 @@ def _mix(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
         # As in the total, a negative part is no light.
         mixed = part + share[..., None] * (np.maximum(noisy, np.float32(0.0)) - part)
     return np.where(np.isfinite(mixed) & (share > 0.0)[..., None], mixed, part)
-
-
-def _list_noise(frame: Frame) -> dict[str, Any]:
-    """Return what a frame tells of its noise: halves of its samples, or a variance, or nothing."""
-    a, b = frame.half_a, frame.half_b
-    if a is not None and b is not None:
-        return {"halves": (a.color, b.color)}
-    return {} if frame.variance is None else {"variance": frame.variance.color}
 
 
 def count_blurred(frame: Frame, image: FloatArray, rows: slice = slice(None)) -> Rows:

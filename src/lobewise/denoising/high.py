@@ -189,10 +189,14 @@ def _take_logarithms(frame: Frame, noisy: NoisyLayer, extras: list[FloatArray], 
 
 @cache
 def load_networks() -> Mapping[str, Network]:
-    """Return the trained networks of this package: "diffuse", "specular", and "peer" for mixing with a peer."""
+    """Return the trained networks of this package by name.
+
+    "diffuse" and "specular" mix the candidates of a layer; "noisy" gives the noisy image back; "peer" mixes with a
+    peer.
+    """
     with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
         arrays = dict(np.load(file, allow_pickle=False))
-    return {kind: unpack_network(arrays, kind) for kind in ("diffuse", "specular", "peer")}
+    return {kind: unpack_network(arrays, kind) for kind in ("diffuse", "specular", "noisy", "peer")}
 
 
 def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Network:

@@ -138,6 +138,14 @@ def _split_layer(
     return replace(each, bounded=BoundedHalves(found.a, found.b, each.bounded.tally)), kept
 
 
+def join_halves(noisy: NoisyLayer) -> FloatArray:
+    """Return the samples of a layer without fireflies, radiance, (height, width, 3); bad pixels are not finite."""
+    a, b = map(download, noisy.halves)
+    half = np.float32(0.5)
+    image = half * a + half * b if noisy.is_whole else np.where(np.isnan(a), b, a)
+    return np.asarray(image if noisy.kept is None else image + noisy.kept, dtype=np.float32)
+
+
 def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
     """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
     even, odd = map(download, each.halves)

@@ -20,10 +20,9 @@ from lobewise.denoising.combining import (
     choose_between,
     denoise_with_peer,
     describe_method,
-    find_level,
     share_out,
 )
-from lobewise.denoising.evidence import MAX_CONCENTRATION, count_blurred, describe_blurred, take_back_noisy
+from lobewise.denoising.evidence import count_blurred, describe_blurred, take_back_noisy
 from lobewise.denoising.guided import (
     filter_balanced,
     find_balanced_reach,
@@ -42,14 +41,14 @@ from lobewise.denoising.light_loss import (
     sum_light,
     sum_missing,
 )
-from lobewise.denoising.noisy import make_noisy_layers
+from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import ATROUS_REACH
-from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
+from lobewise.filters.noise.detail import REACH as DETAIL_REACH
 from lobewise.filters.specks import share_out_specks
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
@@ -130,10 +129,8 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     gains = [] if found.gain is None else [found.gain[..., None]]
     if chosen.with_oidn:
         peer = denoise_with_peer(frame, image)
-        mixed = choose_between(frame, image, peer)
+        mixed = choose_between(frame, image, peer, compose(frame, found.noisy, found.rest))
         image, parts, gain = share_out(mixed, image, parts)
-        before, parts = parts, take_back_noisy(frame, image, found.layers, parts, find_level(image))
-        image = sum((after - was for after, was in zip(parts, before, strict=True)), image)
         gains.append(gain)
     diffuse, specular = join_parts(found.layers, parts)
     layers: dict[str, FloatArray] = {}
@@ -203,6 +200,10 @@ class Filtered:
     """What fireflies took of every layer, row by row."""
     gain: FloatArray | None = None
     """What light of no layer was multiplied by, (height, width); None for 1."""
+    rest: FloatArray | None = None
+    """What is in no part: emission and background; None where light is not told apart."""
+    noisy: Sequence[FloatArray] = ()
+    """The samples of every layer without fireflies, radiance; none with the quality "fast", which bounds none."""
     levels: Sequence[float] = ()
     """Mean light of the samples of every layer, over albedo; none with the quality "fast", which shares nothing out."""
 
@@ -243,9 +244,9 @@ def find_reach(settings: ResolvedSettings) -> int:
     Of frames without halves of their samples the pilot has no guide, so they are told of less.
     """
     if settings.quality == "high":
-        return find_high_reach(settings) + EVIDENCE_REACH
+        return find_high_reach(settings) + DETAIL_REACH
     if settings.quality == "balanced":
-        return find_balanced_reach(settings) + EVIDENCE_REACH
+        return find_balanced_reach(settings) + DETAIL_REACH
     return ATROUS_REACH if settings.form == "atrous" else settings.radius
 
 
@@ -258,8 +259,17 @@ def filter_plain(frame: Frame, settings: ResolvedSettings, features: Sequence[Fe
     return Filtered(layers, parts, outputs, compose(frame, parts, find_rest(frame)))
 
 
-@device_scope()
 def filter_guided(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
+) -> Filtered:
+    """Filter every layer, and take the noisy image back where it has less error; ``levels`` as in `filter_frame`."""
+    found = filter_halves(frame, settings, features, levels)
+    parts = take_back_noisy(frame, found.image, found.noisy, found.parts, max(found.levels))
+    return replace(found, parts=parts, image=compose(frame, parts, found.rest))
+
+
+@device_scope()
+def filter_halves(
     frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> Filtered:
     """Filter both halves of every layer by their guides and by what they tell of light and noise."""
@@ -276,12 +286,8 @@ def filter_guided(
         gain = share_out_specks(rest, share, device=settings.device)
         rest = rest * gain[..., None]
     layers, levels = [each.layer for each in noisy], [each.level for each in noisy]
-    image = compose(frame, parts, rest)
-    if not settings.with_oidn:
-        # With a mixture the evidence is sought when the mixture is there.
-        parts = take_back_noisy(frame, image, layers, parts, max(levels), MAX_CONCENTRATION)
-        image = compose(frame, parts, rest)
-    return Filtered(layers, parts, clean, image, tallies, gain, levels)
+    samples = [join_halves(each) for each in noisy]
+    return Filtered(layers, parts, clean, compose(frame, parts, rest), tallies, gain, rest, samples, levels)
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:

@@ -174,7 +174,7 @@ def _make_mixing(key: MixingKey, target: hl.Target) -> Scheduled:
     out = hl.Func("out")
     network: list[Stage] = []
     if key.units:
-        network = _define_network(signature, key, features)
+        network = define_network(signature, features, (key.features, *key.units, key.candidates))
         mixed = _mix(network[-1].func, pairs if together else read_pairs(X, Y))
         out[C, X, Y] = hl.mux(C, mixed)
     else:
@@ -244,30 +244,40 @@ def _define_features(
     return features
 
 
-def _define_network(signature: Signature, key: MixingKey, features: hl.Func) -> list[Stage]:
-    """Return the steps of the network, the last of which gives shares, not yet divided by their sum."""
-    centre, scale = (signature.image(name, key.features) for name in ("centre", "scale"))
+def define_network(signature: Signature, features: hl.Func, sizes: Sequence[int]) -> list[Stage]:
+    """Return the steps of a network, the last of which gives shares, not yet divided by their sum.
+
+    Parameters
+    ----------
+    signature : Signature
+        Of the kernel, which reads the network's arrays by the names of `Network.name_arrays`.
+    features : halide.Func
+        Of (x, c, y).
+    sizes : sequence of int
+        Inputs, units of every hidden layer, outputs.
+    """
+    inputs, *units, outputs = sizes
+    centre, scale = (signature.image(name, inputs) for name in ("centre", "scale"))
     layer = hl.Func("scaled")
     layer[X, C, Y] = (features[X, C, Y] - centre[C]) * scale[C]
-    stages = [Stage(layer, key.features)]
-    before = key.features
-    for number, count in enumerate((*key.units, key.candidates)):
+    stages, before = [Stage(layer, inputs)], inputs
+    for number, count in enumerate((*units, outputs)):
         weights, bias = signature.image(f"weights{number}", before, count), signature.image(f"biases{number}", count)
-        inputs = hl.RDom([(0, before)], f"r{number}")
+        over = hl.RDom([(0, before)], f"r{number}")
         total, active = hl.Func(f"total{number}"), hl.Func(f"active{number}")
         total[X, C, Y] = bias[C]
-        total[X, C, Y] = total[X, C, Y] + weights[C, inputs.x] * layer[X, inputs.x, Y]
+        total[X, C, Y] = total[X, C, Y] + weights[C, over.x] * layer[X, over.x, Y]
         value = total[X, C, Y]
-        active[X, C, Y] = value if number == len(key.units) else hl.max(value, hl.f32(LEAK) * value)
-        stages += [Stage(total, count, inputs), Stage(active, count)]
+        active[X, C, Y] = value if number == len(units) else hl.max(value, hl.f32(LEAK) * value)
+        stages += [Stage(total, count, over), Stage(active, count)]
         layer, before = active, count
-    scores = [layer[X, k, Y] for k in range(key.candidates)]
+    scores = [layer[X, k, Y] for k in range(outputs)]
     highest = scores[0]
     for score in scores[1:]:
         highest = hl.max(highest, score)
     share = hl.Func("share")
     share[X, C, Y] = expressions.exp2(hl.f32(math.log2(math.e)) * (layer[X, C, Y] - highest))
-    return [*stages, Stage(share, key.candidates)]
+    return [*stages, Stage(share, outputs)]
 
 
 def _mix(share: hl.Func, pairs: Sequence[Pair]) -> list[hl.Expr]:

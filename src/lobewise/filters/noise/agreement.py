@@ -18,9 +18,9 @@ from lobewise.filters.noise.pooling import (
     add_channels,
     average_light,
     blur_image,
-    clamp_to_image,
     count_weights,
     estimate_noise,
+    find_slope,
     gather_noise,
 )
 from lobewise.frame import FloatArray
@@ -111,19 +111,10 @@ def _define_sums(grid: Grid) -> list[Vector]:
         product * product,
         add_channels([p * p for p in to_one]) * unit,
         add_channels([p * p for p in to_other]) * unit,
-        _find_slope(grid) * unit,
+        find_slope(grid, "one") * unit,
     ]
     bounded = [value if k in (2, 3) else hl.min(value, hl.f32(LARGEST)) for k, value in enumerate(values)]
     return [[hl.select(good, value, hl.f32(0.0)) for value in bounded], [luminance]]
-
-
-def _find_slope(grid: Grid) -> hl.Expr:
-    """Return the squared slope of the first image's channels, summed."""
-    total = hl.f32(0.0)
-    for dx, dy in ((1, 0), (0, 1)):
-        ahead, behind = (grid.read("one", *clamp_to_image(grid, sign * dx, sign * dy)) for sign in (1, -1))
-        total = total + add_channels([(p - q) * (p - q) for p, q in zip(ahead, behind, strict=True)])
-    return hl.f32(0.25) * total
 
 
 def _take_logarithm(value: hl.Expr, least: float = LEAST_SQUARE) -> hl.Expr:

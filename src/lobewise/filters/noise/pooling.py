@@ -87,6 +87,15 @@ def average_light(grid: Grid, name: str) -> hl.Expr:
     return total
 
 
+def find_slope(grid: Grid, name: str) -> hl.Expr:
+    """Return the squared slope of an image's channels, summed."""
+    total = hl.f32(0.0)
+    for dx, dy in ((1, 0), (0, 1)):
+        ahead, behind = (grid.read(name, *clamp_to_image(grid, sign * dx, sign * dy)) for sign in (1, -1))
+        total = total + add_channels([(p - q) * (p - q) for p, q in zip(ahead, behind, strict=True)])
+    return hl.f32(0.25) * total
+
+
 def add_channels(values: Vector) -> hl.Expr:
     """Return the sum of three channels."""
     return values[0] + values[1] + values[2]

@@ -11,7 +11,9 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 
 if TYPE_CHECKING:
-    from lobewise.filters.mixing import MixingFuncs
+    from collections.abc import Sequence
+
+    from lobewise.filters.mixing import MixingFuncs, Stage
 
 STRIP_ROWS = 16
 """Rows of an image that a thread takes at a time: fewer than elsewhere, for many planes of a strip lie in cache."""
@@ -58,8 +60,14 @@ def _schedule_rows(funcs: MixingFuncs, lanes: int) -> None:
     funcs.sharp.vectorize(x, lanes).unroll(c)
     funcs.features.compute_at(out, xo).bound(c, 0, key.features).reorder_storage(x, c, y).reorder(c, x, y)
     funcs.features.vectorize(x, lanes).unroll(c)
-    for stage in funcs.network:
-        func = stage.func.compute_at(out, xo).bound(c, 0, stage.channels)
+    schedule_network(funcs.network, out, xo, lanes)
+
+
+def schedule_network(stages: Sequence[Stage], out: hl.Func, column: hl.Var, lanes: int) -> None:
+    """Compute the stages of a network for one vector of pixels at a time, in the loop ``column`` of ``out``."""
+    x, y, c = PIXEL
+    for stage in stages:
+        func = stage.func.compute_at(out, column).bound(c, 0, stage.channels)
         func.reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
         if stage.inputs is not None:
             func.update().reorder(x, stage.inputs.x, c, y).vectorize(x, lanes)

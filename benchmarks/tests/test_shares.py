@@ -1,0 +1,109 @@
+"""The networks that mix images take what is nearer to the truth, and what they learn from is what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.training import shares
+from benchmarks.training.candidates import (
+    Candidates,
+    list_samples,
+    read_candidates,
+    sum_albedo,
+    vary_guides,
+    write_candidates,
+)
+from lobewise.denoising.combining import find_mixture
+from lobewise.denoising.evidence import find_share_taken_back
+from lobewise.denoising.high import unpack_network
+
+SIZE = 48
+
+
+def make_candidates(seed: int, rng: np.random.Generator) -> Candidates:
+    """Return a frame whose filters blurred a texture, ours less than the peer."""
+    truth = np.full((SIZE, SIZE, 3), 0.5, np.float32)
+    truth[:, : SIZE // 2 : 3] = 0.9
+
+    def draw(noise: float) -> np.ndarray:
+        return (truth * (1.0 + noise * rng.normal(size=truth.shape))).astype(np.float32).clip(0.0)
+
+    blurred = truth.copy()
+    blurred[:, : SIZE // 2] = truth[:, : SIZE // 2].mean()
+    halves = draw(0.07), draw(0.07)
+    return Candidates(
+        seed=seed,
+        spp=64,
+        kind="all",
+        noisy=0.5 * (halves[0] + halves[1]),
+        balanced=blurred,
+        high=blurred,
+        peer=1.1 * blurred,
+        albedo=np.ones_like(truth),
+        clean=truth,
+        reference_a=draw(0.02),
+        reference_b=draw(0.02),
+        half_a=halves[0],
+        half_b=halves[1],
+    )
+
+
+def test_files_hold_what_was_written(tmp_path: Path, rng: np.random.Generator) -> None:
+    before = make_candidates(7, rng)
+    path = write_candidates(tmp_path, before)
+    assert path.name == "00007-0064-all.npz"
+    after = read_candidates(path)
+    assert (after.seed, after.spp, after.kind) == (7, 64, "all")
+    assert after.halves is not None
+    np.testing.assert_allclose(after.half_a, before.half_a, rtol=1e-3)
+    np.testing.assert_allclose(after.reference_b, before.reference_b, rtol=1e-3)
+
+
+@pytest.mark.usefixtures("torch")
+def test_they_take_what_is_nearer(tmp_path: Path, rng: np.random.Generator) -> None:
+    for seed in range(1, 7):
+        write_candidates(tmp_path, make_candidates(seed, rng))
+    output, results = tmp_path / "out" / "weights.npz", tmp_path / "results.json"
+    output.parent.mkdir()
+    np.savez(output, other=np.ones(3, np.float32))
+    words = ["--cache", str(tmp_path), "--steps", "200", "-o", str(output), "--results", str(results)]
+    shares.main(words)
+    told = json.loads(results.read_text())
+    assert (told["scenes"], told["scenes_kept_aside"]) == (6, 1)
+    assert told["noisy"]["kept aside"]["high all 64 spp"]["over_image"] < 0.4
+    assert told["peer"]["kept aside"]["peer all 64 spp"]["over_image"] < 0.6
+    with np.load(output) as arrays:
+        noisy, peer = (unpack_network(arrays, kind) for kind in ("noisy", "peer"))
+        # What else the file holds stays.
+        np.testing.assert_array_equal(arrays["other"], 1.0)
+    found = make_candidates(8, rng)
+    share = find_share_taken_back(found.high, found.noisy, noisy, halves=found.halves, level=0.6, shared=False)
+    assert share[8:-8, 8:16].mean() > 0.5
+    assert share[8:-8, -16:-8].mean() < 0.2
+    ours = found.high + share[..., None] * (found.noisy - found.high)
+    shares_found = find_mixture(found.noisy, ours, found.peer, peer, halves=found.halves, shared=False)
+    assert shares_found[..., :2].sum(axis=-1).mean() > 0.5
+
+
+def test_guides_are_taken_away_by_the_seed() -> None:
+    from tests.streaming.frames import make_scene
+
+    frame = make_scene((8, 9))
+    found = [dict(vary_guides(frame, np.random.default_rng(seed))) for seed in range(6)]
+    assert {tuple(each) for each in found} == {("all", "plain", "passes"), ("all", "plain", "shared")}
+    for each in found:
+        assert each["all"] is frame
+        assert each["plain"].gbuffer.alpha_u is None
+        assert each["plain"].radiance.parts is None
+        np.testing.assert_array_equal(sum_albedo(each["plain"]), sum_albedo(frame))
+        assert all(one.half_a is None for name, one in each.items() if name != "all")
+        assert ("shared" in each) == any(one.noise_is_shared for one in each.values())
+
+
+def test_every_scene_has_few_samples_and_many() -> None:
+    assert {list_samples(seed)[0] for seed in range(1, 9)} == {2, 4, 8, 16}
+    assert all(list_samples(seed)[1:] == (64, 512) for seed in range(1, 9))

@@ -1,0 +1,187 @@
+"""What tells noise from detail in the difference of a noisy image and what a filter made of it.
+
+Noise of neighbouring pixels is independent; what a filter blurred away is not: light and dark lie beside each other in
+some order. So products of the difference with itself, a pixel or two apart, over its square are 0 in the mean where all
+is noise. How large they are, how certain, how large the difference is beside the noise that the samples show, and how
+steep the result is, at three widths, are the features from which a small network tells how much of the noisy image a
+result takes back (`lobewise.denoising.evidence`).
+
+Source: the correlation of residuals is the classical test of whiteness (Ljung and Box 1978, "On a Measure of Lack of
+Fit in Time Series Models", Biometrika 65(2)), here in two dimensions and at every pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend import expressions
+from lobewise.backend.expressions import is_good
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.filters.noise.pooling import REACH as POOLING_REACH
+from lobewise.filters.noise.pooling import (
+    add_channels,
+    average_light,
+    blur_image,
+    clamp_to_image,
+    count_weights,
+    estimate_noise,
+    find_slope,
+    gather_noise,
+)
+from lobewise.frame import FloatArray
+
+OFFSETS = (((1, 0), (0, 1)), ((2, 0), (0, 2)), ((2, 2), (2, -2)))
+"""Which neighbours a pixel's difference is multiplied with, in pairs: columns and rows."""
+LEVELS = (0, 1, 3)
+"""Which blurs are looked at, of `blur_image` with taps 1, 2, 4 and 8 pixels apart in turn."""
+FEATURES_PER_LEVEL = 5 + 2 * len(OFFSETS)
+COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 4
+"""Features of a pixel."""
+REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(LEVELS) + 1) - 1)
+"""Pixels to each side that tell on a pixel's features."""
+DARK_SHARE = 0.03
+"""Differences are relative to local luminance, and to this share of the whole image's."""
+LARGEST_DIFFERENCE = 1e3
+"""Relative differences are bounded by this: a few pixels may not rule a neighbourhood for ever."""
+LARGEST_ERRORS = 8.0
+"""Standard errors beyond which a mean is as certain as any."""
+LEAST_SQUARE, LEAST_RATIO, LEAST_LIGHT = 1e-8, 1e-3, 1e-4
+"""Below which logarithms do not fall: of relative squares, of ratios of squares, of luminance over the image's."""
+STRIP_ROWS = 64
+"""Rows whose features are held at a time."""
+
+
+def find_detail(
+    filtered: FloatArray,
+    noisy: FloatArray,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None = None,
+    level: float,
+    shared: bool = False,
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield what is known of the difference of two images: some rows, and their features.
+
+    The features of a pixel, base-2 logarithms unless said otherwise, are at each width: the squared difference over
+    squared local luminance; of each pair of `OFFSETS` the mean product of differences over the mean square, in [-1, 1],
+    and that mean in standard errors, in plus or minus `LARGEST_ERRORS`; the variance of the noisy image over the
+    squared difference; what the squared difference exceeds that variance by, over itself, in [-1, 1], and in standard
+    errors; the squared slope of the filtered image over squared local luminance. Then the pixel's own squared
+    difference, local luminance over ``level``, whether there are halves, and whether neighbours share noise, 1 or 0.
+
+    Parameters
+    ----------
+    filtered : array, shape (height, width, 3)
+        Finite, >= 0.
+    noisy : array, shape (height, width, 3)
+        What it was filtered from. Pixels that are NaN, infinite or negative are bad: they take no part.
+    halves : two arrays, shape (height, width, 3), optional
+        Means of one half of the samples each, whose mean is ``noisy``. Without them the variance is that of the
+        difference's residual.
+    level : float
+        About the mean luminance of the whole image, of which this may be a part.
+    shared : bool
+        Whether neighbouring pixels share their noise.
+
+    Yields
+    ------
+    rows : slice
+    features : array, shape (rows, width, `COUNT`)
+
+    Raises
+    ------
+    InputError
+        If the images differ in size.
+    """
+    told, factor = gather_noise(halves, None, shared=shared)
+    level = min(max(level, 1e-12), 1e12)
+    floor = {"floor": np.float32(max((DARK_SHARE * level) ** 2, 1e-24))}
+    images = {"filtered": filtered, "noisy": noisy, **told}
+    apart, noise, light = run_pointwise(_define_difference, images, floor)
+    held = {"apart": apart, "noise": noise, "light": light, "filtered": filtered}
+    (sums,) = run_pointwise(_define_products, held, floor)
+    pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
+    for number in range(max(LEVELS) + 1):
+        sums = blur_image(sums, 2**number)
+        if number in LEVELS:
+            pooled[f"sums{number}"] = sums
+    counts = [count_weights(number) for number in LEVELS]
+    numbers = {
+        "counts": np.array(counts, np.float32),
+        "factor": np.float32(factor),
+        "level": np.float32(level),
+        "flags": np.array([halves is not None, shared], np.float32),
+    }
+    for top in range(0, len(noisy), STRIP_ROWS):
+        rows = slice(top, min(top + STRIP_ROWS, len(noisy)))
+        (found,) = run_pointwise(_define_features, {name: each[rows] for name, each in pooled.items()}, numbers)
+        yield rows, np.asarray(found)
+
+
+def _define_difference(grid: Grid) -> list[Vector]:
+    """Define the difference over local luminance, the squared noise over its square, and local luminance."""
+    filtered, noisy = grid.read("filtered"), grid.read("noisy")
+    squares, known = estimate_noise(grid, "filtered")
+    luminance = average_light(grid, "filtered")
+    unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
+    scale, bound = hl.sqrt(unit), hl.f32(LARGEST_DIFFERENCE)
+    good = is_good(noisy) & is_good(filtered)
+    apart = [hl.clamp((p - q) * scale, -bound, bound) for p, q in zip(noisy, filtered, strict=True)]
+    noise = hl.min(add_channels(squares) * unit, bound * bound)
+    zero = hl.f32(0.0)
+    return [
+        [hl.select(good, value, zero) for value in apart],
+        [hl.select(good & known, noise, zero)],
+        [luminance],
+    ]
+
+
+def _define_products(grid: Grid) -> list[Vector]:
+    """Define what is averaged: squares, products with neighbours and their squares, noise, its excess, slope."""
+    apart = grid.read("apart")
+    square = add_channels([value * value for value in apart])
+    products = []
+    for offsets in OFFSETS:
+        total = hl.f32(0.0)
+        for dx, dy in offsets:
+            near = grid.read("apart", *clamp_to_image(grid, dx, dy))
+            total = total + add_channels([p * q for p, q in zip(apart, near, strict=True)])
+        products.append(hl.f32(0.5) * total)
+    noise, luminance = grid.read_one("noise"), grid.read_one("light")
+    excess = square - noise
+    unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
+    slope = hl.min(find_slope(grid, "filtered") * unit, hl.f32(LARGEST_DIFFERENCE**2))
+    values = [square, *products, *(each * each for each in products), noise, excess, excess * excess, slope]
+    return [values]
+
+
+def _define_features(grid: Grid) -> list[Vector]:
+    values: list[hl.Expr] = []
+    (factor,) = grid.get("factor")
+    bound, one = hl.f32(LARGEST_ERRORS), hl.f32(1.0)
+    for count, number in zip(grid.get("counts"), LEVELS, strict=True):
+        square, *rest, noise, excess, excess_square, slope = grid.read(f"sums{number}")
+        products, squares = rest[: len(OFFSETS)], rest[len(OFFSETS) :]
+        whole = hl.max(square, hl.f32(1e-12))
+
+        def find_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
+            return hl.clamp(mean / hl.sqrt(hl.max(square, hl.f32(1e-20)) / count), -bound, bound)
+
+        values.append(_take_logarithm(square, LEAST_SQUARE))
+        for product, each in zip(products, squares, strict=True):
+            values += [hl.clamp(product / whole, -one, one), find_certainty(product, each, count)]
+        values += [
+            _take_logarithm(noise / whole, LEAST_RATIO),
+            hl.clamp(excess / whole, -one, one),
+            find_certainty(excess, excess_square, count / factor),
+            _take_logarithm(slope, LEAST_SQUARE),
+        ]
+    values.append(_take_logarithm(grid.read_one("own"), LEAST_SQUARE))
+    values.append(_take_logarithm(grid.read_one("light") / grid.get("level")[0], LEAST_LIGHT))
+    return [values + [one * flag for flag in grid.get("flags")]]
+
+
+def _take_logarithm(value: hl.Expr, least: float) -> hl.Expr:
+    return expressions.log2(hl.max(value, hl.f32(least)))
