@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, ROOT
+from benchmarks.pages.ablation import make_ablation_page
 from benchmarks.pages.bench import load_machines, make_bench_page, write_pictures
 from benchmarks.pages.foreign import make_foreign_page
 from benchmarks.pages.gallery import make_gallery_page
@@ -66,6 +67,8 @@ def main() -> None:
     (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
     foreign, speed = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
     (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign, speed))
+    ablation = json.loads((RESULTS / "affinity_ablation.json").read_text())
+    (ROOT / "docs" / "research" / "affinity_ablation.md").write_text(make_ablation_page(ablation))
     users = json.loads((RESULTS / "users.json").read_text())
     (ROOT / "docs" / "users_results.md").write_text(make_users_page(users))
     put_figures(ROOT / "docs" / "mitsuba.md", make_mitsuba_figures(json.loads((RESULTS / "mitsuba.json").read_text())))

@@ -78,6 +78,9 @@ class GBuffer(Images):
         Mean of the shading normal over the pixel's area (0 for no surface), where ``normal`` is that of its centre.
     mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
         Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
+    denoiser_albedo : array_like, shape (height, width, 3), optional
+        Albedo that a renderer made for denoisers, as its file has it. Open Image Denoise is handed it in place of the
+        sum of the others; nothing else reads it.
     mean_emission : array_like, shape (height, width, 3), optional
         Mean over the pixel's area of the light that reaches the camera unscattered, from lamps and the background,
         >= 0, without the noise of samples.
@@ -114,6 +117,7 @@ class GBuffer(Images):
     mean_normal: MaybeImage = ABSENT
     mean_diffuse_albedo: MaybeImage = ABSENT
     mean_specular_albedo: MaybeImage = ABSENT
+    denoiser_albedo: MaybeImage = ABSENT
     mean_emission: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
     object_share: MaybeImage = ABSENT

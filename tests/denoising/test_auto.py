@@ -129,7 +129,7 @@ def test_guides_are_named(kept: tuple[str, ...], words: str, make_frame: Callabl
     frame = join_light(make_frame(height=12, width=16))
     changes: dict[str, Any] = {}
     if "albedo" not in kept:
-        names = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo")
+        names = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "denoiser_albedo")
         changes |= dict.fromkeys(names)
     if "normal" not in kept:
         # As a reader makes them up, but none where a lamp is.

@@ -30,7 +30,7 @@ def test_a_lamp_passes_as_it_is_and_nothing_takes_of_it(rng: np.random.Generator
     for quality in ("fast", "balanced", "high"):
         clean = lobewise.denoise(found.frame, quality=quality).image
         np.testing.assert_array_equal(clean[LAMP], found.frame.radiance.color[LAMP])
-        assert rel_mse(clean, truth) < 0.2 * rel_mse(found.frame.radiance.color, truth)
+        assert rel_mse(clean, truth) < 0.3 * rel_mse(found.frame.radiance.color, truth)
 
 
 def test_light_that_is_told_apart_needs_no_search(rng: np.random.Generator) -> None:

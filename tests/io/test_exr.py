@@ -94,7 +94,7 @@ class TestRoundTrip:
         expected += ["material.I"]
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
         expected += [f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal") for c in "XYZ"]
-        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit") for c in "RGB"]
+        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit", "denoiser") for c in "RGB"]
         expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
         expected += [f"mean_emission.{c}" for c in "RGB"]
         expected += [*(f"coverage.{k}" for k in range(9)), "object_share.S"]

@@ -41,6 +41,7 @@ class Places:
     depth: FloatArray | None = None
     position: FloatArray | None = None
     normal: FloatArray | None = None
+    mean_normal: FloatArray | None = None
     notes: list[str] = field(default_factory=list)
     orthographic: bool = False
 
@@ -97,7 +98,7 @@ def place_surfaces(
         away = np.linalg.norm(places.position - places.camera.position.astype(np.float32), axis=-1)
         places.depth = np.where((places.position != 0.0).any(axis=-1), away, np.float32(0.0))
     if "normal" in images:
-        places.normal = _take_normal(images["normal"], found["normal"], places, mirrored=mirrored)
+        places.normal, places.mean_normal = _take_normal(images["normal"], found["normal"], places, mirrored=mirrored)
     return places
 
 
@@ -183,8 +184,8 @@ def _mirror(vectors: FloatArray) -> FloatArray:
     return vectors * np.array([-1.0, 1.0, 1.0], np.float32)
 
 
-def _take_normal(normal: FloatArray, found: Found, places: Places, *, mirrored: bool) -> FloatArray:
-    """Return unit normals in the space of the positions, 0 where there is no surface."""
+def _take_normal(normal: FloatArray, found: Found, places: Places, *, mirrored: bool) -> tuple[FloatArray, FloatArray]:
+    """Return normals in the space of the positions, 0 where there is no surface: of length 1, and as they are."""
     normal = convert_plain(normal, found.convert)
     in_camera = [word for word in found.convert if word.startswith("camera_space")]
     if in_camera and places.camera is None:
@@ -195,7 +196,8 @@ def _take_normal(normal: FloatArray, found: Found, places: Places, *, mirrored: 
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = np.where(length > 1e-6, normal / length, np.float32(0.0))
-    return np.nan_to_num(unit, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+    one, other = (np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32) for each in (unit, normal))
+    return one, other
 
 
 def derive_normal(places: Places, shape: tuple[int, int]) -> FloatArray:

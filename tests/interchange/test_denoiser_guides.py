@@ -1,0 +1,58 @@
+"""Albedo and normal reach Open Image Denoise as the file has them; our own filters get what they can divide by."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lobewise import peers
+from lobewise.interchange.reading import import_planes
+
+SHAPE = (24, 32)
+
+
+def make_planes(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return an image whose albedo is partly black, and whose normals are shorter in the middle, as at an edge."""
+    color = rng.uniform(0.2, 0.8, (*SHAPE, 3))
+    albedo = np.full((*SHAPE, 3), 0.6)
+    albedo[:4] = 0.0
+    normal = np.zeros((*SHAPE, 3))
+    normal[:, :16, 2], normal[:, 16:, 0] = 1.0, 1.0
+    normal[:, 16] = 0.5, 0.0, 0.5
+    images = {"": color, "albedo.": albedo, "normal.": normal}
+    letters = {"": "RGB", "albedo.": "RGB", "normal.": "XYZ"}
+    return {
+        f"{name}{letter}": image[..., k].astype(np.float32)
+        for name, image in images.items()
+        for k, letter in enumerate(letters[name])
+    }
+
+
+def test_the_peer_gets_the_file_s_own_guides(rng: np.random.Generator) -> None:
+    planes = make_planes(rng)
+    frame = import_planes(planes).frame
+    guides = frame.gbuffer
+    assert guides.denoiser_albedo is not None
+    assert guides.mean_normal is not None
+    np.testing.assert_array_equal(guides.denoiser_albedo[..., 0], planes["albedo.R"])
+    np.testing.assert_array_equal(guides.mean_normal[..., 2], planes["normal.Z"])
+    # Ours: normals of length 1, and no albedo that light is divided by near 0.
+    np.testing.assert_allclose(np.linalg.norm(guides.normal, axis=-1), 1.0, atol=1e-6)
+    assert guides.diffuse_albedo is not None
+    assert guides.diffuse_albedo.min() >= 0.1
+    albedos, normal = peers._find_guides(frame, "prefiltered")
+    (albedo,) = albedos
+    assert albedo is guides.denoiser_albedo
+    assert normal is guides.mean_normal
+    # "centre" are those of the ray through the pixel's centre.
+    albedos, normal = peers._find_guides(frame, "centre")
+    assert albedos[0] is guides.diffuse_albedo
+    assert normal is guides.normal
+
+
+def test_they_are_not_called_unused(rng: np.random.Generator) -> None:
+    import lobewise
+
+    frame = import_planes(make_planes(rng)).frame
+    result = lobewise.denoise(frame, quality="fast", similarity="normal")
+    assert "denoiser_albedo" not in result.unused
+    assert "mean_normal" not in result.unused
