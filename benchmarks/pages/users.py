@@ -82,7 +82,7 @@ def make_head(data: Mapping[str, Any]) -> str:
 Written by `benchmarks/publish.py` from `benchmarks/results/users.json`, which `python -m benchmarks.users` makes; no figure is typed by hand. {describe_run(dict(data))}.
 
 The same frames with all that is known of them and with less, at many sample counts, beside the noisy input and Open Image Denoise (OIDN) with the same guides. No network was
-trained on the scenes that are called held out; a few margins (of what is taken back from the noisy image, of what is shared out: [quality.md](quality.md)) were chosen with some of them in view. `normal-aware` and `OIDN, as called` were measured on fewer frames than the others, so their means compare with nothing.
+trained on the scenes that are called held out; a margin of how lost light is shared out ([quality.md](quality.md)) was chosen with some of them in view. `normal-aware` was measured on fewer frames than the others, so its means compare with nothing. Scenes that were last measured with filters of an earlier version are left out.
 Errors are `rel_mse` (epsilon 0.01) without the noise of the references; less is better."""
 
 
