@@ -27,7 +27,7 @@ Call = tuple[Kernel, dict[str, Any]]
 SYMMETRIC = {
     # Means and differences of both halves of the samples.
     *((name, "a", "b") for name in ("light sums", "noise guide")),
-    *((name, "half_a", "half_b") for name in ("dual buffer", "excess")),
+    *((name, "half_a", "half_b") for name in ("dual buffer", "excess", "difference")),
     *(("mixing", f"candidate{k}_a", f"candidate{k}_b") for k in range(COUNT)),
     # Their difference, squared, over what both are.
     ("excess", "filtered", "noisy"),

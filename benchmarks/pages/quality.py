@@ -193,7 +193,7 @@ def make_readme_quality(data: dict[str, Any]) -> str:
     times = data["speed"][WIDE]["milliseconds"]
     cells = [f"{TITLES[name]} {times[name] / 1000.0:.2f} s" for name in TIMED]
     train, held_out = (", ".join(f"`{scene}`" for scene in PARTS[part]) for part in PARTS)
-    return f"""Error (`rel_mse`, epsilon 0.01, lower is better) at {README_SAMPLES} samples per pixel, {data["size"]}x{data["size"]}, mean of {len(data["seeds"])} noise seeds. Parameters, ours and
+    return f"""On built-in scenes, measured at commit {data["machine"]["commit"]} (the [changelog](CHANGELOG.md) tells what came since): error (`rel_mse`, epsilon 0.01, lower is better) at {README_SAMPLES} samples per pixel, {data["size"]}x{data["size"]}, mean of {len(data["seeds"])} noise seeds. Parameters, ours and
 the baseline's, were chosen on {train}; {held_out} were only measured:
 
 {errors}

@@ -7,6 +7,7 @@ from typing import Any
 from benchmarks.pages.quality import make_readme_quality
 from benchmarks.pages.tables import describe_run, make_table
 from benchmarks.pages.upsampling import make_upsampling_section
+from benchmarks.pages.users import make_readme_users
 
 COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")
 TITLES = {
@@ -122,12 +123,14 @@ def make_time_tables(filters: dict[str, Any]) -> str:
     return kernels + "\n\n" + make_table(["size", "what", "time", "times faster than OIDN"], rows)
 
 
-def make_readme_figures(quality: dict[str, Any], upsampling: dict[str, Any]) -> str:
+def make_readme_figures(quality: dict[str, Any], upsampling: dict[str, Any], users: dict[str, Any]) -> str:
     """Return the block of the README."""
     cells = upsampling["parts"]["orbit"]["all"]["default"]
     alone, over_time = cells["spatial"], cells["temporal"]
     flicker = upsampling["parts"]["flicker"]["whole frames"]
-    return f"""{make_readme_quality(quality)}
+    return f"""{make_readme_users(users)}
+
+{make_readme_quality(quality)}
 
 With one of 4x4 pixels shaded (4 samples each), upsampling leaves an error of {alone["rel_mse"]:.4f} in `showroom`; with the fifteen frames before it, on a
 slow orbit, {over_time["rel_mse"]:.4f}. Over {upsampling["parts"]["flicker"]["frames"]} denoised frames the flicker falls to {flicker["ratio"]:.2f} of that of frames denoised one by one. All

@@ -36,6 +36,10 @@ Each filter is a convex average of the pixels of a neighbourhood, divided by alb
 
 {noisy}
 
+  ![A lit window, a mirror and a textured box: noisy, high alone, high, the default, reference](images/detail.png)
+
+  With one albedo, normal and depth alone: noisy (64, 16 and 1024 samples per pixel), `high` before detail is taken back, `high`, the default, reference (`benchmarks/pictures/detail.py`).
+
 - **Highlights** are kept: where all pixels of a 2x2 block are eight times as bright as the surroundings (or three of them sixteen times; with one sample per pixel all twelve times; or two neighbours ten times, in both halves alike), the light above the surroundings is taken off the samples and added to the
   result. Noise strikes single pixels; a lamp in a mirror or in a lacquer's coat lights several. Where pixels share samples the block is 3x3. Before, a filter spread such a lamp as wide as its kernel.
 - **Mirrors.** From one pixel of a small or bumpy mirror to the next the lobe's axis turns by more than the lobe is wide, so that no two lobes overlapped and all noise stayed. Twice the square of that turn, to the neighbour that is nearest in it, is added to a lobe's variance.

@@ -40,6 +40,7 @@ SETS = {
     "plain": "Plain: one albedo, normal, depth",
     "color": "Color alone",
 }
+README_SETS = {"all": "all, with halves", "plain": "albedo, normal, depth"}
 GROUPS = {
     "interiors": "Public interiors",
     "blender": "Blender 4.5, Cycles",
@@ -84,6 +85,24 @@ Written by `benchmarks/publish.py` from `benchmarks/results/users.json`, which `
 The same frames with all that is known of them and with less, at many sample counts, beside the noisy input and Open Image Denoise (OIDN) with the same guides. No network was
 trained on the scenes that are called held out; a margin of how lost light is shared out ([quality.md](quality.md)) was chosen with some of them in view. `normal-aware` was measured on fewer frames than the others, so its means compare with nothing. Scenes that were last measured with filters of an earlier version are left out.
 Errors are `rel_mse` (epsilon 0.01) without the noise of the references; less is better."""
+
+
+def make_readme_users(data: Mapping[str, Any]) -> str:
+    """Return what the README says of users' frames: the means over Open Image Denoise, the noisy image among them."""
+    found = data["summary"]["ratios"][HELD_OUT][PEER]
+    scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
+    counts = _list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
+    rows = [
+        [README_SETS[guides], TITLES[method], *(f"{cells[spp]['ratio']:.2f}" if spp in cells else "" for spp in counts)]
+        for guides in README_SETS
+        for method in ("noisy", "balanced", "high", "auto")
+        if (cells := found.get(guides, {}).get(method))
+    ]
+    table = make_table(["guides", "", *(f"{spp} spp" for spp in counts)], rows)
+    return f"""Error over that of Open Image Denoise with the same guides, {scenes} scenes that nothing was tuned or trained on (Blender Cycles, public interiors, built-in ones), geometric
+means; `auto` is the default. Every frame: [docs/users_results.md](docs/users_results.md).
+
+{table}"""
 
 
 def make_ratios(bases: Mapping[str, Any], base: str) -> str:
