@@ -47,7 +47,7 @@ Whole processes, from the command line, kernels from the disk. Peak memory is th
 {machine["cores"]} cores, beside other work, which lengthens the time and hardly the processor time; `python -m benchmarks.performance.streaming`.
 
 Time per pixel grows by what is done twice: the file is read once more, to measure it (`fast` need not, unless it judges noise by variances), and the rows around every band are filtered with it; it falls by what a process does
-once. How many rows come along is told by the settings: 40 to each side for `fast` at radius 8, 79 for `balanced`, 125 for `high`, in proportion to the radius; 94 for the form
+once. How many rows come along is told by the settings: 40 to each side for `fast` at radius 8, 81 for `balanced`, 127 for `high`, in proportion to the radius; 94 for the form
 `atrous`. With a large radius of `high` they may fill the memory by themselves: bands then have 32 rows, and take more than 4 GiB. More memory makes taller
 bands: `denoise_file(..., memory=8)`.
 

@@ -19,7 +19,7 @@ FEWEST_ROWS = 32
 """Rows that a band has at least: kernels work in strips of so many."""
 MEASURED_ROWS = 256
 """Rows of a band in the pass that measures the whole frame."""
-WORK = {"fast": 250, "balanced": 330, "high": 850}
+WORK = {"fast": 250, "balanced": 480, "high": 850}
 """Bytes that the filters of each quality hold for a pixel beside the frame, measured (docs/streaming.md)."""
 
 Bands = list[tuple[int, int]]

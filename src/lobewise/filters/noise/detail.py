@@ -102,6 +102,7 @@ def find_detail(
     apart, noise, light = run_pointwise(_define_difference, images, floor)
     held = {"apart": apart, "noise": noise, "light": light, "filtered": filtered}
     (sums,) = run_pointwise(_define_products, held, floor)
+    del apart, noise, held
     pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)
