@@ -85,7 +85,7 @@ def test_light_of_layers_is_found_light() -> None:
     assert told["specular (of the layers)"]
     assert "diffuse" not in told
     (albedo,) = [image for image in found.images if image.meaning.startswith("albedo of all lobes")]
-    assert "not used" in albedo.meaning
+    assert "for Open Image Denoise, as layers have their own" in albedo.meaning
 
 
 @pytest.mark.parametrize("renderer", WRITERS)

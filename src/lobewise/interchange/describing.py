@@ -128,8 +128,8 @@ def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescri
     advice = channels.preset.advice.get("layers" if role in ("diffuse", "specular") else role, "not needed to denoise")
     missing = advice.removeprefix("none; ")
     if found is not None:
-        unused = role == "albedo" and _has_own_albedo(channels, frame)
-        meaning = f"{ROLES[role]}; not used, as layers have their own" if unused else ROLES[role]
+        spare = role == "albedo" and _has_own_albedo(channels, frame)
+        meaning = f"{ROLES[role]}; for Open Image Denoise, as layers have their own" if spare else ROLES[role]
         return ImageDescription(found.label, True, meaning, missing)
     derived = frame.radiance if role in ("diffuse", "specular") else frame.gbuffer if "albedo" in role else None
     if getattr(derived, role, None) is not None:
@@ -146,8 +146,7 @@ def _has_own_albedo(channels: ChannelMap, frame: Frame) -> bool:
 def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
     """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
     names = {layer.name for layer in imported.frame.layers}
-    own = _has_own_albedo(channels, imported.frame)
-    found = [(role, one) for role, one in channels.roles.items() if role != "albedo" or not own]
+    found = list(channels.roles.items())
     for layer in channels.layers:
         if layer.rule.name in names or layer.rule.lobe == "exact":
             found += [(f"light: {layer.rule.name}", one) for one in layer.light]
