@@ -43,7 +43,6 @@ def make_candidates(seed: int, rng: np.random.Generator) -> Candidates:
         balanced=blurred,
         high=blurred,
         peer=1.1 * blurred,
-        albedo=np.ones_like(truth),
         clean=truth,
         reference_a=draw(0.02),
         reference_b=draw(0.02),

@@ -34,7 +34,7 @@ MORE_SPP = (64, 512)
 REFERENCE_SPP = 512
 SHARED_SIGMA = 0.6
 """Standard deviation of the pixel filter of the set ``shared``, pixels."""
-IMAGES = ("noisy", "balanced", "high", "peer", "albedo", "clean", "reference_a", "reference_b", "half_a", "half_b")
+IMAGES = ("noisy", "balanced", "high", "peer", "clean", "reference_a", "reference_b", "half_a", "half_b")
 
 Array = NDArray[np.float32]
 
@@ -49,8 +49,6 @@ class Candidates:
         Of the scene; samples per pixel; one of `KINDS`.
     noisy, balanced, high, peer
         The input and three results. Without Open Image Denoise and without any evidence of the samples.
-    albedo
-        Of all lobes.
     clean
         The reference, cleaned by Open Image Denoise: what errors are relative to.
     reference_a, reference_b
@@ -66,7 +64,6 @@ class Candidates:
     balanced: Array
     high: Array
     peer: Array
-    albedo: Array
     clean: Array
     reference_a: Array
     reference_b: Array
@@ -147,7 +144,7 @@ def denoise_all(frame: Frame, kind: str) -> dict[str, Array]:
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
 
-    images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0], "albedo": sum_albedo(frame)}
+    images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0]}
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
         images[quality] = keep_light(filter_halves(frame, settings, ()))[0].image

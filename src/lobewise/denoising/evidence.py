@@ -37,7 +37,7 @@ def take_back_noisy(
     parts : sequence of arrays, shape (height, width, 3)
         What became of the layers. What is not finite stays.
     level : float
-        About the mean luminance of the whole image.
+        Mean light of the samples of the whole image, radiance over albedo, > 0.
     """
     share = find_share_taken_back(
         blacken_bad(image),

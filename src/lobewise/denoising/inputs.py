@@ -25,8 +25,9 @@ def list_images(settings: DenoiseSettings) -> Images:
     found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
     if settings.hit_distance is not False:
         found.add(("gbuffer", "hit_distance"))
-    found.add(("variance", "color"))
-    if settings.quality != "fast":
+    if settings.quality == "fast":
+        found.add(("variance", "color"))
+    else:
         found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
         found |= {("gbuffer", name) for name in _GUIDED}
     return frozenset(found)
@@ -61,7 +62,7 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
         unused += [f"radiance.{name}" for name in ("diffuse", "specular") if getattr(frame.radiance, name) is not None]
     if settings.quality == "fast":
         unused += [name for name in ("half_a", "half_b") if getattr(frame, name) is not None]
-    elif frame.variance is not None and frame.half_a is not None and frame.half_b is not None:
-        # Either tells the noise.
+    elif frame.variance is not None:
+        # Halves tell the noise, and without them residuals do.
         unused.append("variance")
     return tuple(unused)

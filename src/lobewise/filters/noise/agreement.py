@@ -11,10 +11,10 @@ from __future__ import annotations
 import halide as hl
 import numpy as np
 
-from lobewise.backend import expressions
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import (
+    DARK_SHARE,
     add_channels,
     average_light,
     blur_image,
@@ -22,6 +22,7 @@ from lobewise.filters.noise.pooling import (
     estimate_noise,
     find_slope,
     gather_noise,
+    take_logarithm,
 )
 from lobewise.frame import FloatArray
 
@@ -30,8 +31,6 @@ LEVELS = (0, 2, 3)
 FEATURES_PER_LEVEL = 7
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 3
 """Features of a pixel."""
-DARK_SHARE = 0.03
-"""Differences are relative to local luminance, and to this share of the whole image's."""
 LEAST_SQUARE = 1e-8
 LARGEST_ERRORS = 6.0
 """Standard errors beyond which a difference is as certain as any."""
@@ -117,10 +116,6 @@ def _define_sums(grid: Grid) -> list[Vector]:
     return [[hl.select(good, value, hl.f32(0.0)) for value in bounded], [luminance]]
 
 
-def _take_logarithm(value: hl.Expr, least: float = LEAST_SQUARE) -> hl.Expr:
-    return expressions.log2(hl.max(value, hl.f32(least)))
-
-
 def _define_features(grid: Grid) -> list[Vector]:
     values: list[hl.Expr] = []
     for count, number in zip(grid.get("counts"), LEVELS, strict=True):
@@ -128,14 +123,14 @@ def _define_features(grid: Grid) -> list[Vector]:
         error = hl.sqrt(hl.max(square, hl.f32(1e-20)) / count)
         bound = hl.f32(LARGEST_ERRORS)
         values += [
-            _take_logarithm(apart),
-            _take_logarithm(noise),
+            take_logarithm(apart, LEAST_SQUARE),
+            take_logarithm(noise, LEAST_SQUARE),
             hl.clamp(product / hl.max(apart, hl.f32(LEAST_SQUARE)), hl.f32(-1.0), hl.f32(2.0)),
             hl.clamp(product / error, -bound, bound),
-            _take_logarithm(to_one),
-            _take_logarithm(to_other),
-            _take_logarithm(slope),
+            take_logarithm(to_one, LEAST_SQUARE),
+            take_logarithm(to_other, LEAST_SQUARE),
+            take_logarithm(slope, LEAST_SQUARE),
         ]
-    values.append(_take_logarithm(grid.read_one("light") / grid.get("level")[0], 1e-4))
+    values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], 1e-4))
     values += [hl.f32(1.0) * flag for flag in grid.get("flags")]
     return [values]

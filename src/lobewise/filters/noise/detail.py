@@ -17,11 +17,10 @@ from collections.abc import Iterator
 import halide as hl
 import numpy as np
 
-from lobewise.backend import expressions
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
-from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.filters.noise.pooling import (
+    DARK_SHARE,
     add_channels,
     average_light,
     blur_image,
@@ -30,7 +29,9 @@ from lobewise.filters.noise.pooling import (
     estimate_noise,
     find_slope,
     gather_noise,
+    take_logarithm,
 )
+from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.frame import FloatArray
 
 OFFSETS = (((1, 0), (0, 1)), ((2, 0), (0, 2)), ((2, 2), (2, -2)))
@@ -42,8 +43,6 @@ COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 4
 """Features of a pixel."""
 REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(LEVELS) + 1) - 1)
 """Pixels to each side that tell on a pixel's features."""
-DARK_SHARE = 0.03
-"""Differences are relative to local luminance, and to this share of the whole image's."""
 LARGEST_DIFFERENCE = 1e3
 """Relative differences are bounded by this: a few pixels may not rule a neighbourhood for ever."""
 LARGEST_ERRORS = 8.0
@@ -170,19 +169,15 @@ def _define_features(grid: Grid) -> list[Vector]:
         def find_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
             return hl.clamp(mean / hl.sqrt(hl.max(square, hl.f32(1e-20)) / count), -bound, bound)
 
-        values.append(_take_logarithm(square, LEAST_SQUARE))
+        values.append(take_logarithm(square, LEAST_SQUARE))
         for product, each in zip(products, squares, strict=True):
             values += [hl.clamp(product / whole, -one, one), find_certainty(product, each, count)]
         values += [
-            _take_logarithm(noise / whole, LEAST_RATIO),
+            take_logarithm(noise / whole, LEAST_RATIO),
             hl.clamp(excess / whole, -one, one),
             find_certainty(excess, excess_square, count / factor),
-            _take_logarithm(slope, LEAST_SQUARE),
+            take_logarithm(slope, LEAST_SQUARE),
         ]
-    values.append(_take_logarithm(grid.read_one("own"), LEAST_SQUARE))
-    values.append(_take_logarithm(grid.read_one("light") / grid.get("level")[0], LEAST_LIGHT))
+    values.append(take_logarithm(grid.read_one("own"), LEAST_SQUARE))
+    values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], LEAST_LIGHT))
     return [values + [one * flag for flag in grid.get("flags")]]
-
-
-def _take_logarithm(value: hl.Expr, least: float) -> hl.Expr:
-    return expressions.log2(hl.max(value, hl.f32(least)))

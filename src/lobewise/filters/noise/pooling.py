@@ -7,6 +7,7 @@ import math
 import halide as hl
 import numpy as np
 
+from lobewise.backend import expressions
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.residuals import DIFFERENCES
@@ -19,6 +20,8 @@ RESIDUAL_STEP = 2
 RESIDUAL_VARIANCE = 6.0
 """How many times larger the variance of a mean counts where residuals tell the noise: they share taps, and neighbours
 may share samples."""
+DARK_SHARE = 0.03
+"""Of features of a network: differences are relative to local luminance, and to this share of the whole image's."""
 SHARED_VARIANCE = 3.2
 """The same with halves, where neighbours share samples: the sum of correlations, see `residuals.SHARED`."""
 REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
@@ -94,6 +97,11 @@ def find_slope(grid: Grid, name: str) -> hl.Expr:
         ahead, behind = (grid.read(name, *clamp_to_image(grid, sign * dx, sign * dy)) for sign in (1, -1))
         total = total + add_channels([(p - q) * (p - q) for p, q in zip(ahead, behind, strict=True)])
     return hl.f32(0.25) * total
+
+
+def take_logarithm(value: hl.Expr, least: float) -> hl.Expr:
+    """Return the base-2 logarithm of a value, of ``least`` where the value is smaller."""
+    return expressions.log2(hl.max(value, hl.f32(least)))
 
 
 def add_channels(values: Vector) -> hl.Expr:
