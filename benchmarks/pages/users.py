@@ -40,7 +40,7 @@ SETS = {
     "plain": "Plain: one albedo, normal, depth",
     "color": "Color alone",
 }
-README_SETS = {"all": "all, with halves", "plain": "albedo, normal, depth"}
+README_SETS = {"all": "all that the file has", "plain": "albedo, normal, depth"}
 GROUPS = {
     "interiors": "Public interiors",
     "blender": "Blender 4.5, Cycles",

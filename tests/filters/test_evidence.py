@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lobewise
+from lobewise.denoising import recipe
 from lobewise.denoising.evidence import describe_blurred
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
@@ -92,6 +93,27 @@ def test_bad_pixels_stay_out(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(found[60:, 60:], whole[60:, 60:], rtol=1e-5)
 
 
+@pytest.mark.parametrize("pattern", ["stripes", "checks"])
+@pytest.mark.parametrize("quality", ["balanced", "high"])
+def test_a_texture_that_no_guide_tells_comes_back(
+    quality: str, pattern: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A filter alone has several times the error of its input; what the halves prove brings it back."""
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    bright = columns % 3 == 0 if pattern == "stripes" else (columns // 2 + rows // 2) % 2 == 0
+    truth = np.where(bright, 1.2, 1.0)[..., None] * np.ones(3)
+    truth = truth.astype(np.float32)
+    a, b = draw_halves(truth, 1e-3, rng)
+    normal = np.zeros((SIZE, SIZE, 3), np.float32)
+    normal[..., 2] = 1.0
+    guides = lobewise.GBuffer(normal=normal)
+    frame = Frame(Radiance(0.5 * (a + b)), guides, half_a=Radiance(a), half_b=Radiance(b), spp=1024)
+    noise = rel_mse(frame.radiance.color, truth)
+    assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < 1.1 * noise
+    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
+    assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
+
+
 @pytest.mark.parametrize("with_halves", [True, False])
 @pytest.mark.parametrize("quality", ["balanced", "high"])
 def test_results_tend_to_their_input(quality: str, with_halves: bool, rng: np.random.Generator) -> None:
@@ -118,3 +140,17 @@ def test_fast_says_how_much_it_blurs(rng: np.random.Generator) -> None:
         assert [note for note in notes if "% of the image this filter blurs" in note] == list(notes[:told])
     assert describe_blurred(np.array([[9.0, 1000.0]])) == ()
     assert describe_blurred(np.array([[10.0, 1000.0]]))[0].startswith("In 1 % of the image")
+
+
+def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:
+    """A filter that is wrong in one column of pixels alone: with concentration more of that column is taken back."""
+    truth = np.full((SIZE, SIZE, 3), 1.0, np.float32)
+    blurred = truth.copy()
+    blurred[:, 48] = 1.6
+    a, b = draw_halves(truth, 0.01, rng)
+    noisy = 0.5 * (a + b)
+    shares = [find_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR, concentration=most) for most in (1.0, 4.0)]
+    errors = [rel_mse(blurred + share[..., None] * (noisy - blurred), truth) for share in shares]
+    assert errors[1] < 0.7 * errors[0] < rel_mse(blurred, truth)
+    assert (shares[1] >= shares[0]).all()
+    assert shares[1][:, 48].mean() > shares[0][:, 48].mean() + 0.1

@@ -12,10 +12,13 @@ from lobewise.denoising.high import load_networks
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.filters.noise.pooling import DARK_SHARE
 from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
+MAX_CONCENTRATION = 4.0
+"""Of the error of our own filters, which lies along edges and textures (docs/quality.md)."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels in which a result has clearly more error than its input, from which on one is told."""
 Rows = NDArray[np.float64]
@@ -39,14 +42,16 @@ def take_back_noisy(
     level : float
         Mean light of the samples of the whole image, radiance over albedo, > 0.
     """
-    share = find_share_taken_back(
-        blacken_bad(image),
-        frame.radiance.color,
-        load_networks()["noisy"],
-        halves=find_image_halves(frame),
-        level=level,
-        shared=frame.noise_is_shared,
-    )
+    image, color, halves = blacken_bad(image), frame.radiance.color, find_image_halves(frame)
+    shared = frame.noise_is_shared
+    share = find_share_taken_back(image, color, load_networks()["noisy"], halves=halves, level=level, shared=shared)
+    if halves is not None:
+        # What halves prove counts on textures as well that are like none which the network has seen.
+        floor = (DARK_SHARE * level) ** 2
+        certain = find_noisy_share(
+            image, color, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
+        )
+        share = np.maximum(share, certain)
     return [_mix(part, light, share) for part, light in zip(parts, noisy, strict=True)]
 
 

@@ -1,4 +1,4 @@
-"""Where the samples say for certain that a filter is wrong, and how much of the noisy image is better there.
+"""How much of the noisy image a filtered one takes back: where the samples themselves say that the filter is wrong.
 
 The squared difference of a filtered pixel and a noisy one is, in the mean, the squared error of the first plus the
 variance of the second. Its excess over that variance, averaged over a neighbourhood, is the error of the filter. With
@@ -51,6 +51,7 @@ def find_noisy_share(
     floor: float,
     shared: bool = False,
     by_darker: bool = False,
+    concentration: float = 1.0,
 ) -> FloatArray:
     """Return the share of the noisy image with which a mixture of both has the least error, as far as that is certain.
 
@@ -72,6 +73,9 @@ def find_noisy_share(
     by_darker : bool
         Whether that luminance is the smaller of the filtered and the noisy image's: what a filter made too bright does
         not make its own error small. Else it is the filtered one's, which has less noise.
+    concentration : float
+        How many times the mean error of a neighbourhood a pixel may have, >= 1, by how its squared difference compares
+        with that of the neighbourhood. Filters that guides tell err along edges; with 1 the error is spread evenly.
 
     Returns
     -------
@@ -95,7 +99,8 @@ def find_noisy_share(
     for number in range(FIRST_LEVEL, LEVELS):
         held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
         error = STANDARD_ERRORS**2 * factor / count_weights(number)
-        (share,) = run_pointwise(_define_share, held, {"error": np.float32(error)})
+        numbers = {"error": np.float32(error), "most": np.float32(concentration)}
+        (share,) = run_pointwise(_define_share, held, numbers)
     (share,) = run_pointwise(_define_kept, {"share": share, "noisy": noisy}, {})
     return np.asarray(share)
 
@@ -120,10 +125,13 @@ def _define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
 def _define_share(grid: Grid) -> list[Vector]:
     """Define the larger of the share so far and of this neighbourhood's: certain error over that and the variance."""
     excess, square, variance = grid.read("sums")
-    _, _, variance_near = grid.read("near")
+    excess_near, _, variance_near = grid.read("near")
     # Where no firefly fell by chance, all samples are a little too dark, and nothing near tells how much they vary.
     square = hl.max(square, grid.read_one("wide"))
     certain = hl.max(excess - hl.sqrt(grid.get("error")[0] * square), hl.f32(0.0))
+    # Excess and variance add up to the squared difference.
+    apart = (excess_near + variance_near) / hl.max(excess + variance, hl.f32(_SMALLEST))
+    certain = certain * hl.clamp(apart, hl.f32(1.0), grid.get("most")[0])
     noise = hl.max(variance, variance_near)
     return [[hl.max(grid.read_one("share"), certain / hl.max(certain + noise, hl.f32(_SMALLEST)))]]
 
