@@ -95,6 +95,7 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
             mean_diffuse_albedo=rng.random((height, width, 3)),
             mean_specular_albedo=rng.random((height, width, 3)),
             denoiser_albedo=rng.random((height, width, 3)),
+            denoiser_normal=vector(3),
             mean_emission=rng.random((height, width, 3)),
             coverage=rng.multinomial(16, np.full(9, 1 / 9), (height, width)) / 16,
             object_share=rng.integers(4, 17, (height, width)) / 16,

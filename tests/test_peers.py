@@ -55,7 +55,9 @@ def make_noisy_guides(rng: np.random.Generator) -> tuple[Frame, FloatArray, Floa
 def test_guides_come_as_asked_for(full_frame: Frame, given: dict[str, Any]) -> None:
     denoise_oidn(full_frame, guides="mean", quality="fast")
     np.testing.assert_array_equal(given["albedo"], full_frame.gbuffer.denoiser_albedo)
-    full_frame = full_frame.with_changes(gbuffer=replace(full_frame.gbuffer, denoiser_albedo=None))
+    np.testing.assert_array_equal(given["normal"], full_frame.gbuffer.denoiser_normal)
+    guides = replace(full_frame.gbuffer, denoiser_albedo=None, denoiser_normal=None)
+    full_frame = full_frame.with_changes(gbuffer=guides)
     guides = full_frame.gbuffer
     assert guides.diffuse_albedo is not None
     assert guides.specular_albedo is not None

@@ -76,7 +76,7 @@ python -m benchmarks.training.train --cache DIR
 
 Where it is installed (`lobewise[best]`) and no quality is named; `with_oidn=True` or `--with-oidn` asks for it, `with_oidn=False` or `--offline` leaves it out. `Result.method`, `denoise` and `inspect` say what was used. `high`, then a mixture with what Open Image Denoise makes of the frame,
 pixel by pixel. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
-as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes, a fifth of them kept aside, with guides missing at random
+as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes with guides missing at random and on {drawn_frames} drawn textures, a fifth of both kept aside
 (`benchmarks/training/shares.py`). A frame that has neither albedo nor normals gets Open Image Denoise's image. At the end detail is taken back as above. Where neighbouring pixels share samples, Open Image Denoise leaves most of the noise, and ours is taken instead. Error of the mixture over that of Open Image Denoise with the same guides, and over ours, on scenes kept aside:
 
 {peer}
@@ -138,6 +138,8 @@ SETS = {
 }
 
 
+DRAWN = "drawn"
+"""The set of guides of drawn textures, which have no samples per pixel."""
 HALVES = {"all": "all guides and halves", "less": "fewer, no halves"}
 RESULTS_NAMED = {"balanced": "`balanced`", "high": "`high`", "peer": "Open Image Denoise"}
 
@@ -155,7 +157,8 @@ def rename(ratios: dict[str, dict[str, float]], sets: Mapping[str, str]) -> dict
     named = {}
     for group, row in ratios.items():
         first, guides, samples = group.split(" ", 2)
-        words = [sets[guides], samples] if sets is SETS else [RESULTS_NAMED[first], sets[guides], samples]
+        words = ["drawn textures"] if guides == DRAWN else [sets[guides], samples]
+        words = words if sets is SETS else [RESULTS_NAMED[first], *words]
         named[", ".join(words)] = row
     return named
 
@@ -167,6 +170,7 @@ def make_trials_page(trials: dict[str, Any], training: dict[str, Any], share: di
         weights=training["weights"],
         ratios=make_ratios(training["ratios"]),
         shared_scenes=share["scenes"],
+        drawn_frames=share["drawn_frames"],
         peer=make_shares(rename(share["peer"]["kept aside"], SETS), "Open Image Denoise", "ours"),
     )
     noisy = make_shares(rename(share["noisy"]["kept aside"], HALVES), "the result", "the noisy image")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.training import shares
+from benchmarks.training import shares, textures
 from benchmarks.training.candidates import (
     Candidates,
     list_samples,
@@ -106,3 +106,48 @@ def test_guides_are_taken_away_by_the_seed() -> None:
 def test_every_scene_has_few_samples_and_many() -> None:
     assert {list_samples(seed)[0] for seed in range(1, 9)} == {2, 4, 8, 16}
     assert all(list_samples(seed)[1:] == (64, 512) for seed in range(1, 9))
+
+
+def test_drawn_frames_are_the_same_for_a_seed_and_as_noisy_as_they_say() -> None:
+    assert len({tuple(textures.draw_frame(seed, SIZE)[1].ravel()[:6]) for seed in range(8)}) == 8
+    for seed in range(8):
+        frame, _ = textures.draw_frame(seed, SIZE)
+        again, _ = textures.draw_frame(seed, SIZE)
+        np.testing.assert_array_equal(frame.radiance.color, again.radiance.color)
+        assert np.isfinite(frame.radiance.color).all()
+        assert frame.radiance.color.min() >= 0.0
+        if frame.half_a is not None:
+            assert frame.half_b is not None
+            mean = 0.5 * (frame.half_a.color + frame.half_b.color)
+            np.testing.assert_allclose(frame.radiance.color, mean, rtol=1e-6)
+    rng, flat = np.random.default_rng(0), np.full((SIZE, SIZE, 3), 0.5, np.float32)
+    for kind in textures.NOISES:
+        noisy = textures.draw_noise(rng, flat, 0.2, kind)
+        assert noisy.std() == pytest.approx(0.1, rel=0.1)
+        assert noisy.mean() == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_drawn_textures_vary_between_0_and_1(factor: int) -> None:
+    for draw in textures.TEXTURES:
+        varies = 0
+        for seed in range(5):
+            rng = np.random.default_rng(seed)
+            texture = draw(rng, textures.draw_coordinates(rng, SIZE * factor, factor))
+            assert texture.shape == (SIZE * factor, SIZE * factor)
+            assert 0.0 <= texture.min() <= texture.max() <= 1.0
+            varies += texture.std() > 0.01
+        # Stripes two pixels wide may have all pixels on one side.
+        assert varies == 0 if draw is textures.draw_nothing else varies >= 3
+
+
+def test_drawn_frames_become_candidates(tmp_path: Path) -> None:
+    pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
+    textures.main(["--cache", str(tmp_path), "--count", "2", "--size", "48"])
+    found = [read_candidates(path) for path in sorted(tmp_path.glob("*.npz"))]
+    assert [(one.seed, one.spp, one.kind) for one in found] == [
+        (textures.FIRST_SEED + k, 0, textures.DRAWN) for k in range(2)
+    ]
+    for one in found:
+        np.testing.assert_array_equal(one.reference_a, one.reference_b)
+        assert not np.array_equal(one.high, one.noisy)

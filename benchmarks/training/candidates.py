@@ -28,6 +28,8 @@ from lobewise.frame import Frame, GBuffer, Radiance
 KINDS = ("all", "plain", "passes", "shared")
 """Sets of guides: all; one albedo, normal and depth beside light together; split light with albedos and roughness, but
 no halves; all guides, no halves, and a pixel filter by which neighbours share samples."""
+DRAWN = "drawn"
+"""The set of guides of the frames that `textures` draws: normals, and albedo or halves or both or neither."""
 FEW_SPP = (2, 4, 8, 16)
 """Samples per pixel, one number a scene in turn."""
 MORE_SPP = (64, 512)
@@ -138,8 +140,8 @@ def sum_albedo(frame: Frame) -> Array:
     return np.clip(diffuse if specular is None else diffuse + specular, 0.0, 1.0)
 
 
-def denoise_all(frame: Frame, kind: str) -> dict[str, Array]:
-    """Return the noisy image and what `balanced`, `high` and Open Image Denoise make of it."""
+def denoise_all(frame: Frame) -> dict[str, Array]:
+    """Return the noisy image, what `balanced`, `high` and Open Image Denoise make of it, and halves if it has any."""
     from lobewise.denoising.recipe import filter_halves, keep_light, resolve_all
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
@@ -148,7 +150,7 @@ def denoise_all(frame: Frame, kind: str) -> dict[str, Array]:
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
         images[quality] = keep_light(filter_halves(frame, settings, ()))[0].image
-    if kind == "all" and frame.half_a is not None and frame.half_b is not None:
+    if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
     return images
 
@@ -177,7 +179,7 @@ def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
             truth["clean"] = clean_reference(0.5 * (truth["reference_a"] + truth["reference_b"]), frame)
         for kind, each in vary_guides(frame, np.random.default_rng([seed, spp])):
             images = {name: blur(image) if kind == "shared" else image for name, image in truth.items()}
-            found = Candidates(seed=seed, spp=spp, kind=kind, **denoise_all(each, kind), **images)
+            found = Candidates(seed=seed, spp=spp, kind=kind, **denoise_all(each), **images)
             written.append(write_candidates(folder, found))
     return written
 

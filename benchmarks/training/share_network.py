@@ -25,7 +25,7 @@ UNITS = 24
 BATCH_IMAGES, BATCH_PIXELS = 8, 2048
 RATE, LAST_RATE_SHARE = 3e-3, 0.02
 CAP = 20.0
-"""Error, over the mean of the best image, beyond which a pixel pulls no harder."""
+"""Error, over the mean of the best image, beyond which a pixel's error counts by its logarithm only."""
 SMALLEST_RATIO = 0.03
 SMALLEST_ERROR = 0.002
 """Of the best image, over its cap: below, the references' noise rules the ratio."""
@@ -54,7 +54,7 @@ class Examples:
     reference_a, reference_b, weight : tensor, (pixels, 3)
         Errors are multiplied by the weight.
     cap : float
-        What products of differences are bounded by.
+        From which size on products of differences grow as their logarithm.
     """
 
     seed: int
@@ -69,7 +69,7 @@ class Examples:
     def find_error(self, image: Any, chosen: Any = slice(None)) -> Any:
         """Return the error of an image's chosen pixels."""
         apart = (image - self.reference_a[chosen]) * (image - self.reference_b[chosen])
-        return (apart * self.weight[chosen]).sum(-1).clamp(-self.cap, self.cap).mean()
+        return soften((apart * self.weight[chosen]).sum(-1), self.cap).mean()
 
 
 def make_examples(
@@ -109,6 +109,14 @@ def make_examples(
     tensors = [torch.from_numpy(np.ascontiguousarray(each)) for each in flat]
     cap = CAP * max(float(min(errors)), 1e-5)
     return Examples(seed, group, known, tensors[: len(images)], *tensors[len(images) :], cap=cap)
+
+
+def soften(errors: Any, cap: float) -> Any:
+    """Return errors of which those beyond a cap, of either sign, grow as their logarithm: they still have a slope."""
+    import torch
+
+    sizes = errors.abs()
+    return torch.where(sizes > cap, torch.sign(errors) * cap * (1.0 + torch.log(sizes.clamp_min(cap) / cap)), errors)
 
 
 class ShareNetwork:

@@ -1,6 +1,7 @@
-"""Train the networks that mix images pixel by pixel, on what `candidates.py` collected.
+"""Train the networks that mix images pixel by pixel, on what `candidates.py` and `textures.py` collected.
 
     python -m benchmarks.training.candidates --cache FOLDER
+    python -m benchmarks.training.textures --cache FOLDER
     python -m benchmarks.training.shares --cache FOLDER
 
 "noisy" tells how much of the noisy image a result of `balanced` or `high` takes back. "peer" tells how much of our
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
-from benchmarks.training.candidates import FEW_SPP, Candidates, read_candidates
+from benchmarks.training.candidates import DRAWN, FEW_SPP, Candidates, read_candidates
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from benchmarks.training.train import replace_networks
@@ -29,7 +30,7 @@ from lobewise.denoising.high import WEIGHTS
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 
-STEPS = 3000
+STEPS = 9000
 MAX_LEVEL = 4.0
 """The level that differences are relative to is drawn up to so many times the mean luminance: where light is divided by
 albedo it is larger."""
@@ -40,6 +41,8 @@ Array = NDArray[np.float32]
 
 def describe_group(found: Candidates) -> tuple[str, str]:
     """Return what errors are told apart by: whether all guides and halves are there, and samples per pixel."""
+    if found.kind == DRAWN:
+        return DRAWN, "0 spp"
     few = found.spp in FEW_SPP
     return "all" if found.kind == "all" else "less", f"{FEW_SPP[0]} to {FEW_SPP[-1]} spp" if few else f"{found.spp} spp"
 
@@ -105,7 +108,8 @@ def main(words: list[str] | None = None) -> None:
     peer, peer_ratios = train_aside(examples, arguments.steps, arguments.seed)
     print("peer", peer_ratios["kept aside"], flush=True)
     replace_networks(arguments.output, {"noisy": first, "peer": peer.export()})
-    seeds = {each.seed for each in examples}
+    seeds = {each.seed for each in examples if each.group[1] != DRAWN}
+    drawn = {each.seed for each in examples if each.group[1] == DRAWN}
     write_json(
         arguments.results,
         {
@@ -113,6 +117,8 @@ def main(words: list[str] | None = None) -> None:
             "that of the noisy image: geometric means, and the largest of any image; without the references' noise",
             "scenes": len(seeds),
             "scenes_kept_aside": sum(map(is_validation, seeds)),
+            "drawn_frames": len(drawn),
+            "drawn_frames_kept_aside": sum(map(is_validation, drawn)),
             "steps": arguments.steps,
             "noisy": noisy_ratios,
             "peer": peer_ratios,

@@ -81,6 +81,9 @@ class GBuffer(Images):
     denoiser_albedo : array_like, shape (height, width, 3), optional
         Albedo that a renderer made for denoisers, as its file has it. Open Image Denoise is handed it in place of the
         sum of the others; nothing else reads it.
+    denoiser_normal : array_like, shape (height, width, 3), optional
+        Normal of another renderer's file, as the file has it, in any space and of any length: the one that was made
+        for denoisers where there is one. Open Image Denoise is handed it in place of the others; nothing else reads it.
     mean_emission : array_like, shape (height, width, 3), optional
         Mean over the pixel's area of the light that reaches the camera unscattered, from lamps and the background,
         >= 0, without the noise of samples.
@@ -118,6 +121,7 @@ class GBuffer(Images):
     mean_diffuse_albedo: MaybeImage = ABSENT
     mean_specular_albedo: MaybeImage = ABSENT
     denoiser_albedo: MaybeImage = ABSENT
+    denoiser_normal: MaybeImage = ABSENT
     mean_emission: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
     object_share: MaybeImage = ABSENT

@@ -60,11 +60,11 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
     ----------
     frame : Frame
         Albedos and normals are handed over where the frame has them. The albedo is the sum of diffuse and specular,
-        clipped to [0, 1]. ``denoiser_albedo`` comes before that sum; ``mean_diffuse_albedo`` and
-        ``mean_specular_albedo``, which have no noise of samples, come before the means over the samples that the plain
-        albedos are; not so with "centre". Normals that are the same everywhere tell nothing, and stand for none where
-        a reader had to make some up: they are left out. The library takes normals only beside an albedo, so a frame
-        without one gives it a white one.
+        clipped to [0, 1]. ``denoiser_albedo`` comes before that sum, ``denoiser_normal`` before other normals.
+        ``mean_diffuse_albedo`` and ``mean_specular_albedo``, which have no noise of samples, come before the means over
+        the samples that the plain albedos are. With "centre" neither does. Normals that are the same everywhere tell
+        nothing, and stand for none where a reader had to make some up: they are left out. The library takes normals
+        only beside an albedo, so a frame without one gives it a white one.
     quality : {"fast", "balanced", "high"}
         "high" is the library's default. It holds for the radiance; guides are always prefiltered at "high".
     guides : {"prefiltered", "mean", "centre"}
@@ -114,6 +114,8 @@ def _find_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArra
         return own if mean is None else mean
 
     normal = find("normal")
+    if gbuffer.denoiser_normal is not None and guides != "centre":
+        normal = gbuffer.denoiser_normal
     if gbuffer.denoiser_albedo is not None and guides != "centre":
         return [gbuffer.denoiser_albedo], normal if normal is not None and _varies(normal) else None
     albedos = [part for part in (find("diffuse_albedo"), find("specular_albedo")) if part is not None]

@@ -15,7 +15,10 @@ from lobewise.frame import FloatArray
 
 SIZE = 72
 INNER = slice(20, -20)
-NOISE, EXCESS, CERTAINTY, SLOPE = (1 + 2 * len(OFFSETS) + k for k in range(4))
+PAIRS = len(OFFSETS)
+TOTAL, NOISE, EXCESS, CERTAINTY, SLOPE = (1 + 3 * PAIRS + k for k in range(5))
+AXES, DIAGONALS = 2, PAIRS - 1
+"""Which pairs are two columns and two rows away, and both."""
 
 
 def gather(*images: FloatArray, **told: Any) -> FloatArray:
@@ -42,10 +45,14 @@ def test_noise_and_detail_are_told_apart(with_halves: bool, rng: np.random.Gener
     detail, noise = found[INNER, :SIZE][:, INNER], found[INNER, SIZE:][:, INNER]
     for number in range(len(LEVELS)):
         left, right = (each[..., number * FEATURES_PER_LEVEL :].mean(axis=(0, 1)) for each in (detail, noise))
-        # Columns two apart are opposite, rows are alike: (-1 + 1) / 2; on the diagonal -1.
-        assert left[1 + 2 * (len(OFFSETS) - 1)] == pytest.approx(-1.0, abs=0.05)
-        assert left[2 * len(OFFSETS)] < -2.0
-        assert np.abs(right[1 : 1 + 2 * len(OFFSETS) : 2]).max() < 0.1
+        # Columns two apart are opposite, rows are alike: they cancel out, and are far apart. On the diagonals both are
+        # opposite.
+        assert left[1 + 3 * DIAGONALS] == pytest.approx(-1.0, abs=0.05)
+        assert left[2 + 3 * DIAGONALS] < -2.0
+        assert left[1 + 3 * AXES] == pytest.approx(0.0, abs=0.05)
+        assert left[3 + 3 * AXES] > 2.0 > right[3 + 3 * AXES]
+        assert np.abs(right[1 : 1 + 3 * PAIRS : 3]).max() < 0.1
+        assert left[TOTAL] > 2.0 > right[TOTAL]
         assert (left[SLOPE], right[SLOPE]) == pytest.approx((np.log2(1e-8), np.log2(1e-8)), abs=0.01)
         assert left[0] == pytest.approx(np.log2(3.0 * 0.04125), abs=0.1)
         assert right[0] == pytest.approx(np.log2(3.0 * 0.00125), abs=0.3)

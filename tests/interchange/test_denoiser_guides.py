@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise import peers
+from lobewise.interchange.describing import describe_import
 from lobewise.interchange.reading import import_planes
 
 SHAPE = (24, 32)
@@ -32,9 +33,9 @@ def test_the_peer_gets_the_file_s_own_guides(rng: np.random.Generator) -> None:
     frame = import_planes(planes).frame
     guides = frame.gbuffer
     assert guides.denoiser_albedo is not None
-    assert guides.mean_normal is not None
+    assert guides.denoiser_normal is not None
     np.testing.assert_array_equal(guides.denoiser_albedo[..., 0], planes["albedo.R"])
-    np.testing.assert_array_equal(guides.mean_normal[..., 2], planes["normal.Z"])
+    np.testing.assert_array_equal(guides.denoiser_normal[..., 2], planes["normal.Z"])
     # Ours: normals of length 1, and no albedo that light is divided by near 0.
     np.testing.assert_allclose(np.linalg.norm(guides.normal, axis=-1), 1.0, atol=1e-6)
     assert guides.diffuse_albedo is not None
@@ -42,7 +43,7 @@ def test_the_peer_gets_the_file_s_own_guides(rng: np.random.Generator) -> None:
     albedos, normal = peers._find_guides(frame, "prefiltered")
     (albedo,) = albedos
     assert albedo is guides.denoiser_albedo
-    assert normal is guides.mean_normal
+    assert normal is guides.denoiser_normal
     # "centre" are those of the ray through the pixel's centre.
     albedos, normal = peers._find_guides(frame, "centre")
     assert albedos[0] is guides.diffuse_albedo
@@ -55,4 +56,22 @@ def test_they_are_not_called_unused(rng: np.random.Generator) -> None:
     frame = import_planes(make_planes(rng)).frame
     result = lobewise.denoise(frame, quality="fast", similarity="normal")
     assert "denoiser_albedo" not in result.unused
-    assert "mean_normal" not in result.unused
+    assert "denoiser_normal" not in result.unused
+
+
+def test_a_normal_made_for_denoisers_comes_before_the_other(rng: np.random.Generator) -> None:
+    planes = {f"ViewLayer.Combined.{letter}": rng.random(SHAPE).astype(np.float32) for letter in "RGB"}
+    planes["ViewLayer.Depth.Z"] = np.ones(SHAPE, np.float32)
+    for name in ("Normal", "Denoising Normal"):
+        planes |= {f"ViewLayer.{name}.{letter}": rng.uniform(-1.0, 1.0, SHAPE).astype(np.float32) for letter in "XYZ"}
+    found = import_planes(planes)
+    guides = found.frame.gbuffer
+    own = [planes[f"ViewLayer.Normal.{letter}"] for letter in "XYZ"]
+    assert guides.normal is not None
+    assert guides.denoiser_normal is not None
+    np.testing.assert_allclose(guides.normal, np.stack(own, -1) / np.linalg.norm(own, axis=0)[..., None], atol=1e-5)
+    np.testing.assert_array_equal(guides.denoiser_normal[..., 1], planes["ViewLayer.Denoising Normal.Y"])
+    described = {one.name for one in describe_import(found).images}
+    assert "denoiser_normal" in described
+    # Nobody misses it in files without.
+    assert "denoiser_normal" not in {one.name for one in describe_import(import_planes(make_planes(rng))).images}

@@ -93,7 +93,9 @@ class TestRoundTrip:
         expected += ["depth.Z", "alpha.U", "alpha.V", "lobe_kind.I", "hit_distance.Z", "motion.X", "motion.Y"]
         expected += ["material.I"]
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
-        expected += [f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal") for c in "XYZ"]
+        expected += [
+            f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal", "denoiser_normal") for c in "XYZ"
+        ]
         expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit", "denoiser") for c in "RGB"]
         expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
         expected += [f"mean_emission.{c}" for c in "RGB"]

@@ -54,8 +54,8 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
         used -= set(_GUIDED)
     if settings.with_oidn:
         used |= {"mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"}
-    # What readers make of a normal and of an albedo for Open Image Denoise is in the file once.
-    used |= {"denoiser_albedo"} | ({"mean_normal"} if frame.gbuffer.denoiser_albedo is not None else set())
+    # Readers keep albedo and normal a second time, for Open Image Denoise: the file has them once.
+    used |= {"denoiser_albedo", "denoiser_normal"}
     unused = [name for name in frame.gbuffer.names if name not in used]
     unused += [f"radiance.{name}" for name in ("direct", "indirect") if getattr(frame.radiance, name) is not None]
     if not apart:

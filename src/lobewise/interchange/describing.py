@@ -87,7 +87,12 @@ def describe_import(found: Imported) -> FileDescription:
         bytes=container.path.stat().st_size,
         parts=tuple(describe_part(part, used) for part in container.parts),
         image_part=image_part if image_part < FIRST_INDEX else None,
-        images=tuple(_describe_role(channels, frame, role) for role in ROLES),
+        images=tuple(
+            # Nobody misses the normal that one renderer makes for denoisers.
+            _describe_role(channels, frame, role)
+            for role in ROLES
+            if role != "denoiser_normal" or role in channels.roles
+        ),
         camera=frame.camera,
         spp=frame.spp,
         materials=(),

@@ -29,6 +29,7 @@ ROLES = {
     "diffuse_albedo": "albedo of the diffuse lobe",
     "specular_albedo": "albedo of the specular lobe",
     "normal": "shading normal",
+    "denoiser_normal": "normal for denoisers, handed to Open Image Denoise as it is",
     "position": "world position",
     "depth": "distance along the ray",
     "roughness": "roughness of the specular lobe",

@@ -289,8 +289,8 @@ def _import_foreign(container: Container, read: ImageReader, channels: ChannelMa
         mean_diffuse_albedo=None if coverage is None else diffuse_albedo,
         mean_specular_albedo=None if coverage is None else specular_albedo,
         # Open Image Denoise gets both as the file has them: at edges their means are shorter, and black is black.
-        mean_normal=places.mean_normal,
         denoiser_albedo=images.get("albedo"),
+        denoiser_normal=images.get("denoiser_normal", places.mean_normal),
     )
     frame = Frame(
         make_radiance(color, images, light),

@@ -1,10 +1,11 @@
 """What tells noise from detail in the difference of a noisy image and what a filter made of it.
 
-Noise of neighbouring pixels is independent; what a filter blurred away is not: light and dark lie beside each other in
+Noise of neighbouring pixels is independent. What a filter blurred away is not: light and dark lie beside each other in
 some order. So products of the difference with itself, a pixel or two apart, over its square are 0 in the mean where all
-is noise. How large they are, how certain, how large the difference is beside the noise that the samples show, and how
-steep the result is, at three widths, are the features from which a small network tells how much of the noisy image a
-result takes back (`lobewise.denoising.evidence`).
+is noise. Of tiles and stripes they may cancel out in the mean over directions, so the features also tell how far
+directions are apart. The others are how certain the products are, how large the difference is beside the noise that the
+samples show, and how steep the result is, at three widths. From these a small network tells how much of the noisy image
+a result takes back (`lobewise.denoising.evidence`).
 
 Source: the correlation of residuals is the classical test of whiteness (Ljung and Box 1978, "On a Measure of Lack of
 Fit in Time Series Models", Biometrika 65(2)), here in two dimensions and at every pixel.
@@ -34,11 +35,18 @@ from lobewise.filters.noise.pooling import (
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.frame import FloatArray
 
-OFFSETS = (((1, 0), (0, 1)), ((2, 0), (0, 2)), ((2, 2), (2, -2)))
-"""Which neighbours a pixel's difference is multiplied with, in pairs: columns and rows."""
+OFFSETS = (
+    ((1, 0), (0, 1)),
+    ((1, 1), (1, -1)),
+    ((2, 0), (0, 2)),
+    ((2, 1), (1, -2)),
+    ((1, 2), (2, -1)),
+    ((2, 2), (2, -2)),
+)
+"""Which neighbours a pixel's difference is multiplied with, columns and rows: pairs at a right angle."""
 LEVELS = (0, 1, 3)
 """Which blurs are looked at, of `blur_image` with taps 1, 2, 4 and 8 pixels apart in turn."""
-FEATURES_PER_LEVEL = 5 + 2 * len(OFFSETS)
+FEATURES_PER_LEVEL = 6 + 3 * len(OFFSETS)
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 4
 """Features of a pixel."""
 REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(LEVELS) + 1) - 1)
@@ -63,12 +71,13 @@ def find_detail(
 ) -> Iterator[tuple[slice, FloatArray]]:
     """Yield what is known of the difference of two images: some rows, and their features.
 
-    The features of a pixel, base-2 logarithms unless said otherwise, are at each width: the squared difference over
-    squared local luminance; of each pair of `OFFSETS` the mean product of differences over the mean square, in [-1, 1],
-    and that mean in standard errors, in plus or minus `LARGEST_ERRORS`; the variance of the noisy image over the
-    squared difference; what the squared difference exceeds that variance by, over itself, in [-1, 1], and in standard
-    errors; the squared slope of the filtered image over squared local luminance. Then the pixel's own squared
-    difference, local luminance over ``level``, whether there are halves, and whether neighbours share noise, 1 or 0.
+    The features of a pixel are base-2 logarithms unless said otherwise. At each width they are: the squared difference
+    over squared local luminance; of each pair of `OFFSETS` the mean product of differences over the mean square, in
+    [-1, 1], this mean in standard errors, in plus or minus `LARGEST_ERRORS`, and by how many the two of the pair are
+    apart; the sum of all squared correlations; the variance of the noisy image over the squared difference; what the
+    squared difference exceeds that variance by, over itself, in [-1, 1], and in standard errors; the squared slope of
+    the filtered image over squared local luminance. Then follow the pixel's own squared difference, local luminance
+    over ``level``, whether there are halves, and whether neighbours share noise, 1 or 0.
 
     Parameters
     ----------
@@ -139,21 +148,19 @@ def _define_difference(grid: Grid) -> list[Vector]:
 
 
 def _define_products(grid: Grid) -> list[Vector]:
-    """Define what is averaged: squares, products with neighbours and their squares, noise, its excess, slope."""
+    """Define what is averaged: squares, products with neighbours, their mean square, noise, its excess, slope."""
     apart = grid.read("apart")
     square = add_channels([value * value for value in apart])
     products = []
-    for offsets in OFFSETS:
-        total = hl.f32(0.0)
-        for dx, dy in offsets:
-            near = grid.read("apart", *clamp_to_image(grid, dx, dy))
-            total = total + add_channels([p * q for p, q in zip(apart, near, strict=True)])
-        products.append(hl.f32(0.5) * total)
+    for dx, dy in (offset for pair in OFFSETS for offset in pair):
+        near = grid.read("apart", *clamp_to_image(grid, dx, dy))
+        products.append(add_channels([p * q for p, q in zip(apart, near, strict=True)]))
+    spread = _add_squares(products) * hl.f32(1.0 / len(products))
     noise, luminance = grid.read_one("noise"), grid.read_one("light")
     excess = square - noise
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
     slope = hl.min(find_slope(grid, "filtered") * unit, hl.f32(LARGEST_DIFFERENCE**2))
-    values = [square, *products, *(each * each for each in products), noise, excess, excess * excess, slope]
+    values = [square, *products, spread, noise, excess, excess * excess, slope]
     return [values]
 
 
@@ -162,16 +169,20 @@ def _define_features(grid: Grid) -> list[Vector]:
     (factor,) = grid.get("factor")
     bound, one = hl.f32(LARGEST_ERRORS), hl.f32(1.0)
     for count, number in zip(grid.get("counts"), LEVELS, strict=True):
-        square, *rest, noise, excess, excess_square, slope = grid.read(f"sums{number}")
-        products, squares = rest[: len(OFFSETS)], rest[len(OFFSETS) :]
+        square, *products, spread, noise, excess, excess_square, slope = grid.read(f"sums{number}")
         whole = hl.max(square, hl.f32(1e-12))
 
         def find_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
             return hl.clamp(mean / hl.sqrt(hl.max(square, hl.f32(1e-20)) / count), -bound, bound)
 
         values.append(take_logarithm(square, LEAST_SQUARE))
-        for product, each in zip(products, squares, strict=True):
-            values += [hl.clamp(product / whole, -one, one), find_certainty(product, each, count)]
+        # The mean of two products, and half their difference, vary half as much as one of them.
+        varies = hl.f32(0.5) * spread
+        for first, second in zip(products[::2], products[1::2], strict=True):
+            mean, half = hl.f32(0.5) * (first + second), hl.f32(0.5) * hl.abs(first - second)
+            values.append(hl.clamp(mean / whole, -one, one))
+            values += [find_certainty(mean, varies, count), find_certainty(half, varies, count)]
+        values.append(take_logarithm(_add_squares(products) / (whole * whole), LEAST_RATIO))
         values += [
             take_logarithm(noise / whole, LEAST_RATIO),
             hl.clamp(excess / whole, -one, one),
@@ -181,3 +192,10 @@ def _define_features(grid: Grid) -> list[Vector]:
     values.append(take_logarithm(grid.read_one("own"), LEAST_SQUARE))
     values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], LEAST_LIGHT))
     return [values + [one * flag for flag in grid.get("flags")]]
+
+
+def _add_squares(values: Vector) -> hl.Expr:
+    total = values[0] * values[0]
+    for value in values[1:]:
+        total = total + value * value
+    return total

@@ -83,6 +83,7 @@ _GBUFFER = (
     ("mean_specular_albedo", "mean_specular_albedo", "RGB", "mean of specular_albedo over the pixel's area, 0..1",
      "not needed to denoise"),
     ("denoiser_albedo", "denoiser_albedo", "RGB", "albedo that a renderer made for denoisers", "not needed to denoise"),
+    ("denoiser_normal", "denoiser_normal", "XYZ", "normal that a renderer made for denoisers", "not needed to denoise"),
     ("mean_emission", "mean_emission", "RGB", "mean over the pixel's area of unscattered light, radiance, >= 0",
      "edges of lamps and of the background are as noisy as the samples"),
     ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
