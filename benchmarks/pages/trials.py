@@ -31,8 +31,8 @@ Each filter is a convex average of the pixels of a neighbourhood, divided by alb
   them by either of its two shares, and 1 % of the layer's light is shared out in any case. `Result.energy_lost` says
   what is missing after that. The command line and `Result.notes` tell where the filter took 1 % of the image's light or more and 2.5 times the standard error of its mean, which comes from the residuals: that light is in the image, but where it falls is not known.
 - **Detail is taken back.** What a filter blurred away is in the noisy image still, with its noise. A small network says for every pixel how much of the noisy image enters the result of `balanced`, `high` and `auto`. It tells detail from noise as a test of residuals does: noise of neighbouring pixels is independent, so products of the
-  difference between noisy image and result, a pixel or two apart, are 0 in the mean; detail's are not. It also sees the size of the difference, the noise (from halves, or from second differences without them) and the slope of the result, at three widths. Halves and guides were missing at random in training, up to 512 samples per pixel; so errors at many samples are near those of the input or below.
-  Where there are halves a formula takes back at least what they prove to be wrong, so that results tend to their input as samples grow on textures as well that are like none of the training. Without halves nothing proves it: of an even checkerboard of two pixels that no guide tells, with little noise, nothing comes back. `fast` stays a linear filter: it says in how much of the image it blurs by more than the noise. Error on random scenes kept aside, over that of the result alone and over the noisy image's:
+  difference between noisy image and result, a pixel or two apart, are 0 in the mean; detail's are not. It also sees the size of the difference, the noise (from halves, or from second differences without them) and the slope of the result, at three widths. It was trained on {scenes} random scenes of up to 512 samples per pixel and on {drawn} drawn textures (stripes, checks, tiles, dots, grain) under noise of any size, where halves and guides were missing at random.
+  Where there are halves a formula takes back at least what they prove to be wrong, so that results tend to their input as samples grow on textures as well that are like none of the training. Without halves a texture comes back by its order alone: stripes, checks and tiles of two or three pixels do, with errors at most those of the input. Bright dots of single pixels at random places do not, for fireflies look the same. `fast` stays a linear filter: it says in how much of the image it blurs by more than the noise. Error on random scenes kept aside, over that of the result alone and over the noisy image's:
 
 {noisy}
 
@@ -76,7 +76,7 @@ python -m benchmarks.training.train --cache DIR
 
 Where it is installed (`lobewise[best]`) and no quality is named; `with_oidn=True` or `--with-oidn` asks for it, `with_oidn=False` or `--offline` leaves it out. `Result.method`, `denoise` and `inspect` say what was used. `high`, then a mixture with what Open Image Denoise makes of the frame,
 pixel by pixel. It gets albedo and normal, each prefiltered: the means over the pixel's area where the frame has them. Without an albedo it gets the normal beside a white one; normals that are the same everywhere,
-as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes with guides missing at random and on {drawn_frames} drawn textures, a fifth of both kept aside
+as readers make them up, are left out. In which proportions both are mixed a network tells: it sees, at three widths, how far both are apart, how noisy the image is and which of them the samples are nearer to. It was trained on {shared_scenes} random scenes, a fifth of them kept aside, with guides missing at random
 (`benchmarks/training/shares.py`). A frame that has neither albedo nor normals gets Open Image Denoise's image. At the end detail is taken back as above. Where neighbouring pixels share samples, Open Image Denoise leaves most of the noise, and ours is taken instead. Error of the mixture over that of Open Image Denoise with the same guides, and over ours, on scenes kept aside:
 
 {peer}
@@ -170,8 +170,11 @@ def make_trials_page(trials: dict[str, Any], training: dict[str, Any], share: di
         weights=training["weights"],
         ratios=make_ratios(training["ratios"]),
         shared_scenes=share["scenes"],
-        drawn_frames=share["drawn_frames"],
         peer=make_shares(rename(share["peer"]["kept aside"], SETS), "Open Image Denoise", "ours"),
     )
-    noisy = make_shares(rename(share["noisy"]["kept aside"], HALVES), "the result", "the noisy image")
-    return HEAD.format(noisy=noisy) + make_trials(trials["trials"]) + tail
+    first = make_shares(rename(share["noisy"]["kept aside"], HALVES), "the result", "the noisy image")
+    return (
+        HEAD.format(noisy=first, scenes=share["scenes"], drawn=share["drawn_frames"])
+        + make_trials(trials["trials"])
+        + tail
+    )

@@ -93,21 +93,27 @@ def test_bad_pixels_stay_out(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(found[60:, 60:], whole[60:, 60:], rtol=1e-5)
 
 
-@pytest.mark.parametrize("pattern", ["stripes", "checks"])
+@pytest.mark.parametrize("with_halves", [True, False])
+@pytest.mark.parametrize("pattern", ["stripes", "checks", "tiles"])
 @pytest.mark.parametrize("quality", ["balanced", "high"])
 def test_a_texture_that_no_guide_tells_comes_back(
-    quality: str, pattern: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    quality: str, pattern: str, with_halves: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A filter alone has several times the error of its input; what the halves prove brings it back."""
+    """A filter alone has several times the error of its input; halves, or the order of the texture, bring it back."""
     rows, columns = np.mgrid[:SIZE, :SIZE]
-    bright = columns % 3 == 0 if pattern == "stripes" else (columns // 2 + rows // 2) % 2 == 0
+    patterns = {
+        "stripes": columns % 3 == 0,
+        "checks": (columns // 2 + rows // 2) % 2 == 0,
+        "tiles": ((columns + 1.5 * (rows // 3)) % 3 < 2) & (rows % 3 != 0),
+    }
+    bright = patterns[pattern]
     truth = np.where(bright, 1.2, 1.0)[..., None] * np.ones(3)
     truth = truth.astype(np.float32)
     a, b = draw_halves(truth, 1e-3, rng)
     normal = np.zeros((SIZE, SIZE, 3), np.float32)
     normal[..., 2] = 1.0
-    guides = lobewise.GBuffer(normal=normal)
-    frame = Frame(Radiance(0.5 * (a + b)), guides, half_a=Radiance(a), half_b=Radiance(b), spp=1024)
+    halves = {"half_a": Radiance(a), "half_b": Radiance(b)} if with_halves else {}
+    frame = Frame(Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), **halves, spp=1024)
     noise = rel_mse(frame.radiance.color, truth)
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < 1.1 * noise
     monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))

@@ -87,12 +87,7 @@ def describe_import(found: Imported) -> FileDescription:
         bytes=container.path.stat().st_size,
         parts=tuple(describe_part(part, used) for part in container.parts),
         image_part=image_part if image_part < FIRST_INDEX else None,
-        images=tuple(
-            # Nobody misses the normal that one renderer makes for denoisers.
-            _describe_role(channels, frame, role)
-            for role in ROLES
-            if role != "denoiser_normal" or role in channels.roles
-        ),
+        images=list_roles(channels, frame),
         camera=frame.camera,
         spp=frame.spp,
         materials=(),
@@ -125,6 +120,12 @@ def _find_version(preset: Preset, container: Container) -> str:
         if name in values:
             return show_name(values[name].decode("utf-8", "replace").partition("[")[0].strip())
     return ""
+
+
+def list_roles(channels: ChannelMap, frame: Frame) -> tuple[ImageDescription, ...]:
+    """Return every image that a file has, and those that it could have but a normal that one renderer alone makes."""
+    roles = [role for role in ROLES if role != "denoiser_normal" or role in channels.roles]
+    return tuple(_describe_role(channels, frame, role) for role in roles)
 
 
 def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescription:
