@@ -8,7 +8,7 @@ from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.reading import import_planes
 
 GUIDE_SETS = ("all", "passes", "plain", "color")
-_COMPONENTS = {"normal": "XYZ", "depth": "", "roughness": ""}
+_COMPONENTS = {"normal": "XYZ", "denoiser_normal": "XYZ", "depth": "", "roughness": ""}
 
 
 def reduce_frame(frame: Frame, guides: str, albedo: FloatArray | None = None) -> Frame | None:
@@ -33,11 +33,15 @@ def reduce_frame(frame: Frame, guides: str, albedo: FloatArray | None = None) ->
     mapping = {}
     if guides in ("passes", "plain"):
         images |= _take_surfaces(frame)
+        if frame.gbuffer.denoiser_normal is not None:
+            # The peer is handed it, so the file has it.
+            images["denoiser_normal"] = frame.gbuffer.denoiser_normal
+            mapping["denoiser_normal"] = ",".join(_name_channels("denoiser_normal", images["denoiser_normal"]))
     if guides == "passes":
         if frame.radiance.diffuse is None or frame.radiance.specular is None:
             return None
         images |= _take_split(frame)
-        mapping = {name: ",".join(_name_channels(name, images[name])) for name in ("diffuse", "specular")}
+        mapping |= {name: ",".join(_name_channels(name, images[name])) for name in ("diffuse", "specular")}
         if "alpha_roughness" in images:
             mapping["roughness"] = "alpha_roughness"
     if guides == "plain":
