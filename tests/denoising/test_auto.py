@@ -136,7 +136,7 @@ def test_guides_are_named(kept: tuple[str, ...], words: str, make_frame: Callabl
         flat = np.zeros((12, 16, 3), np.float32)
         flat[..., 2] = 1.0
         flat[3, 4] = 0.0
-        changes |= {"normal": flat, "mean_normal": None}
+        changes |= {"normal": flat, "mean_normal": None, "denoiser_normal": None}
     frame = frame.with_changes(gbuffer=replace(frame.gbuffer, **changes))
     assert f"Open Image Denoise {words}" in denoise(frame, **CHEAP).method
 

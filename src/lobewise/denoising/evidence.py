@@ -21,6 +21,8 @@ MAX_CONCENTRATION = 4.0
 """Of the error of our own filters, which lies along edges and textures (docs/quality.md)."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels in which a result has clearly more error than its input, from which on one is told."""
+MAX_RADIANCE = 1e36
+"""Of a pixel of which some is taken back."""
 Rows = NDArray[np.float64]
 
 
@@ -52,6 +54,8 @@ def take_back_noisy(
             image, color, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
         )
         share = np.maximum(share, certain)
+    # Parts are added up later: near the largest float their sum would overflow.
+    share = np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
     return [_mix(part, light, share) for part, light in zip(parts, noisy, strict=True)]
 
 
