@@ -138,9 +138,7 @@ SETS = {
 }
 
 
-DRAWN = "drawn"
-"""The set of guides of drawn textures, which have no samples per pixel."""
-HALVES = {"all": "all guides and halves", "less": "fewer, no halves"}
+HALVES = {"all": "all guides and halves", "less": "fewer, no halves", "drawn": "drawn textures"}
 RESULTS_NAMED = {"balanced": "`balanced`", "high": "`high`", "peer": "Open Image Denoise"}
 
 
@@ -157,9 +155,9 @@ def rename(ratios: dict[str, dict[str, float]], sets: Mapping[str, str]) -> dict
     named = {}
     for group, row in ratios.items():
         first, guides, samples = group.split(" ", 2)
-        words = ["drawn textures"] if guides == DRAWN else [sets[guides], samples]
-        words = words if sets is SETS else [RESULTS_NAMED[first], *words]
-        named[", ".join(words)] = row
+        words = [sets[guides], samples] if sets is SETS else [RESULTS_NAMED[first], sets[guides], samples]
+        # Drawn textures have no samples.
+        named[", ".join(word for word in words if word != "0 spp")] = row
     return named
 
 

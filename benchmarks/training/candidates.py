@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import ROOT
-from benchmarks.training.frames import make_half
+from benchmarks.training.frames import make_half, open_cache
 from lobewise.frame import Frame, GBuffer, Radiance
 
 KINDS = ("all", "plain", "passes", "shared")
@@ -194,10 +193,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=60, help="how many scenes")
     parser.add_argument("--size", type=int, default=128, help="pixels a side")
     arguments = parser.parse_args(words)
-    folder = arguments.cache.expanduser().resolve()
-    if folder.is_relative_to(ROOT):
-        parser.error("--cache must lie outside the repository")
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = open_cache(parser, arguments.cache)
     limit_threads(1)
     for seed in range(arguments.first, arguments.first + arguments.count):
         start = time.perf_counter()

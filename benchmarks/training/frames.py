@@ -6,6 +6,7 @@ and moved, so that a reader never sees half of one.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import zipfile
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.common import ROOT
 from lobewise.errors import FileError, InputError
 
 Half = NDArray[np.float16]
@@ -130,6 +132,15 @@ def make_half(image: NDArray[np.floating]) -> Half:
     """Return an image as it is stored: clipped to `LARGEST_VALUE`, with 0 where it is not finite."""
     values = np.where(np.isfinite(image), image, 0.0)
     return np.clip(values, -LARGEST_VALUE, LARGEST_VALUE).astype(np.float16)
+
+
+def open_cache(parser: argparse.ArgumentParser, path: Path) -> Path:
+    """Return the folder of the option --cache, made if it is not there; inside the repository the program ends."""
+    folder = path.expanduser().resolve()
+    if folder.is_relative_to(ROOT):
+        parser.error("--cache must lie outside the repository")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def is_validation(seed: int) -> bool:

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT
 from benchmarks.training.frames import (
     Example,
     Half,
@@ -29,6 +28,7 @@ from benchmarks.training.frames import (
     list_frames,
     make_file_name,
     make_half,
+    open_cache,
     read_frame_file,
     write_frame_file,
 )
@@ -197,9 +197,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256, help="pixels a side")
     parser.add_argument("--threads", type=int, default=1, help="threads that render and clean")
     arguments = parser.parse_args()
-    folder = arguments.cache.expanduser().resolve()
-    if folder.is_relative_to(ROOT):
-        parser.error("--cache must lie outside the repository")
+    folder = open_cache(parser, arguments.cache)
     for name in ("first", "count", "size", "threads"):
         if getattr(arguments, name) < 1:
             parser.error(f"--{name} must be at least 1")

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT
+from benchmarks.training.frames import open_cache
 from benchmarks.training.materials import draw_log
 from benchmarks.training.settings import make_corridor, make_open_stage, make_room
 from lobewise.io.exr import write_frame
@@ -119,10 +119,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=192, help="pixels a side")
     parser.add_argument("--reference-spp", type=int, default=1024, help="samples of both halves together")
     arguments = parser.parse_args()
-    folder = arguments.cache.expanduser().resolve()
-    if folder.is_relative_to(ROOT):
-        parser.error("--cache must lie outside the repository")
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = open_cache(parser, arguments.cache)
     for seed in range(arguments.first, arguments.first + arguments.count):
         start, spent = time.perf_counter(), time.process_time()
         if render_files(folder, seed, arguments.size, arguments.reference_spp):

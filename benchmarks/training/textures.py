@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import ROOT
 from benchmarks.training.candidates import DRAWN, Candidates, denoise_all, name_file, write_candidates
+from benchmarks.training.frames import open_cache
 from lobewise.frame import Frame, GBuffer, Radiance
 
 PERIODS_PIXELS = (2.0, 12.0)
@@ -213,10 +213,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=160, help="how many frames")
     parser.add_argument("--size", type=int, default=128, help="pixels a side")
     arguments = parser.parse_args(words)
-    folder = arguments.cache.expanduser().resolve()
-    if folder.is_relative_to(ROOT):
-        parser.error("--cache must lie outside the repository")
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = open_cache(parser, arguments.cache)
     limit_threads(1)
     start, written = time.perf_counter(), 0
     for seed in range(FIRST_SEED, FIRST_SEED + arguments.count):

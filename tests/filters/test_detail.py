@@ -9,6 +9,7 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.filters.mixing import Network
+from lobewise.filters.noise import detail
 from lobewise.filters.noise.detail import COUNT, FEATURES_PER_LEVEL, LEVELS, OFFSETS, REACH, find_detail
 from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray
@@ -81,6 +82,15 @@ def test_bad_pixels_take_no_part(rng: np.random.Generator) -> None:
     after = gather(flat, noisy, halves=(a, b))
     assert np.isfinite(after).all()
     np.testing.assert_array_equal(after[60:], before[60:])
+
+
+@pytest.mark.parametrize("rows", [70, 192])
+def test_bands_change_no_bit(rows: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    filtered, a, b = (rng.uniform(1.0, 2.0, (200, 9, 3)).astype(np.float32) for _ in range(3))
+    monkeypatch.setattr(detail, "BAND_ROWS", 200)
+    whole = gather(filtered, 0.5 * (a + b), halves=(a, b))
+    monkeypatch.setattr(detail, "BAND_ROWS", rows)
+    np.testing.assert_array_equal(gather(filtered, 0.5 * (a + b), halves=(a, b)), whole)
 
 
 @pytest.mark.parametrize("with_halves", [True, False])

@@ -13,7 +13,7 @@ Fit in Time Series Models", Biometrika 65(2)), here in two dimensions and at eve
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import halide as hl
 import numpy as np
@@ -57,8 +57,8 @@ LARGEST_ERRORS = 8.0
 """Standard errors beyond which a mean is as certain as any."""
 LEAST_SQUARE, LEAST_RATIO, LEAST_LIGHT = 1e-8, 1e-3, 1e-4
 """Below which logarithms do not fall: of relative squares, of ratios of squares, of luminance over the image's."""
-STRIP_ROWS = 64
-"""Rows whose features are held at a time."""
+BAND_ROWS, STRIP_ROWS = 256, 64
+"""Rows whose neighbourhoods are averaged at a time, and rows whose features are held at a time."""
 
 
 def find_detail(
@@ -105,28 +105,37 @@ def find_detail(
     """
     told, factor = gather_noise(halves, None, shared=shared)
     level = min(max(level, 1e-12), 1e12)
-    floor = {"floor": np.float32(max((DARK_SHARE * level) ** 2, 1e-24))}
+    numbers = {
+        "counts": np.array([count_weights(number) for number in LEVELS], np.float32),
+        "factor": np.float32(factor),
+        "level": np.float32(level),
+        "flags": np.array([halves is not None, shared], np.float32),
+    }
+    floor = np.float32(max((DARK_SHARE * level) ** 2, 1e-24))
     images = {"filtered": filtered, "noisy": noisy, **told}
-    apart, noise, light = run_pointwise(_define_difference, images, floor)
-    held = {"apart": apart, "noise": noise, "light": light, "filtered": filtered}
-    (sums,) = run_pointwise(_define_products, held, floor)
-    del apart, noise, held
+    for top in range(0, len(noisy), BAND_ROWS):
+        bottom, first = min(top + BAND_ROWS, len(noisy)), max(top - REACH, 0)
+        band = slice(first, bottom + REACH)
+        pooled = _pool({name: None if each is None else each[band] for name, each in images.items()}, floor)
+        for start in range(top, bottom, STRIP_ROWS):
+            rows = slice(start, min(start + STRIP_ROWS, bottom))
+            inside = slice(rows.start - first, rows.stop - first)
+            (found,) = run_pointwise(_define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
+            yield rows, np.asarray(found)
+
+
+def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[str, FloatArray]:
+    """Return what features are made of: own squared difference, local light, and what is averaged at each width."""
+    bounds = {"floor": floor}
+    apart, noise, light = run_pointwise(_define_difference, images, bounds)
+    held = {"apart": apart, "noise": noise, "light": light, "filtered": images["filtered"]}
+    (sums,) = run_pointwise(_define_products, held, bounds)
     pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)
         if number in LEVELS:
             pooled[f"sums{number}"] = sums
-    counts = [count_weights(number) for number in LEVELS]
-    numbers = {
-        "counts": np.array(counts, np.float32),
-        "factor": np.float32(factor),
-        "level": np.float32(level),
-        "flags": np.array([halves is not None, shared], np.float32),
-    }
-    for top in range(0, len(noisy), STRIP_ROWS):
-        rows = slice(top, min(top + STRIP_ROWS, len(noisy)))
-        (found,) = run_pointwise(_define_features, {name: each[rows] for name, each in pooled.items()}, numbers)
-        yield rows, np.asarray(found)
+    return pooled
 
 
 def _define_difference(grid: Grid) -> list[Vector]:
