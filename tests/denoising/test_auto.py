@@ -52,6 +52,29 @@ def join_light(frame: Frame) -> Frame:
     return frame.with_changes(radiance=Radiance(frame.radiance.color), half_a=None, half_b=None, variance=None)
 
 
+@pytest.mark.usefixtures("present")
+def test_parts_near_the_largest_number_do_not_overflow(make_frame: Callable[..., Frame]) -> None:
+    frame = make_frame(height=12, width=16).with_changes(half_a=None, half_b=None, variance=None)
+    light = {name: np.array(getattr(frame.radiance, name)) for name in ("color", "diffuse", "specular")}
+    for image in light.values():
+        image[5, 5] = np.finfo(np.float32).max
+    image = denoise(frame.with_changes(radiance=Radiance(**light)), **CHEAP).image
+    assert np.isfinite(image).all()
+    assert image.min() >= 0.0
+
+
+@pytest.mark.usefixtures("present")
+def test_a_mixture_with_a_huge_image_is_not_negative(
+    full_frame: Frame, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    huge = (1e28 * rng.random((*full_frame.shape, 3))).astype(np.float32)
+    monkeypatch.setattr(combining, "denoise_oidn", lambda frame: (huge, 0.1))
+    shares = np.full((*full_frame.shape, 3), 1.0 / 3.0, np.float32)
+    shares[..., 0] += np.float32(1.0 / 3.0)
+    monkeypatch.setattr(combining, "find_mixture", lambda *images, **told: shares)
+    assert denoise(full_frame, **CHEAP).image.min() >= 0.0
+
+
 @pytest.mark.parametrize("quality", ["auto", "fast", "balanced", "high"])
 @pytest.mark.parametrize("with_oidn", ["auto", True, False])
 @pytest.mark.parametrize("is_here", [True, False])

@@ -54,7 +54,9 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: Floa
         shared=frame.noise_is_shared,
     )
     noisy = np.where(find_good(noisy)[..., None], noisy, ours)
-    return np.asarray(peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer), dtype=np.float32)
+    mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
+    # Of images that are many orders of magnitude apart, rounding leaves less than 0.
+    return np.maximum(mixed, np.float32(0.0))
 
 
 def find_mixture(

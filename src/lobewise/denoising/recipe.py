@@ -129,7 +129,9 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     gains = [] if found.gain is None else [found.gain[..., None]]
     if chosen.with_oidn:
         peer = denoise_with_peer(frame, image)
-        mixed = choose_between(frame, image, peer, compose(frame, found.noisy, found.rest))
+        with np.errstate(over="ignore"):  # an infinite sum counts as bad, and nothing is taken of it
+            noisy = compose(frame, found.noisy, found.rest)
+        mixed = choose_between(frame, image, peer, noisy)
         image, parts, gain = share_out(mixed, image, parts)
         gains.append(gain)
     diffuse, specular = join_parts(found.layers, parts)
