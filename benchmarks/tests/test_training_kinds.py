@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.common import ROOT
 from benchmarks.training import frames
 from lobewise.errors import InputError
 from lobewise.peers import has_oidn
@@ -179,7 +180,7 @@ def test_frames_of_another_size_are_not_mixed(make_frames: Any, rendered: Path, 
 def test_the_program_refuses_a_folder_inside_the_repository(
     make_frames: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["make_frames", "--cache", str(make_frames.ROOT / "frames")])
+    monkeypatch.setattr(sys, "argv", ["make_frames", "--cache", str(ROOT / "frames")])
     with pytest.raises(SystemExit) as refused:
         make_frames.main()
     assert refused.value.code == 2
