@@ -26,6 +26,8 @@ SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel over which what reflections see is averaged: radius and sigma in pixels."""
 SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness with which its albedo and its normal are compared."""
+MAX_MIRROR_ALPHA = 0.01
+"""Roughness alpha up to which all samples of a pixel are taken to reflect the same (docs/quality.md)."""
 WIDEST = 30.0
 """Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
 
@@ -156,7 +158,8 @@ def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
 def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
     """Return the feature of what lobes see; nothing where the frame does not tell.
 
-    What few samples hit is noise like radiance, so it is first averaged over near pixels.
+    What few samples hit is noise like radiance, so it is first averaged over near pixels, except at mirrors, whose
+    samples all hit the same: there an average would mix a window that the mirror shows with the wall beside it.
     """
     albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
     if albedo is None or normal is None:
@@ -166,9 +169,19 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
     (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
-    normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
+    near_albedo, near_normal = download(mean.a), np.float32(2.0) * download(mean.b) - np.float32(1.0)
+    exact = find_mirrors(frame)[..., None]
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
-    return (SeenFeature(mean.a, normal, **sharpness),)
+    return (SeenFeature(np.where(exact, albedo, near_albedo), np.where(exact, normal, near_normal), **sharpness),)
+
+
+def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
+    """Return where a lobe is so sharp that all samples of a pixel see the same, (height, width)."""
+    guides = frame.gbuffer
+    widths = [alpha for alpha in (guides.alpha_u, guides.alpha_v) if alpha is not None]
+    if not widths:
+        return np.zeros((frame.height, frame.width), np.bool_)
+    return np.logical_and.reduce([alpha <= MAX_MIRROR_ALPHA for alpha in widths])
 
 
 def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
