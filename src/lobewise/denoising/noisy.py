@@ -181,7 +181,8 @@ def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
     widths = [alpha for alpha in (guides.alpha_u, guides.alpha_v) if alpha is not None]
     if not widths:
         return np.zeros((frame.height, frame.width), np.bool_)
-    return np.logical_and.reduce([alpha <= MAX_MIRROR_ALPHA for alpha in widths])
+    mirrors: NDArray[np.bool_] = np.logical_and.reduce([alpha <= MAX_MIRROR_ALPHA for alpha in widths])
+    return mirrors
 
 
 def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
