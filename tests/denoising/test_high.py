@@ -529,6 +529,11 @@ OURS, NOISY, PEERS = 0, 1, 2
 
 
 class TestPeer:
+    @pytest.fixture(autouse=True)
+    def trusting(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Take the network's shares as they are, with halves or without."""
+        monkeypatch.setattr(combining, "TRUST_WITHOUT_HALVES", 1.0)
+
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
         return choose_between(frame, ours, denoise_with_peer(frame, ours), frame.radiance.color)
 

@@ -27,6 +27,10 @@ from lobewise.settings import DenoiseSettings
 
 DARKEST = 1e-30
 """Radiance up to which there is no share of it."""
+TRUST_WITHOUT_HALVES = 0.75
+"""What the network's shares are multiplied by where the frame has no halves, unless pixels share samples (the peer
+leaves that noise). The network was trained on frames of our renderer. Most files without halves are of others, where it
+trusts our image too much (docs/quality.md)."""
 
 
 def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> FloatArray:
@@ -45,14 +49,17 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: Floa
     """
     if not can_mix(frame):
         return peer
+    halves = find_image_halves(frame)
     shares = find_mixture(
         frame.radiance.color,
         ours,
         peer,
         load_networks()["peer"],
-        halves=find_image_halves(frame),
+        halves=halves,
         shared=frame.noise_is_shared,
     )
+    if halves is None and not frame.noise_is_shared:
+        shares = shares * np.float32(TRUST_WITHOUT_HALVES)
     noisy = np.where(find_good(noisy)[..., None], noisy, ours)
     mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
     # Of images that are many orders of magnitude apart, rounding leaves less than 0.
