@@ -83,7 +83,7 @@ def make_head(data: Mapping[str, Any]) -> str:
 Written by `benchmarks/publish.py` from `benchmarks/results/users.json`, which `python -m benchmarks.users` makes; no figure is typed by hand. {describe_run(dict(data))}.
 
 The same frames with all that is known of them and with less, at many sample counts, beside the noisy input and Open Image Denoise (OIDN) with the same guides. No network was
-trained on the scenes that are called held out; a margin of how lost light is shared out ([quality.md](quality.md)) was chosen with some of them in view. `normal-aware` was measured on fewer frames than the others, so its means compare with nothing. Scenes that were last measured with filters of an earlier version are left out.
+trained on the scenes that are called held out; how lost light is shared out, and how far the mixing network is trusted without halves ([quality.md](quality.md)), were chosen with some of them in view. Scenes that were last measured with filters of an earlier version are left out.
 Errors are `rel_mse` (epsilon 0.01) without the noise of the references; less is better."""
 
 
@@ -99,7 +99,7 @@ def make_readme_users(data: Mapping[str, Any]) -> str:
         if (cells := found.get(guides, {}).get(method))
     ]
     table = make_table(["guides", "", *(f"{spp} spp" for spp in counts)], rows)
-    return f"""Error over that of Open Image Denoise with the same guides, {scenes} scenes that nothing was tuned or trained on (Blender Cycles, public interiors, built-in ones), geometric
+    return f"""Error over that of Open Image Denoise with the same guides, {scenes} scenes that no network was trained on (one factor, of frames without halves, was chosen on them; Blender Cycles, public interiors, built-in ones), geometric
 means; `auto` is the default. Every frame: [docs/users_results.md](docs/users_results.md).
 
 {table}"""
