@@ -99,8 +99,8 @@ def make_readme_users(data: Mapping[str, Any]) -> str:
         if (cells := found.get(guides, {}).get(method))
     ]
     table = make_table(["guides", "", *(f"{spp} spp" for spp in counts)], rows)
-    return f"""Error over that of Open Image Denoise with the same guides, {scenes} scenes that no network was trained on (one factor, of frames without halves, was chosen on them; Blender Cycles, public interiors, built-in ones), geometric
-means; `auto` is the default. Every frame: [docs/users_results.md](docs/users_results.md).
+    return f"""Error over that of Open Image Denoise with the same guides, geometric means over {scenes} scenes that no network was trained on: Blender Cycles, public interiors, built-in ones.
+One factor, how far the mixing network is trusted on frames without halves, was chosen on these scenes. `auto` is the default. Every frame: [docs/users_results.md](docs/users_results.md).
 
 {table}"""
 

@@ -27,7 +27,7 @@ SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness with which its albedo and its normal are compared."""
 MAX_MIRROR_ALPHA = 0.01
-"""Roughness alpha up to which all samples of a pixel are taken to reflect the same (docs/quality.md)."""
+"""Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface (docs/quality.md)."""
 WIDEST = 30.0
 """Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
 
@@ -158,8 +158,9 @@ def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
 def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
     """Return the feature of what lobes see; nothing where the frame does not tell.
 
-    What few samples hit is noise like radiance, so it is first averaged over near pixels, except at mirrors, whose
-    samples all hit the same: there an average would mix a window that the mirror shows with the wall beside it.
+    What few samples hit is noise like radiance, so it is first averaged over near pixels. Mirrors keep their own values:
+    all samples of a mirror's pixel hit one surface, and an average would mix a window that the mirror shows with the
+    wall beside the window.
     """
     albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
     if albedo is None or normal is None:
@@ -176,7 +177,7 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
 
 
 def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
-    """Return where a lobe is so sharp that all samples of a pixel see the same, (height, width)."""
+    """Return where the specular lobe is a mirror, shape (height, width); nowhere if the frame has no roughness."""
     guides = frame.gbuffer
     widths = [alpha for alpha in (guides.alpha_u, guides.alpha_v) if alpha is not None]
     if not widths:
