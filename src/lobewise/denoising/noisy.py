@@ -158,9 +158,9 @@ def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
 def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
     """Return the feature of what lobes see; nothing where the frame does not tell.
 
-    What few samples hit is noise like radiance, so it is first averaged over near pixels. Mirrors keep their own values:
-    all samples of a mirror's pixel hit one surface, and an average would mix a window that the mirror shows with the
-    wall beside the window.
+    What few samples hit is noise like radiance, so it is first averaged over near pixels. Mirrors keep their own
+    values: all samples of a mirror's pixel hit one surface, and an average would mix a window that the mirror shows
+    with the wall beside the window.
     """
     albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
     if albedo is None or normal is None:
