@@ -170,10 +170,13 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
     (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
-    near_albedo, near_normal = download(mean.a), np.float32(2.0) * download(mean.b) - np.float32(1.0)
-    exact = find_mirrors(frame)[..., None]
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
-    return (SeenFeature(np.where(exact, albedo, near_albedo), np.where(exact, normal, near_normal), **sharpness),)
+    near_normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
+    mirrors = find_mirrors(frame)[..., None]
+    if not mirrors.any():  # the albedo stays on the device
+        return (SeenFeature(mean.a, near_normal, **sharpness),)
+    near_albedo = download(mean.a)
+    return (SeenFeature(np.where(mirrors, albedo, near_albedo), np.where(mirrors, normal, near_normal), **sharpness),)
 
 
 def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
