@@ -93,11 +93,13 @@ def test_guides_are_taken_away_by_the_seed() -> None:
 
     frame = make_scene((8, 9))
     found = [dict(vary_guides(frame, np.random.default_rng(seed))) for seed in range(6)]
-    assert {tuple(each) for each in found} == {("all", "plain", "passes"), ("all", "plain", "shared")}
+    assert {tuple(each) for each in found} == {("all", "plain", "passes", "color"), ("all", "plain", "shared", "color")}
     for each in found:
         assert each["all"] is frame
         assert each["plain"].gbuffer.alpha_u is None
         assert each["plain"].radiance.parts is None
+        assert each["color"].gbuffer.names == ("normal",)
+        assert each["color"].radiance.parts is None
         np.testing.assert_array_equal(sum_albedo(each["plain"]), sum_albedo(frame))
         assert all(one.half_a is None for name, one in each.items() if name != "all")
         assert ("shared" in each) == any(one.noise_is_shared for one in each.values())

@@ -3,7 +3,7 @@
     python -m benchmarks.training.candidates --cache FOLDER --count 60
 
 Each scene of `benchmarks.training.kinds` is rendered at a few samples per pixel, at 64 and at 512, and denoised by
-`balanced`, `high` and Open Image Denoise with three sets of guides. At many samples no reference that this machine
+`balanced`, `high` and Open Image Denoise with four sets of guides. At many samples no reference that this machine
 could render is free of noise, so the reference is two independent images: the mean of
 ``(result - one) (result - other)`` is the squared error without their noise. What is there already is not made again.
 """
@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 from benchmarks.training.frames import make_half, open_cache
 from lobewise.frame import Frame, GBuffer, Radiance
 
-KINDS = ("all", "plain", "passes", "shared")
+COLOR = "color"
+"""The set without guides: light together, and nothing else."""
+KINDS = ("all", "plain", "passes", "shared", COLOR)
 """Sets of guides: all; one albedo, normal and depth beside light together; split light with albedos and roughness, but
-no halves; all guides, no halves, and a pixel filter by which neighbours share samples."""
+no halves; all guides, no halves, and a pixel filter by which neighbours share samples; none."""
 DRAWN = "drawn"
-"""The set of guides of the frames that `textures` draws: normals, and albedo or halves or both or neither."""
+"""The set of guides of the frames that `textures` draws: mostly normals, and albedo or halves or both or neither."""
 FEW_SPP = (2, 4, 8, 16)
 """Samples per pixel, one number a scene in turn."""
 MORE_SPP = (64, 512)
@@ -115,7 +117,7 @@ def blur(image: Array) -> Array:
 
 
 def vary_guides(frame: Frame, rng: np.random.Generator) -> Iterator[tuple[str, Frame]]:
-    """Yield a frame with three of the four sets of guides."""
+    """Yield a frame with four of the five sets of guides."""
     yield "all", frame
     guides, light = frame.gbuffer, frame.radiance
     without = replace(frame, half_a=None, half_b=None, variance=None)
@@ -126,10 +128,18 @@ def vary_guides(frame: Frame, rng: np.random.Generator) -> Iterator[tuple[str, F
         assert light.specular is not None
         soft = Radiance(blur(light.color), diffuse=blur(light.diffuse), specular=blur(light.specular))
         yield "shared", replace(without, radiance=soft, noise_is_shared=True)
-        return
-    names = ("normal", "depth", "position", "diffuse_albedo", "specular_albedo", "alpha_u", "alpha_v", "lobe_kind")
-    kept = {name: getattr(guides, name) for name in (*names, "tangent")}
-    yield "passes", replace(without, gbuffer=GBuffer(**kept))
+    else:
+        names = ("normal", "depth", "position", "diffuse_albedo", "specular_albedo", "alpha_u", "alpha_v", "lobe_kind")
+        kept = {name: getattr(guides, name) for name in (*names, "tangent")}
+        yield "passes", replace(without, gbuffer=GBuffer(**kept))
+    yield COLOR, replace(without, gbuffer=make_empty_guides(frame.shape), radiance=Radiance(light.color))
+
+
+def make_empty_guides(shape: tuple[int, int]) -> GBuffer:
+    """Return the guides of a file that has none: the readers let every surface face the camera."""
+    normal = np.zeros((*shape, 3), np.float32)
+    normal[..., 2] = 1.0
+    return GBuffer(normal=normal)
 
 
 def sum_albedo(frame: Frame) -> Array:
@@ -161,7 +171,7 @@ def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
     from lobewise.render import render_frame, render_reference
     from lobewise.render.loading import build_scene
 
-    missing = [spp for spp in list_samples(seed) if not (folder / name_file(seed, spp, "plain")).exists()]
+    missing = [spp for spp in list_samples(seed) if not (folder / name_file(seed, spp, COLOR)).exists()]
     if not missing:
         return []
     scene: Any = build_scene(make_kind(seed, size, size))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
-from benchmarks.training.candidates import DRAWN, FEW_SPP, Candidates, read_candidates
+from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, read_candidates
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from benchmarks.training.train import replace_networks
@@ -40,11 +40,12 @@ Array = NDArray[np.float32]
 
 
 def describe_group(found: Candidates) -> tuple[str, str]:
-    """Return what errors are told apart by: whether all guides and halves are there, and samples per pixel."""
+    """Return what errors are told apart by: whether all guides and halves are there or none, and samples per pixel."""
     if found.kind == DRAWN:
         return DRAWN, "0 spp"
     few = found.spp in FEW_SPP
-    return "all" if found.kind == "all" else "less", f"{FEW_SPP[0]} to {FEW_SPP[-1]} spp" if few else f"{found.spp} spp"
+    guides = found.kind if found.kind in ("all", COLOR) else "less"
+    return guides, f"{FEW_SPP[0]} to {FEW_SPP[-1]} spp" if few else f"{found.spp} spp"
 
 
 def list_noisy(found: Candidates, rng: np.random.Generator) -> list[Examples]:
@@ -104,9 +105,10 @@ def main(words: list[str] | None = None) -> None:
     noisy, noisy_ratios = train_aside(examples, arguments.steps, arguments.seed)
     print("noisy", noisy_ratios["kept aside"], flush=True)
     first = noisy.export()
-    # Of drawn textures Open Image Denoise loses more than of rendered ones: they would teach to distrust it.
-    rendered = [path for path in paths if DRAWN not in path.stem]
-    drawn = len(paths) - len(rendered)
+    # Of drawn textures Open Image Denoise loses more than of rendered ones: they would teach to distrust it. Of frames
+    # without guides its image is taken as it is.
+    rendered = [path for path in paths if not path.stem.endswith((DRAWN, COLOR))]
+    drawn = sum(path.stem.endswith(DRAWN) for path in paths)
     examples = [each for path in rendered for each in list_peer(read_candidates(path), first, rng)]
     peer, peer_ratios = train_aside(examples, arguments.steps, arguments.seed)
     print("peer", peer_ratios["kept aside"], flush=True)

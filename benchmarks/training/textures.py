@@ -4,7 +4,8 @@
 
 A picture is cut into a few regions. Each has one texture (stripes, checks, tiles, dots, grain, or none), fine enough
 that two to twelve pixels make a period, at some contrast, seen straight or at a slant. Noise has any size from 0.3 % to
-100 %, and is normal or heavy-tailed. The guides know the texture, or only that there is a surface. The truth is exact.
+100 %, and is normal or heavy-tailed. The guides know the texture, or only that there is a surface, or there are none.
+The truth is exact.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.training.candidates import DRAWN, Candidates, denoise_all, name_file, write_candidates
+from benchmarks.training.candidates import (
+    DRAWN,
+    Candidates,
+    denoise_all,
+    make_empty_guides,
+    name_file,
+    write_candidates,
+)
 from benchmarks.training.frames import open_cache
 from lobewise.frame import Frame, GBuffer, Radiance
 
@@ -28,6 +36,8 @@ NOISE_LEVELS = (0.003, 1.0)
 MAX_REGIONS = 5
 SAMPLES_A_SIDE, SHARE_OF_SOFT_EDGES = 3, 0.6
 """Of a pixel whose texture is averaged, and how many pictures have such pixels; in others a pixel is one sample."""
+SHARE_WITHOUT_GUIDES = 0.3
+"""Of the frames, which have their light alone."""
 GRAIN_EXPONENTS = (0.6, 2.5)
 """Of how the amplitude of grain falls with frequency. At 0 grain would be white, as noise is."""
 FIRST_SEED = 100_001
@@ -194,6 +204,8 @@ def draw_frame(seed: int, size: int) -> tuple[Frame, Array]:
     frame = Frame(Radiance(np.float32(0.5) * (first + second)), guides)
     if rng.random() < 0.5:
         frame = frame.with_changes(half_a=Radiance(first), half_b=Radiance(second))
+    if rng.random() < SHARE_WITHOUT_GUIDES:
+        frame = frame.with_changes(gbuffer=make_empty_guides(frame.shape))
     return frame, truth
 
 
