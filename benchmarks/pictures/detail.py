@@ -17,7 +17,9 @@ from benchmarks.common import ROOT
 from benchmarks.users.__main__ import make_shot
 from benchmarks.users.scenes import find_scenes
 from lobewise.denoising import denoise
-from lobewise.denoising.recipe import filter_halves, resolve_all
+from lobewise.denoising.automatic import resolve_all
+from lobewise.denoising.planning.frame_plans import FILTER_LAYERS
+from lobewise.denoising.stages import start_run
 from lobewise.frame import Frame
 from lobewise.guides.usable import bound_guides
 from lobewise.io.png import encode_png
@@ -40,7 +42,7 @@ def filter_alone(frame: Frame) -> NDArray[np.float32]:
     """Return what the quality "high" makes of a frame before detail is taken back."""
     frame = bound_guides(frame)
     settings = resolve_all(frame, DenoiseSettings(quality="high", with_oidn=False))
-    return filter_halves(frame, settings, ()).image
+    return start_run(frame, settings).run((FILTER_LAYERS,)).total
 
 
 def join(panels: list[NDArray[np.uint8]], axis: int) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from benchmarks.training.candidates import (
 )
 from lobewise.denoising.combining import find_mixture
 from lobewise.denoising.evidence import find_share_taken_back
-from lobewise.denoising.high import unpack_network
+from lobewise.denoising.networks import unpack_network
 
 SIZE = 48
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from lobewise.denoising.automatic import ask
+from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH
-from lobewise.denoising.recipe import resolve_all
 from lobewise.streaming.plan import FEWEST_ROWS, WHOLE, find_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT, load_publisher

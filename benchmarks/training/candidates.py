@@ -151,14 +151,16 @@ def sum_albedo(frame: Frame) -> Array:
 
 def denoise_all(frame: Frame) -> dict[str, Array]:
     """Return the noisy image, what `balanced`, `high` and Open Image Denoise make of it, and halves if it has any."""
-    from lobewise.denoising.recipe import filter_halves, keep_light, resolve_all
+    from lobewise.denoising.automatic import resolve_all
+    from lobewise.denoising.planning.frame_plans import FILTER_LAYERS, KEEP_LIGHT
+    from lobewise.denoising.stages import start_run
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
 
     images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0]}
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
-        images[quality] = keep_light(filter_halves(frame, settings, ()))[0].image
+        images[quality] = start_run(frame, settings).run((FILTER_LAYERS, KEEP_LIGHT)).total
     if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
     return images

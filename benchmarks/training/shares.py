@@ -26,7 +26,7 @@ from benchmarks.training.share_network import Examples, ShareNetwork, make_examp
 from benchmarks.training.train import replace_networks
 from lobewise.denoising.combining import find_level, see_mixture
 from lobewise.denoising.evidence import find_share_taken_back
-from lobewise.denoising.high import WEIGHTS
+from lobewise.denoising.networks import WEIGHTS
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 

@@ -22,9 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
-from lobewise.denoising.guided import finish_layer, resolve_guided
-from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network
+from lobewise.denoising.automatic import resolve_guided
+from lobewise.denoising.networks import WEIGHTS, pack_network
 from lobewise.denoising.noisy import make_noisy_layers
+from lobewise.denoising.planning.layer_plans import MIDDLE
+from lobewise.denoising.running import find_candidates, finish_layer
 from lobewise.filters.mixing import LEAK, Network, find_features
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.denoising.planning.layer_plans import plan_upsampling
+from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
-from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
-from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
+from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ def upsample(
             [*make_layers(frame, chosen, features), *make_rest_layer(frame, chosen, features)],
             chosen.radius,
         )
-    outputs = [_run(frame, layer, reach, chosen) for layer in layers]
+    plan = plan_upsampling(reach, frame.scale)
+    outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
     apart = not bilinear and frame.radiance.parts is not None
     # The rest, emission and background, is compared by place alone: what it lacks is no lack of a lobe.
@@ -108,19 +109,6 @@ def upsample(
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
         seconds=time.perf_counter() - start,
         notes=notes,
-    )
-
-
-def _run(frame: SparseFrame, layer: Layer, radius: int, settings: ResolvedSettings) -> FilterOutput:
-    return run_upsampling(
-        layer.radiance,
-        layer.mask,
-        layer.features,
-        scale=frame.scale,
-        place=frame.place,
-        radius=radius,
-        albedo=layer.albedo,
-        device=settings.device,
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from lobewise.denoising import recipe
+from lobewise.denoising import stages
+from lobewise.denoising.planning import frame_plans
 
 
 @pytest.fixture
@@ -13,10 +14,10 @@ def unshared(monkeypatch: pytest.MonkeyPatch) -> None:
 
     With it each pixel tells a little on all others.
     """
-    monkeypatch.setattr(recipe, "keep_light", lambda found: (found, 0.0))
+    monkeypatch.setitem(stages.RUNNERS, frame_plans.KEEP_LIGHT, lambda state: state)  # type: ignore[arg-type]
 
 
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as the filters made them: no detail is taken back."""
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
+    monkeypatch.setattr(stages, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))

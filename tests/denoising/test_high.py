@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import chain, pairwise
 from typing import Any
@@ -12,24 +11,24 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import combining, denoise, high, recipe
-from lobewise.denoising.automatic import choose_quality
+from lobewise.denoising import combining, denoise, running, stages
+from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
-from lobewise.denoising.guided import finish_layer, make_pass_guide, resolve_guided
-from lobewise.denoising.high import (
-    COUNT,
-    EXTRAS,
-    MIDDLE,
-    NARROW,
-    WIDE,
-    find_candidates,
-    load_networks,
-    pack_network,
-    unpack_network,
-)
+from lobewise.denoising.networks import load_networks, pack_network, unpack_network
 from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
+from lobewise.denoising.planning import layer_plans
+from lobewise.denoising.planning.layer_plans import CANDIDATE_COUNT, MIDDLE, NARROW, WIDE
+from lobewise.denoising.running import (
+    EXTRA_COUNT,
+    Candidates,
+    Halves,
+    compare_halves,
+    find_candidates,
+    finish_layer,
+    make_first_guide,
+)
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
-from lobewise.filters.dual_buffer import DualBufferOutput
+from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.mixing import Network, count_features
 from lobewise.filters.noise import agreement, detail
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
@@ -46,7 +45,7 @@ from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ALBEDO_FLOOR = 1e-3
 SMALLEST_ALPHA = 1e-3
-FEW = {"DENSE": 1, "SPARSE": 1, "SPARSE_STEPS": 1}
+FEW = {"DENSE": 1, "SPARSE": 1, "SPARSE_STEPS_PIXELS": 1}
 """What is left of the plan in most of these tests, passes and variants of sparse ones: what holds of four filters holds
 of all, and compiles sooner."""
 FEWER = 4
@@ -87,7 +86,7 @@ def force(network: Network, chosen: int) -> Network:
 
 def make_networks(candidates: int) -> dict[str, Network]:
     """Return one of each kind."""
-    inputs = count_features(candidates, EXTRAS)
+    inputs = count_features(candidates, EXTRA_COUNT)
     return {
         "diffuse": make_network(inputs, candidates, 1),
         "specular": make_network(inputs, candidates, 2),
@@ -98,7 +97,7 @@ def make_networks(candidates: int) -> dict[str, Network]:
 def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str, Network]:
     """Return the networks that are used from now on, to be changed in place."""
     networks = make_networks(candidates)
-    for module in (high, combining):
+    for module in (running, combining):
         monkeypatch.setattr(module, "load_networks", lambda: networks)
     return networks
 
@@ -107,7 +106,7 @@ def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str,
 def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
     """Return networks of random numbers for a plan of few filters, both in use."""
     for name, count in FEW.items():
-        monkeypatch.setattr(high, name, getattr(high, name)[:count])
+        monkeypatch.setattr(layer_plans, name, getattr(layer_plans, name)[:count])
     return take_networks(monkeypatch, FEWER)
 
 
@@ -188,7 +187,7 @@ class TestMixture:
     def test_the_whole_plan(self, apart, monkeypatch):
         # With normals, which both layers have one kernel for; with lobes it runs on every device and in bands
         # (kernels/test_devices.py, streaming/test_recipe.py).
-        take_networks(monkeypatch, COUNT)
+        take_networks(monkeypatch, CANDIDATE_COUNT)
         frame, truth = make_shadowed(apart=apart)
         first, second = (denoise(frame, **CHEAP) for _ in range(2))
         assert np.isfinite(first.image).all()
@@ -230,28 +229,29 @@ class Recorder:
         self.guides: list[FloatArray] = []
         self.levels: list[float] = []
         self.rng = np.random.default_rng(11)
-        monkeypatch.setattr(high, "filter_dual_buffer", self.run)
-        monkeypatch.setattr(high, "filter_samples", self.run_samples)
-        monkeypatch.setattr(high, "compare_halves", self.guide)
+        monkeypatch.setattr(running, "filter_dual_buffer", self.run)
+        monkeypatch.setattr(running, "compare_halves", self.guide)
+        monkeypatch.setattr(running, "split_lone", lambda found, *_, **__: found)
 
     def draw(self, *shape: int) -> FloatArray:
         return self.rng.uniform(0.1, 9.0, shape).astype(np.float32)
 
-    def run(
-        self, halves: Any, mask: Any, place: Any, lobes: Any, variants: Sequence[Any], **options: Any
-    ) -> list[DualBufferOutput]:
-        self.calls.append({"halves": halves, "variants": tuple(variants), **options})
-        images = [[self.draw(*mask.shape, 3), self.draw(*mask.shape, 3)] for _ in variants]
-        self.gave.append([DualBufferOutput(a, b, self.draw(*mask.shape), self.draw(*mask.shape)) for a, b in images])
+    def run(self, request: PassRequest) -> list[DualBufferOutput]:
+        if request.guide is None:
+            # The samples themselves, for the first guide.
+            return filter_dual_buffer(request)
+        self.calls.append({item.name: getattr(request, item.name) for item in fields(request)})
+        shape = request.mask.shape
+        images = [[self.draw(*shape, 3), self.draw(*shape, 3)] for _ in request.variants]
+        self.gave.append([DualBufferOutput(a, b, self.draw(*shape), self.draw(*shape)) for a, b in images])
         return self.gave[-1]
 
-    def run_samples(self, noisy: NoisyLayer, *groups: Any, **options: Any) -> list[DualBufferOutput]:
-        return self.run(noisy.samples, noisy.layer.mask, *groups, **options)
-
-    def guide(self, noisy: NoisyLayer, a: FloatArray, b: FloatArray, device: str) -> FloatArray:
-        self.guided.append((a, b))
+    def guide(self, noisy: NoisyLayer, halves: Halves, device: str) -> FloatArray:
+        if not self.gave:
+            return compare_halves(noisy, halves, device)
+        self.guided.append((halves.a, halves.b))
         self.levels.append(noisy.level)
-        self.guides.append(self.draw(*a.shape[:2], 4))
+        self.guides.append(self.draw(*halves.a.shape[:2], 4))
         return self.guides[-1]
 
     def find_guide(self, found: DualBufferOutput) -> FloatArray:
@@ -263,12 +263,12 @@ class Recorder:
     @property
     def dense(self) -> list[dict[str, Any]]:
         """The calls between the pilot and the sparse passes."""
-        return self.calls[1 : 1 + len(high.DENSE)]
+        return self.calls[1 : 1 + len(layer_plans.DENSE)]
 
     @property
     def sparse(self) -> list[dict[str, Any]]:
         """The last calls."""
-        return self.calls[1 + len(high.DENSE) :]
+        return self.calls[1 + len(layer_plans.DENSE) :]
 
 
 @pytest.fixture
@@ -277,7 +277,7 @@ def recorder(monkeypatch: pytest.MonkeyPatch) -> Recorder:
     return Recorder(monkeypatch)
 
 
-def find_of(frame: Frame, name: str, **changes: Any) -> high.Candidates:
+def find_of(frame: Frame, name: str, **changes: Any) -> Candidates:
     """Return the candidates of one layer."""
     settings = resolve(frame, **changes)
     (noisy,) = (each for each in make_noisy_layers(frame, settings, ()) if each.name == name)
@@ -290,23 +290,23 @@ class TestCandidates:
         candidates = find_of(make_frame(), name)
         pilot, *_ = recorder.calls
         (found_pilot,), *found = recorder.gave
-        assert [call["variants"] for call in recorder.dense] == list(high.DENSE)
+        assert [call["variants"] for call in recorder.dense] == list(layer_plans.DENSE)
         for call in recorder.dense:
             assert all(given is first for given, first in zip(call["halves"], pilot["halves"], strict=True))
             assert call["guide"] is recorder.find_guide(found_pilot)
-            assert call["noise"] == high.NOISE[name]
+            assert call["noise"] == layer_plans.DENSE_NOISE[name]
             assert call["albedo"] is pilot["albedo"]
-        assert [call["variants"] for call in recorder.sparse] == [high.SPARSE] * 2
-        sources = found[0][WIDE], found[len(high.DENSE)][0]
+        assert [call["variants"] for call in recorder.sparse] == [layer_plans.SPARSE] * 2
+        sources = found[0][WIDE], found[len(layer_plans.DENSE)][0]
         for call, source in zip(recorder.sparse, sources, strict=True):
             assert call["halves"][0] is source.a
             assert call["halves"][1] is source.b
             assert call["guide"] is recorder.find_guide(source)
-            assert call["noise"] == high.SPARSE_NOISE
+            assert call["noise"] == layer_plans.SPARSE_NOISE
             # What they average has been divided by the albedo before.
             assert call.get("albedo") is None
         every = list(chain.from_iterable(found))
-        assert len(candidates.pairs) == len(every) == COUNT == 13
+        assert len(candidates.pairs) == len(every) == CANDIDATE_COUNT == 13
         assert all(a is each.a and b is each.b for (a, b), each in zip(candidates.pairs, every, strict=True))
         assert candidates.middle is found[0][MIDDLE]
 
@@ -314,21 +314,23 @@ class TestCandidates:
         frame, _ = make_shadowed()
         for each in (frame, frame.with_changes(half_a=None, half_b=None)):
             recorder.calls.clear()
+            recorder.gave.clear()
             find_of(each, "specular")
             (noisy,) = (layer for layer in make_noisy_layers(each, resolve(each), ()) if layer.name == "specular")
-            guide, expected = recorder.calls[0]["guide"], make_pass_guide(noisy, None, "cpu")
+            recorder.gave.clear()
+            guide, expected = recorder.calls[0]["guide"], make_first_guide(noisy, "cpu")
             np.testing.assert_array_equal(guide, expected)
             light = noisy.samples[0] / 0.5
             offset = 0.04 * light.mean()
             assert np.abs(guide[..., :3] - np.log(light + offset)).max() < 1.0
-            assert recorder.calls[0]["noise"] == high.PILOT.noise
+            assert recorder.calls[0]["noise"] == layer_plans.PILOT_NOISE
 
     def test_every_filter_but_the_pilot_heeds_its_guide(self):
-        variants = [*chain.from_iterable(high.DENSE), *high.SPARSE]
+        variants = [*chain.from_iterable(layer_plans.DENSE), *layer_plans.SPARSE]
         assert all(each.range > 0.0 for each in variants)
 
     def test_the_middle_candidate_is_between_the_narrow_and_the_wide(self):
-        sigmas = [high.SIGMA / each.place**0.5 for each in chain.from_iterable(high.DENSE)]
+        sigmas = [layer_plans.DENSE_SIGMA / each.place**0.5 for each in chain.from_iterable(layer_plans.DENSE)]
         # Of 12 only about, as that of an exponent of 6.
         assert sigmas[NARROW] == pytest.approx(6.0)
         assert sigmas[MIDDLE] == pytest.approx(12.0, rel=0.03)
@@ -342,7 +344,7 @@ class TestCandidates:
         pilot, first, *_ = recorder.calls
         assert (pilot["radius"], first["radius"], *(each["step"] for each in recorder.sparse)) == expected
         assert {each["radius"] for each in recorder.dense} == {first["radius"]}
-        assert {each["radius"] for each in recorder.sparse} == {min(high.SPARSE_RADIUS, radius)}
+        assert {each["radius"] for each in recorder.sparse} == {min(layer_plans.SPARSE_RADIUS_TAPS, radius)}
 
     def test_extras_are_as_they_are_told(self, recorder):
         rng = np.random.default_rng(4)
@@ -382,10 +384,10 @@ class TestCandidates:
         albedo = np.full((*SHAPE, 3), 0.7)
         frame = make_frame(apart=apart, **{"diffuse_albedo": albedo, "specular_albedo": albedo, **guides})
         extras = find_of(frame, name).extras
-        assert extras.shape == (*SHAPE, EXTRAS)
+        assert extras.shape == (*SHAPE, EXTRA_COUNT)
         assert np.isfinite(extras).all()
         # Of the other images: make_frame's two alphas are the same.
-        assert [k for k in range(EXTRAS) if not extras[..., k].any()] == sorted({*zero, 6})
+        assert [k for k in range(EXTRA_COUNT) if not extras[..., k].any()] == sorted({*zero, 6})
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0], ids=str)
     @pytest.mark.parametrize("channel", ["alpha_u", "alpha_v", "specular_albedo"])
@@ -668,7 +670,7 @@ class TestPeer:
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
         monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
-        monkeypatch.setattr(recipe, "filter_guided", lambda *_: pytest.fail("filtered first"))
+        monkeypatch.setattr(stages, "filter_halves", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
             with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
@@ -726,7 +728,7 @@ class TestWeights:
         assert sorted(found) == ["diffuse", "noisy", "peer", "specular"]
         shares = {"noisy": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
         for kind, network in found.items():
-            inputs, candidates = shares.get(kind, (count_features(COUNT, EXTRAS), COUNT))
+            inputs, candidates = shares.get(kind, (count_features(CANDIDATE_COUNT, EXTRA_COUNT), CANDIDATE_COUNT))
             assert network.mean.shape == network.scale.shape == (inputs,)
             assert network.weights[0].shape[0] == inputs
             assert network.weights[-1].shape[1] == candidates

@@ -10,8 +10,7 @@ import pytest
 
 from lobewise.camera import Camera
 from lobewise.denoising import denoise
-from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.guided import resolve_guided
+from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature

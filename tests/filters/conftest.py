@@ -12,7 +12,7 @@ from lobewise.backend.devices import list_devices
 RUNS = (
     "run_affinity",
     "run_filter",
-    "filter_dual_buffer",
+    "PassRequest",
     "run_reprojection",
     "run_upsampling",
     "SampleGrid",

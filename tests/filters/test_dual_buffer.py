@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import halide as hl
@@ -16,7 +16,7 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.features import DiffuseFeature, Feature, ScreenFeature, SeenFeature
 from lobewise.features.base import Pixel, Stage
-from lobewise.filters.dual_buffer import DualBufferOutput, filter_dual_buffer
+from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.frame import FloatArray
 from tests.features.frames import make_directions, make_feature, make_mask, make_radiance
@@ -136,7 +136,7 @@ class Given:
 
     def run(self) -> list[DualBufferOutput]:
         """Return what the kernel gives."""
-        return filter_dual_buffer(*_split(self), **_name(self))
+        return filter_dual_buffer(PassRequest(**{item.name: getattr(self, item.name) for item in fields(self)}))
 
     def run_oracle(self) -> list[Found]:
         """Return what the definition gives."""
@@ -368,9 +368,9 @@ def test_constant_light_stays_constant_where_colours_lack_a_channel(channel: int
     albedo[2:5, 8:, (channel + 1) % 3] = 0.0
     radiance = np.float32(1.5) * albedo
     everywhere = np.ones(albedo.shape[:2], dtype=bool)
-    (out,) = filter_dual_buffer(
-        (radiance, radiance), everywhere, [], [], [Exponents(1.0, 1.0)], radius=3, albedo=albedo
-    )
+    variants = [Exponents(1.0, 1.0)]
+    request = PassRequest(halves=(radiance, radiance), mask=everywhere, variants=variants, radius=3, albedo=albedo)
+    (out,) = filter_dual_buffer(request)
     np.testing.assert_allclose(out.a, 1.5, rtol=1e-5)
     np.testing.assert_allclose(out.b, 1.5, rtol=1e-5)
 

@@ -11,9 +11,8 @@ from renderers import WRITERS, Written, make_scene, write
 
 from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import foretell_method
-from lobewise.denoising.automatic import ask
+from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.inputs import list_unused
-from lobewise.denoising.recipe import resolve_all
 from lobewise.errors import LobewiseError
 from lobewise.interchange import describe_file, import_file
 from lobewise.settings import DenoiseSettings

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lobewise.denoising.automatic import ask
+from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
-from lobewise.denoising.plans import DIFFUSE, SPECULAR, Pass
-from lobewise.denoising.recipe import filter_frame, find_reach, resolve_all
+from lobewise.denoising.planning.frame_plans import find_reach
+from lobewise.denoising.planning.layer_plans import BALANCED_DIFFUSE, BALANCED_SPECULAR, scale_kernel
+from lobewise.denoising.stages import filter_frame
 from lobewise.features import ScreenFeature
 from lobewise.filters import compositing, fireflies, highlights, mixing, noise_guides, specks
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.dual_buffer import filter_dual_buffer
+from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
@@ -96,11 +98,10 @@ def test_guides_blur_their_variance() -> None:
 @pytest.mark.parametrize(("radius", "step"), [(0, 1), (3, 1), (2, 4)])
 def test_passes_reach_their_last_tap(radius: int, step: int) -> None:
     a, b, mask = draw(2), draw(3), np.ones((HEIGHT, WIDTH), bool)
-    options: dict[str, Any] = {"radius": radius, "step": step}
-    same = [Exponents(1.0, 1.0)]
-    before, after = (
-        filter_dual_buffer((image, b), mask, [ScreenFeature(50.0)], (), same, **options)[0].a for image in (a, alter(a))
-    )
+    place, same = [ScreenFeature(50.0)], [Exponents(1.0, 1.0)]
+    request = PassRequest(halves=(a, b), mask=mask, place=place, variants=same, radius=radius, step=step)
+    changed = replace(request, halves=(alter(a), b))
+    before, after = (filter_dual_buffer(each)[0].a for each in (request, changed))
     assert measure(before, after) == radius * step
 
 
@@ -213,11 +214,11 @@ def test_evidence_reaches_its_widest_neighbourhood(halves: bool) -> None:
 
 
 def test_dense_passes_have_no_step_at_any_radius() -> None:
-    for chosen in (*DIFFUSE.passes, *SPECULAR.passes):
+    for chosen in (*BALANCED_DIFFUSE, *BALANCED_SPECULAR):
         for radius in (1, 8, 16, 64):
-            taps, step = chosen.get_kernel(radius, follows=True)
+            taps, step = scale_kernel(chosen.radius, chosen.step, radius, follows=True)
             if chosen.step == 1:
                 assert (taps, step) == (round(chosen.radius * radius / 8), 1)
             else:
                 assert (taps, step) == (min(chosen.radius, radius), max(round(chosen.step * radius / 8), 1))
-    assert Pass(3, 1.0, 1.0, step=4).get_kernel(16, follows=False) == (6, 8)
+    assert scale_kernel(3, 4, 16, follows=False) == (6, 8)

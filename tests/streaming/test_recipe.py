@@ -21,6 +21,7 @@ from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.settings import DenoiseSettings
+from lobewise.settings.choices import QUALITIES
 from lobewise.streaming import denoise_file, list_images, needs_bands, plan
 from lobewise.streaming import recipe as streaming
 from lobewise.streaming.plan import choose_rows, estimate_bytes
@@ -307,9 +308,9 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     write_frame(tmp_path / "in.exr", make_scene(SHAPE))
     asked = ask(DenoiseSettings(), {"quality": "fast", "similarity": "sg", "screen_sigma": 1.0, "tau": 0.1})
     reader = BandReader(tmp_path / "in.exr", wanted=list_images(asked))
-    pixel = sum(reader.count_bytes()) + plan.WORK["fast"]
+    pixel = sum(reader.count_bytes()) + QUALITIES["fast"].work_bytes_per_pixel
     high = ask(None, {"quality": "high"})
-    assert estimate_bytes(reader, high) == reader.count_bytes()[1] + plan.WORK["high"]
+    assert estimate_bytes(reader, high) == reader.count_bytes()[1] + QUALITIES["high"].work_bytes_per_pixel
     for rows in (300, 1000):
         memory = (rows + 0.5) * SHAPE[1] * pixel / 2**30
         assert choose_rows(reader, asked, memory) == rows - 2 * (8 + EVIDENCE_REACH)

@@ -1,8 +1,9 @@
-"""Images that belong to a layer, or to the whole: filtered by its weights, so that sums still hold.
+"""Images that belong to a layer, or to the whole frame, filtered by the layer's weights, so that sums still hold.
 
-The weights of a filter hang on the guides and on the noise of the layer, not on what is averaged: the same passes
-are run over each image. What the layer's own image gained besides (fireflies bounded, the mixture of the quality
-"high") comes in as the ratio of its result to what the same passes make of it.
+The weights of a filter depend on the guides and on the noise of the layer, not on the image that is averaged. So the
+passes of the layer run over each of these images. Other steps change the layer too: fireflies are bounded, and the
+quality "high" mixes images. Each image is multiplied by the ratio of the layer's result to the layer's radiance after
+the passes alone.
 """
 
 from __future__ import annotations
@@ -13,17 +14,18 @@ from functools import partial
 
 import numpy as np
 
-from lobewise.backend.buffers import Image, device_scope, download
+from lobewise.backend.buffers import device_scope, download
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.denoising.bad_pixels import blacken_bad
-from lobewise.denoising.guided import finish_layer, make_pass_guide, run_pass
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
+from lobewise.denoising.planning.layer_plans import plan_balanced
+from lobewise.denoising.running import LayerRun, finish_layer
 from lobewise.features import Feature
-from lobewise.filters.dual_buffer import DualBufferOutput
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
 from lobewise.settings import ResolvedSettings
+from lobewise.settings.choices import get_quality
 
 
 @device_scope()
@@ -66,7 +68,7 @@ def make_filters(
     frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]
 ) -> dict[str, tuple[FloatArray, Filter]]:
     """Return for every layer of a frame its radiance and what filters images by its weights."""
-    if settings.quality == "fast":
+    if not get_quality(settings.quality).reads_halves:
         plain = make_layers(frame, settings, features, finest=True)
         return {each.name: (each.radiance, partial(_run_plain, each, settings)) for each in plain}
     noisy = make_noisy_layers(frame, settings, features)
@@ -105,34 +107,23 @@ def _run_guided(
     frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, images: Sequence[FloatArray]
 ) -> list[FloatArray]:
     """Return images after the passes of a layer with its guides; two at a time take the places of its halves."""
-    guides = _find_guides(frame, noisy, settings)
+    until_guides, passes = plan_balanced(noisy.traits, settings).split_guides()
+    own = LayerRun(frame, noisy.layer, settings, noisy)
+    own.run(until_guides, keep=until_guides.guides)
     bounded = _find_bounded_share(noisy)
-    # A dense pass averages samples: of what stands before the last of them only the guides count.
-    first = max(number for number, each in enumerate(noisy.plan.passes) if each.step == 1 or number == 0)
     found: list[FloatArray] = []
     for start in range(0, len(images), 2):
         pair = [np.asarray(image * bounded) for image in images[start : start + 2]]
         halves = [mark_bad(image) for image in pair]
-        # Both are samples of every pixel, whatever the layer itself has.
-        own = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
-        output: DualBufferOutput | None = None
-        for number in range(first, len(guides)):
-            output = run_pass(frame, own, number, output, settings, guides[number], joined=False)
-        assert output is not None, "a plan has passes"
+        # Both images are samples of every pixel, even where the layer itself has no halves.
+        both = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
+        state = replace(own, found=both, images=dict(own.images))
+        state.run(passes)
+        (output,) = (state.images[name] for name in passes.steps[-1].writes)
         for image, light in zip(pair, (output.a, output.b), strict=False):
-            mine = replace(own, layer=replace(noisy.layer, radiance=image))
+            mine = replace(both, layer=replace(noisy.layer, radiance=image))
             found.append(finish_layer(frame, mine, (light,), output).image)
     return found
-
-
-def _find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
-    """Return what each pass of a layer is guided by."""
-    before: DualBufferOutput | None = None
-    guides = [make_pass_guide(noisy, before, settings.device)]
-    for number in range(len(noisy.plan.passes) - 1):
-        before = run_pass(frame, noisy, number, before, settings, guides[-1])
-        guides.append(make_pass_guide(noisy, before, settings.device))
-    return guides
 
 
 def _find_bounded_share(noisy: NoisyLayer) -> FloatArray:

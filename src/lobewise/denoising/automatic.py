@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.devices import choose_device
+from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.errors import InputError, require_choice
+from lobewise.frame import Frame
 from lobewise.lobes.band_limit import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
 from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
+from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: Similarity = "ggx"
@@ -22,6 +25,11 @@ DEFAULT_SIMILARITY: Similarity = "ggx"
 DEFAULT_QUALITY: Quality = "high"
 """What "auto" takes for the full form: the best of ours in the mean of every set of scenes that was measured
 (docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
+BETA_DIFFUSE, BETA_SPECULAR = 2.0, 1.0
+"""Exponents of the lobe similarity that "auto" stands for where the passes are guided by the noise."""
+GUIDED_TAU = 0.01
+"""Band-limit of the lobes, radians, that "auto" stands for where the passes are guided by the noise: lobes need not be
+widened for it."""
 NOISE, FALL = 0.0825, 0.56
 """Of `expect_noise`: what it is at 4 samples, and with which power of their count it falls."""
 
@@ -96,7 +104,8 @@ def leaves_oidn_open(settings: DenoiseSettings) -> bool:
 
 def require_plain(settings: DenoiseSettings, what: str) -> None:
     """Raise InputError if ``settings`` ask for a quality that ``what`` does not have."""
-    if settings.quality not in ("auto", "fast") or settings.asks_for_oidn:
+    guided = settings.quality != "auto" and get_quality(settings.quality).reads_halves
+    if guided or settings.asks_for_oidn:
         raise InputError(
             "quality",
             expected=f"'fast' for {what}",
@@ -154,6 +163,26 @@ def can_use_hits(frame: AnyFrame) -> bool:
 def needs_spp(settings: DenoiseSettings) -> bool:
     """Return whether what "auto" stands for depends on the noise, for the quality "fast"."""
     return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
+
+
+def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> ResolvedSettings:
+    """Return settings with every "auto" replaced, for their own quality; for ``spp`` see `resolve_settings`."""
+    guided = get_quality(choose_quality(asked)).reads_halves
+    return resolve_guided(frame, asked) if guided else resolve_settings(frame, asked, spp=spp)
+
+
+def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
+    """Return ``settings`` with every "auto" replaced, for a quality whose passes are guided by the noise."""
+    pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
+    sigma = AUTO_SIGMA * max(settings.radius, 1) / 8.0
+    told = replace(
+        settings,
+        beta=BETA_SPECULAR if settings.beta == "auto" else settings.beta,
+        diffuse_beta=BETA_DIFFUSE if settings.diffuse_beta == "auto" else settings.diffuse_beta,
+        tau=max(GUIDED_TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
+        screen_sigma=sigma if settings.screen_sigma == "auto" else settings.screen_sigma,
+    )
+    return replace(resolve_settings(frame, told), quality=choose_quality(settings), with_oidn=settings.asks_for_oidn)
 
 
 def resolve_settings(

@@ -15,7 +15,7 @@ import numpy as np
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.evidence import find_image_halves
-from lobewise.denoising.high import load_networks
+from lobewise.denoising.networks import load_networks
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement
 from lobewise.filters.noise.detail import find_detail
@@ -24,6 +24,7 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, name_oidn_guides
 from lobewise.settings import DenoiseSettings
+from lobewise.settings.choices import get_similarity
 
 DARKEST = 1e-30
 """Radiance up to which there is no share of it."""
@@ -132,10 +133,11 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
     why_ours : str
         What `lobewise.denoising.automatic.explain_ours` gives.
     """
-    compared = "what surfaces reflect"
-    if settings.similarity == "normal":
-        compared = "which way surfaces face" if "normal" in guides else "the picture alone"
-    ours = "lobewise's own filters" + (f", comparing {compared}" if settings.similarity != "auto" else "")
+    ours = "lobewise's own filters"
+    if settings.similarity != "auto":
+        similarity = get_similarity(settings.similarity)
+        knows = similarity.has_lobes or "normal" in guides
+        ours += f", comparing {similarity.compares if knows else 'the picture alone'}"
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"

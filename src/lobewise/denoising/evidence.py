@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_good
-from lobewise.denoising.high import load_networks
+from lobewise.denoising.networks import load_networks
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.evidence import find_noisy_share

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lobewise.frame import Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_quality, get_similarity
 
 Images = frozenset[tuple[str, str]]
 """Owner and field of images of a frame."""
@@ -25,11 +26,11 @@ def list_images(settings: DenoiseSettings) -> Images:
     found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
     if settings.hit_distance is not False:
         found.add(("gbuffer", "hit_distance"))
-    if settings.quality == "fast":
-        found.add(("variance", "color"))
-    else:
+    if get_quality(settings.quality).reads_halves:
         found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
         found |= {("gbuffer", name) for name in _GUIDED}
+    else:
+        found.add(("variance", "color"))
     return frozenset(found)
 
 
@@ -40,12 +41,13 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
     total holds.
     """
     used = {name for owner, name in list_images(settings) if owner == "gbuffer"}
-    if settings.similarity == "normal" and settings.band_limit is None:
-        # The network of the quality "high" sees roughness.
-        used -= set(_LOBES) - ({"alpha_u", "alpha_v"} if settings.quality == "high" else set())
-    elif settings.similarity not in ("ggx", "asg"):
+    similarity, quality = get_similarity(settings.similarity), get_quality(settings.quality)
+    if not similarity.has_lobes and settings.band_limit is None:
+        # A network that mixes images reads the roughness.
+        used -= set(_LOBES) - ({"alpha_u", "alpha_v"} if quality.mixes else set())
+    elif not similarity.has_covariance:
         used -= {"tangent"}
-    if settings.similarity != "sg_mixture":
+    if not similarity.is_mixture:
         used -= {"material"}
     if not settings.hit_distance:
         used -= {"hit_distance"}
@@ -60,7 +62,7 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
     unused += [f"radiance.{name}" for name in ("direct", "indirect") if getattr(frame.radiance, name) is not None]
     if not apart:
         unused += [f"radiance.{name}" for name in ("diffuse", "specular") if getattr(frame.radiance, name) is not None]
-    if settings.quality == "fast":
+    if not quality.reads_halves:
         unused += [name for name in ("half_a", "half_b") if getattr(frame, name) is not None]
     elif frame.variance is not None:
         # Halves tell the noise, and without them residuals do.

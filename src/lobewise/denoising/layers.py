@@ -29,6 +29,7 @@ from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
+from lobewise.settings.choices import get_similarity
 from lobewise.sparse_frame import AnyFrame
 
 Mask = NDArray[np.bool_]
@@ -122,30 +123,36 @@ def make_specular_features(
 
     With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
     """
-    if settings.similarity == "normal":
+    similarity = get_similarity(settings.similarity)
+    if not similarity.has_lobes:
         return _make_normal_features(frame, settings, surface)
-    if settings.similarity == "sg_mixture":
-        mixture = make_mixture_field(
-            frame.gbuffer,
-            frame.require_camera(_name_similarity(settings)),
-            tau=settings.tau,
-            lobes=settings.lobes,
-            lobe_tables=frame.lobe_tables,
-            diffuse=not apart,
-        )
-        feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
-        return [feature], surface & mixture.valid
+    if similarity.is_mixture:
+        return _make_mixture_features(frame, settings, surface, apart)
     hits = _make_hits(frame, settings)
-    if settings.similarity == "sg":
+    if not similarity.has_covariance:
         single = _make_sg_lobes(frame, settings)
         single = spread_lobes(single) if spread else single
         return [SgFeature(single.axis, single.sharpness, settings.beta, hits)], surface & single.valid
-    camera = frame.require_camera(_name_similarity(settings))
-    gaussian = settings.similarity == "asg"
+    camera, gaussian = frame.require_camera(_name_similarity(settings)), similarity.fits_gaussian
     kind = AsgFeature if gaussian else GgxFeature
     lobes = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
     lobes = spread_lobes(lobes) if spread else lobes
     return [kind(lobes.axis, lobes.covariance, lobes.determinant, settings.beta, hits)], surface & lobes.valid
+
+
+def _make_mixture_features(
+    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool
+) -> tuple[list[Feature], Mask]:
+    mixture = make_mixture_field(
+        frame.gbuffer,
+        frame.require_camera(_name_similarity(settings)),
+        tau=settings.tau,
+        lobes=settings.lobes,
+        lobe_tables=frame.lobe_tables,
+        diffuse=not apart,
+    )
+    feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
+    return [feature], surface & mixture.valid
 
 
 def find_surface(frame: AnyFrame) -> Mask:
@@ -177,10 +184,10 @@ def make_lobe_layers(
     if parts is None:
         return [Layer(frame.radiance.color, find_whole_albedo(guides), specular_mask, tuple(specular))]
     diffuse: Feature
-    if settings.similarity == "normal":
-        diffuse = NormalFeature(normal, settings.normal_exponent)
-    else:
+    if get_similarity(settings.similarity).has_lobes:
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
+    else:
+        diffuse = NormalFeature(normal, settings.normal_exponent)
     scattered, reflected = (surface, (diffuse,)), (specular_mask, tuple(specular))
     transmitted = surface, (NormalFeature(normal, settings.normal_exponent),)
     if finest and isinstance(frame, Frame) and frame.layers:

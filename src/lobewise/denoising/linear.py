@@ -21,6 +21,7 @@ from lobewise.errors import InputError
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings
+from lobewise.settings.choices import get_quality
 
 
 class LinearFilter:
@@ -41,7 +42,8 @@ class LinearFilter:
     """
 
     def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
-        if settings.quality != "fast" or settings.form != "full":
+        fixed = settings.quality != "auto" and not get_quality(settings.quality).reads_halves
+        if not fixed or settings.form != "full":
             got = f"quality {settings.quality!r} and form {settings.form!r}"
             action = "the weights of others follow the radiance, or are chains of them"
             expected = "quality 'fast' and form 'full', whose weights are fixed and symmetric"

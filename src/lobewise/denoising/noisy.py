@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
-from lobewise.denoising.plans import DIFFUSE, SPECULAR, Plan
+from lobewise.denoising.planning.layer_plans import AUTO_SIGMA, LayerTraits
 from lobewise.features import Feature, SeenFeature
-from lobewise.filters.dual_buffer import filter_dual_buffer
+from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.highlights import split_highlights
@@ -21,6 +21,8 @@ from lobewise.filters.noise_guides import find_level, measure_light
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import find_halves
 from lobewise.settings import DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_similarity
+from lobewise.sparse_frame import AnyFrame
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel over which what reflections see is averaged: radius and sigma in pixels."""
@@ -28,25 +30,31 @@ SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness with which its albedo and its normal are compared."""
 MAX_MIRROR_ALPHA = 0.01
 """Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface (docs/quality.md)."""
-WIDEST = 30.0
-"""Screen sigma, pixels, that "auto" stands for at radius 8; those of the passes are in proportion."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoundedLayer:
-    """One radiance in two halves, fireflies bounded."""
+    """One radiance in two halves, fireflies bounded.
+
+    Parameters
+    ----------
+    layer : Layer
+    bounded : BoundedHalves
+    is_whole : bool
+        Whether every pixel has samples in both halves. Else a pixel belongs to one of a checkerboard's colours, each of
+        which stands for a half.
+    noise_is_shared : bool
+        As of `lobewise.Frame`.
+    """
 
     layer: Layer
-    plan: Plan
     bounded: BoundedHalves
     is_whole: bool
-    """Whether pixels have samples in both halves, and not in one of a checkerboard's colours."""
     noise_is_shared: bool
-    """As of `lobewise.Frame`."""
 
     @property
     def name(self) -> str:
-        """That of the layer."""
+        """Name of the layer."""
         return self.layer.name
 
     @property
@@ -55,19 +63,34 @@ class BoundedLayer:
         return self.bounded.a, self.bounded.b
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NoisyLayer(BoundedLayer):
-    """The same with what it is compared by."""
+    """A bounded layer and everything that its pixels are compared by.
+
+    Parameters
+    ----------
+    pilot_features : tuple of Feature
+        What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass.
+    seen : tuple of Feature
+        The surfaces that reflections show; empty where the frame does not tell them.
+    level : float
+        Mean luminance of radiance over albedo of the samples of the whole image. It says what is dark.
+    samples : pair of arrays, shape (height, width, 3)
+        What a dense pass averages: the halves; of an image without halves, the image and its squared residual.
+    kept : array, shape (height, width, 3), optional
+        Light of highlights. No sample holds it; it is added to the result.
+    """
 
     pilot_features: tuple[Feature, ...]
-    """What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass."""
     seen: tuple[Feature, ...]
     level: float
-    """Mean light of the whole image's samples, radiance over albedo, which says what is dark."""
     samples: tuple[Image, Image]
-    """What a dense pass averages: the halves; or of an image without any itself, and the square of its residual."""
     kept: FloatArray | None = None
-    """Light of highlights, (height, width, 3), which is in none of the samples and is added to the result."""
+
+    @property
+    def traits(self) -> LayerTraits:
+        """What the plan of the layer depends on."""
+        return LayerTraits(self.layer.is_diffuse, bool(self.seen))
 
 
 def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
@@ -76,8 +99,14 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     found = []
     for layer in make_lobe_layers(frame, settings, finest=True, spread=True):
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
-        plan = DIFFUSE if layer.is_diffuse else SPECULAR
-        found.append(BoundedLayer(layer, plan, bounded, halves.origin == "file", frame.noise_is_shared))
+        found.append(
+            BoundedLayer(
+                layer=layer,
+                bounded=bounded,
+                is_whole=halves.origin == "file",
+                noise_is_shared=frame.noise_is_shared,
+            )
+        )
     return found
 
 
@@ -100,21 +129,20 @@ def make_noisy_layers(
         each, kept = _split_layer(bright, settings, single=frame.spp == 1)
         pilot: Sequence[Feature] = each.layer.features
         is_specular = each.layer.is_reflected and each.name != "color"
-        if each.layer.is_reflected and settings.similarity in ("ggx", "asg"):
+        if each.layer.is_reflected and get_similarity(settings.similarity).has_covariance:
             simple = replace(settings, similarity="sg")
             pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color", spread=True)
         found.append(
             NoisyLayer(
-                replace(each.layer, features=(*each.layer.features, *extra)),
-                each.plan,
-                each.bounded,
-                each.is_whole,
-                each.noise_is_shared,
-                (*pilot, *extra),
-                find_seen(frame, each.layer.mask, settings) if is_specular else (),
-                level,
-                each.halves if each.is_whole else _find_samples(each),
-                kept,
+                layer=replace(each.layer, features=(*each.layer.features, *extra)),
+                bounded=each.bounded,
+                is_whole=each.is_whole,
+                noise_is_shared=each.noise_is_shared,
+                pilot_features=(*pilot, *extra),
+                seen=find_seen(frame, each.layer.mask, settings) if is_specular else (),
+                level=level,
+                samples=each.halves if each.is_whole else _find_samples(each),
+                kept=kept,
             )
         )
     return found
@@ -169,7 +197,10 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
-    (mean,) = filter_dual_buffer(images, mask, place, (), near, radius=SEEN_RADIUS, device=settings.device)
+    request = PassRequest(
+        halves=images, mask=mask, place=place, variants=near, radius=SEEN_RADIUS, device=settings.device
+    )
+    (mean,) = filter_dual_buffer(request)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     near_normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
     mirrors = find_mirrors(frame)[..., None]
@@ -189,8 +220,8 @@ def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
     return mirrors
 
 
-def make_pass_features(frame: Frame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
+def make_pass_features(frame: AnyFrame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
     """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
-    screen = max(sigma * settings.screen_sigma / WIDEST, 0.5)
+    screen = max(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
     position = screen * settings.position_sigma / DenoiseSettings.position_sigma
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))

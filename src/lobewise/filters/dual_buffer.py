@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -30,14 +31,16 @@ from lobewise.frame import FloatArray
 
 
 class DualBufferOutput(NamedTuple):
-    """What a variant of a dual-buffer pass gives.
+    """The images that one variant of a dual-buffer pass gives.
 
     Parameters
     ----------
     a, b : (height, width, 3)
-        The filtered halves, over their albedo; 0 where no tap of either had any weight.
-    weight_sum, effective_samples : (height, width)
-        Mean of both halves' weight sums, in units of the pixel's own albedo; what the mean of both halves is worth.
+        The filtered halves, divided by the albedo; 0 where no tap of either half had any weight.
+    weight_sum : (height, width)
+        Mean of both halves' weight sums, in units of the pixel's own albedo.
+    effective_samples : (height, width)
+        Number of equally weighted samples that have the variance of the mean of both halves.
     """
 
     a: Image
@@ -46,35 +49,20 @@ class DualBufferOutput(NamedTuple):
     effective_samples: Image
 
 
-@returns_host_images
-def filter_dual_buffer(
-    halves: tuple[Image, Image],
-    mask: NDArray[np.bool_],
-    place: Sequence[Feature],
-    lobes: Sequence[Feature],
-    variants: Sequence[Exponents],
-    *,
-    radius: int,
-    seen: Sequence[Feature] = (),
-    step: int = 1,
-    albedo: FloatArray | None = None,
-    guide: Image | None = None,
-    noise: float = 1.0,
-    joined: bool = False,
-    device: str = "cpu",
-) -> list[DualBufferOutput]:
-    """Filter two halves of the samples, both by the same weights; see `lobewise.filters.dual_buffer_pass`.
+@dataclass(frozen=True, kw_only=True)
+class PassRequest:
+    """Everything that one dual-buffer pass reads; see `lobewise.filters.dual_buffer_pass`.
 
     Parameters
     ----------
     halves : pair of arrays, shape (height, width, 3)
-        Radiance of one half of the samples each. NaN, infinite and negative pixels of a half get weight 0 in it.
+        Radiance of one half of the samples each. NaN, infinite and negative pixels of a half get weight 0 in that half.
     mask : bool array, shape (height, width)
         False where a pixel neither gives nor takes.
     place, lobes, seen : sequence of Feature
         Three groups of features, each with an exponent of its own.
     variants : sequence of Exponents
-        At least one.
+        At least one. Each variant gives an image.
     radius, step : int
         Kernel radius in taps, >= 0, and pixels from tap to tap, >= 1.
     albedo : array, shape (height, width, 3), optional
@@ -82,42 +70,77 @@ def filter_dual_buffer(
     guide : array, shape (height, width, 4), optional
         Colours and their variance (`lobewise.filters.noise_guides`).
     noise : float
-        How many variances a squared difference is divided by, > 0.
+        Number of variances by which a squared difference of the guide is divided, > 0.
     joined : bool
         Whether only the mean of both halves is wanted: ``a`` and ``b`` are then one image, the mean of all samples.
     device : str
         A name from `list_devices`.
-
-    Returns
-    -------
-    list of DualBufferOutput
-        One for each variant.
     """
-    size = mask.shape[0], mask.shape[1]
-    groups = Groups(place, lobes, seen)
-    key = DualBufferKey(
-        radius=radius,
-        groups=tuple(tuple(describe_structure(feature) for feature in features) for features in groups),
-        demodulate=albedo is not None,
-        guided=guide is not None,
-        joined=joined,
-        variants=len(variants),
-    )
-    kernel = get_kernel(device, key, partial(_make_scheduled, key, groups))
-    images: dict[str, Image] = {"mask": take_mask(mask)}
-    for name, half in zip(("half_a", "half_b"), halves, strict=True):
-        images[name] = take_image("half", half, (*size, COLORS))
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, (*size, COLORS))
-    if guide is not None:
-        images["guide"] = take_image("guide", guide, (*size, GUIDE_CHANNELS))
-    numbers = give_exponents(variants)
-    for name, features in groups._asdict().items():
-        images |= give_features(name, features, size)
-        numbers |= give_scalars(features, name)
-    written = run_kernel(kernel, device, images, **numbers, step=step, noise=float(noise))
+
+    halves: tuple[Image, Image]
+    mask: NDArray[np.bool_]
+    place: Sequence[Feature] = ()
+    lobes: Sequence[Feature] = ()
+    seen: Sequence[Feature] = ()
+    variants: Sequence[Exponents]
+    radius: int
+    step: int = 1
+    albedo: FloatArray | None = None
+    guide: Image | None = None
+    noise: float = 1.0
+    joined: bool = False
+    device: str = "cpu"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of every image."""
+        return self.mask.shape[0], self.mask.shape[1]
+
+    @property
+    def groups(self) -> Groups:
+        """The features by group."""
+        return Groups(self.place, self.lobes, self.seen)
+
+    def make_key(self) -> DualBufferKey:
+        """Return what the code of the pass depends on."""
+        return DualBufferKey(
+            radius=self.radius,
+            groups=tuple(tuple(describe_structure(feature) for feature in features) for features in self.groups),
+            demodulate=self.albedo is not None,
+            guided=self.guide is not None,
+            joined=self.joined,
+            variants=len(self.variants),
+        )
+
+    def collect_images(self) -> dict[str, Image]:
+        """Return the images of the pass by the names that its kernel declares."""
+        images: dict[str, Image] = {"mask": take_mask(self.mask)}
+        for name, half in zip(("half_a", "half_b"), self.halves, strict=True):
+            images[name] = take_image("half", half, (*self.size, COLORS))
+        if self.albedo is not None:
+            images["albedo"] = take_image("albedo", self.albedo, (*self.size, COLORS))
+        if self.guide is not None:
+            images["guide"] = take_image("guide", self.guide, (*self.size, GUIDE_CHANNELS))
+        for features in self.groups._asdict().items():
+            images |= give_features(*features, self.size)
+        return images
+
+    def collect_numbers(self) -> dict[str, float]:
+        """Return the numbers of the pass by the names that its kernel declares."""
+        numbers = {**give_exponents(self.variants), "step": self.step, "noise": float(self.noise)}
+        for name, features in self.groups._asdict().items():
+            numbers |= give_scalars(features, name)
+        return numbers
+
+
+@returns_host_images
+def filter_dual_buffer(request: PassRequest) -> list[DualBufferOutput]:
+    """Filter two halves of the samples by the same weights; return one output for each variant."""
+    key = request.make_key()
+    kernel = get_kernel(request.device, key, partial(_make_scheduled, key, request.groups))
+    written = run_kernel(kernel, request.device, request.collect_images(), **request.collect_numbers())
     found: list[DualBufferOutput] = []
-    for variant in range(len(variants)):
+    for variant in range(len(request.variants)):
         *means, support = (written[name] for name in name_images(key, variant))
         found.append(DualBufferOutput(means[0], means[-1], *(take_channel(support, k) for k in range(2))))
     return found

@@ -5,10 +5,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 from lobewise.denoising.inputs import Images, list_images
-from lobewise.denoising.recipe import find_reach
+from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_quality
 
 GIB = float(2**30)
 DEFAULT_MEMORY = 3.0
@@ -19,9 +20,6 @@ FEWEST_ROWS = 32
 """Rows that a band has at least: kernels work in strips of so many."""
 MEASURED_ROWS = 256
 """Rows of a band in the pass that measures the whole frame."""
-WORK = {"fast": 250, "balanced": 480, "high": 850}
-"""Bytes that the filters of each quality hold for a pixel beside the frame, measured (docs/streaming.md)."""
-
 Bands = list[tuple[int, int]]
 """First row and the one behind the last of each."""
 
@@ -30,7 +28,7 @@ _PARTS = ("color", "diffuse", "specular")
 
 def list_measured(settings: DenoiseSettings) -> Images:
     """Return which images the pass that measures a frame looks at."""
-    if settings.quality == "fast":
+    if not get_quality(settings.quality).reads_halves:
         return frozenset({*(("radiance", part) for part in _PARTS), ("variance", "color")})
     return list_images(settings)
 
@@ -38,7 +36,7 @@ def list_measured(settings: DenoiseSettings) -> Images:
 def estimate_bytes(reader: BandReader, settings: DenoiseSettings) -> int:
     """Return how many bytes a pixel takes while it is filtered."""
     stored, read = reader.count_bytes()
-    return (0 if forgets(settings) else stored) + read + WORK[settings.quality]
+    return (0 if forgets(settings) else stored) + read + get_quality(settings.quality).work_bytes_per_pixel
 
 
 def forgets(settings: DenoiseSettings) -> bool:
@@ -46,7 +44,7 @@ def forgets(settings: DenoiseSettings) -> bool:
 
     That is little beside what the quality "high" computes, and leaves room for taller bands.
     """
-    return settings.quality == "high"
+    return get_quality(settings.quality).mixes
 
 
 def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
@@ -67,7 +65,7 @@ def find_band_reach(settings: ResolvedSettings) -> int:
 
     The quality "fast" does not look at evidence; the sentence on what it blurs does.
     """
-    return find_reach(settings) + (EVIDENCE_REACH if settings.quality == "fast" else 0)
+    return find_reach(settings) + (0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH)
 
 
 def cut_bands(height: int, rows: int) -> Bands:

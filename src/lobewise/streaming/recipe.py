@@ -18,6 +18,7 @@ from lobewise.denoising.automatic import (
     judge_noise,
     list_relative_variances,
     needs_spp,
+    resolve_all,
 )
 from lobewise.denoising.bad_pixels import (
     blacken_bad,
@@ -41,7 +42,7 @@ from lobewise.denoising.light_loss import (
     sum_missing,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
-from lobewise.denoising.recipe import filter_frame, resolve_all
+from lobewise.denoising.stages import filter_frame
 from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
@@ -55,6 +56,7 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_quality
 from lobewise.streaming.finishing import Finisher, finish_bands
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
@@ -167,7 +169,7 @@ def denoise_file(
             again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
             return _measure(again, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
-        guided = asked.quality != "fast"
+        guided = get_quality(asked.quality).reads_halves
         if not guided and needs_spp(asked):
             noisy = ("variance", "color") in reader.images
             variances = measure().variances if noisy else np.empty(0)
@@ -263,7 +265,7 @@ class _Seen:
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
     """Read a frame once; everything is summed by rows, and so to the same bits as of the whole frame."""
     height, width = reader.shape
-    guided = settings.quality != "fast"
+    guided = get_quality(settings.quality).reads_halves
     lights: list[list[Rows]] = []
     tallies: list[list[Rows]] = []
     colors: list[Rows] = []
@@ -347,7 +349,7 @@ def _filter_band(
     seen.missing.append([sum_missing(*each, core) for each in zip(found.layers, found.parts, takers, strict=False)])
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
-    if settings.quality == "fast":
+    if not get_quality(settings.quality).reads_halves:
         seen.blurred.append(count_blurred(frame, found.image, core))
     images: dict[str, NDArray[Any]] = {"color": found.image[core], "holes": found.find_holes(bad)[core]}
     if len(found.parts) == 2:

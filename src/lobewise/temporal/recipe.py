@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
-from lobewise.denoising.recipe import compose, find_rest, keep_unfiltered
+from lobewise.denoising.planning.layer_plans import plan_history
+from lobewise.denoising.running import run_with_history
+from lobewise.denoising.stages import compose, find_rest, keep_unfiltered
 from lobewise.errors import require_choice, require_kind
 from lobewise.features import Feature
-from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
+from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import bound_guides, find_unusable
@@ -29,10 +31,10 @@ from lobewise.upsampling import DEFAULT_RADIUS, spread
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-LARGEST_OWN_WEIGHT = 1e8
-"""Weight of a pixel's own sample where shading has no noise: what was borrowed before is then lost in rounding."""
+MAX_OWN_WEIGHT = 1e8
+"""Weight of a pixel's own sample where shading has no noise. Beside it, samples of neighbours are lost in rounding."""
 BORROWED_ERROR = 0.005
-"""Squared relative error that a neighbour's radiance has as an estimate of the pixel's own, noise aside."""
+"""Squared relative error of a neighbour's radiance as an estimate of the pixel's own radiance, without noise."""
 
 
 class TemporalFilter:
@@ -151,9 +153,9 @@ class TemporalFilter:
         reprojection = HistoryReprojection(
             guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers
         )
-        noise = self._estimate_noise(frame)
+        plan = plan_history(chosen, growth=self.temporal.strictness, own=find_own_weight(frame))
         outputs = {
-            name: self._accumulate(frame, layer, reprojection.reproject(name), chosen, noise)
+            name: run_with_history(frame, layer, chosen, plan, reprojection.reproject(name))
             for name, layer in layers.items()
         }
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
@@ -177,29 +179,6 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             named |= zip(("rest",), make_rest_layer(frame, chosen, features), strict=False)
         return named
-
-    @staticmethod
-    def _estimate_noise(frame: AnyFrame) -> float:
-        """Return the relative variance of a sample, >= 0."""
-        if frame.variance is not None and not frame.variance.color.any():
-            return 0.0
-        return expect_noise(estimate_spp(frame))
-
-    def _accumulate(
-        self, frame: AnyFrame, layer: Layer, history: FloatArray | None, chosen: ResolvedSettings, noise: float
-    ) -> AccumulatedOutput:
-        """Return the sums of this frame and its history, and what they tell."""
-        scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
-        own = min(1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / LARGEST_OWN_WEIGHT), LARGEST_OWN_WEIGHT)
-        grid = SampleGrid(
-            layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo, device=chosen.device
-        )
-        options: dict[str, Any] = {"radius": chosen.radius, "growth": self.temporal.strictness, "own": own}
-        if history is not None:
-            options |= {"history": history, "trust": grid.find_trust(layer.radiance, history, own)}
-        if isinstance(frame, SparseFrame):
-            return grid.accumulate(layer.radiance, **options)
-        return grid.accumulate_filtered(layer.radiance, form=chosen.form, **options)
 
     @staticmethod
     def _make_result(
@@ -240,6 +219,14 @@ class TemporalFilter:
             seconds=0.0,
             variance=np.asarray(sum(output.variance for output in told), dtype=np.float32),
         )
+
+
+def find_own_weight(frame: AnyFrame) -> float:
+    """Return the weight of a pixel's own sample, >= 1: a borrowed one has an error of its own beside the noise."""
+    without_noise = frame.variance is not None and not frame.variance.color.any()
+    noise = 0.0 if without_noise else expect_noise(estimate_spp(frame))
+    own = 1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
+    return min(own, MAX_OWN_WEIGHT)
 
 
 def _put_side_by_side(image: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ from lobewise.guides.surfaces import (
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import ResolvedSettings, TemporalSettings
+from lobewise.settings.choices import get_similarity
 
 FAR = 1e8
 """Distance of the background, world units."""
@@ -133,7 +134,7 @@ def make_validation_features(
     virtual = (*lobes, *_make_hit_features(guides)) if apart and same.hit_distance else ()
     validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or lobes)), virtual)
     if apart:
-        diffuse = facing if settings.similarity == "normal" else DiffuseFeature(normal, temporal.beta)
+        diffuse = DiffuseFeature(normal, temporal.beta) if get_similarity(settings.similarity).has_lobes else facing
         validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse))
     return validation
 

@@ -14,15 +14,18 @@ from textwrap import fill
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
 from lobewise.errors import InputError, name_value, require_choice
+from lobewise.settings.choices import FormName, QualityName, SimilarityName, get_quality
 
 Auto = Literal["auto"]
-Quality = Literal["fast", "balanced", "high"]
-Similarity = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
-Form = Literal["full", "separable", "atrous"]
+Quality = QualityName
+Similarity = SimilarityName
+Form = FormName
 
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 SIMILARITIES: tuple[Similarity, ...] = get_args(Similarity)
 FORMS: tuple[Form, ...] = get_args(Form)
+OIDN_QUALITY: Quality = "high"
+"""The quality of our own image that is mixed with the image of Open Image Denoise."""
 LARGEST_RADIUS = 64
 MAX_LOBES = 4
 """Spherical Gaussians that a sum of them has at most."""
@@ -268,18 +271,18 @@ class DenoiseSettings(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        quality = "high" if self.asks_for_oidn else self.quality
-        if quality in ("balanced", "high") and self.form != "full":
+        quality = OIDN_QUALITY if self.asks_for_oidn else self.quality
+        if quality != "auto" and self.form not in get_quality(quality).forms:
             raise InputError(
                 "form",
                 expected=f"'full' with quality {quality!r}",
                 got=repr(self.form),
                 action="use quality 'fast' for the other forms",
             )
-        if self.asks_for_oidn and self.quality not in ("auto", "high"):
+        if self.asks_for_oidn and self.quality not in ("auto", OIDN_QUALITY):
             raise InputError(
                 "quality",
-                expected="'high' with Open Image Denoise",
+                expected=f"{OIDN_QUALITY!r} with Open Image Denoise",
                 got=repr(self.quality),
                 action="leave the quality out",
             )

@@ -1,0 +1,1 @@
+"""Plans: which steps make a result, in which order, as frozen records that can be printed."""

@@ -1,0 +1,372 @@
+"""The executor of layer plans: it runs their steps, and keeps images on the device between them.
+
+The noise of an image shows in two halves of its samples. A narrow pass over both halves gives a pilot, and the distance
+of the halves gives the pilot's noise. The wide pass that follows averages pixels whose lobes are alike *and* whose
+pilots are no further apart than their noise.
+Sources: Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means Filtering" (two buffers); Schied et
+al. 2017, "Spatiotemporal Variance-Guided Filtering" (colour weights that follow the filtered variance); Tokuyoshi 2015
+(lobe weights).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lobewise.backend.buffers import Image, download
+from lobewise.denoising.layers import Layer
+from lobewise.denoising.networks import load_networks
+from lobewise.denoising.noisy import NoisyLayer, make_pass_features
+from lobewise.denoising.planning.layer_plans import plan_high
+from lobewise.denoising.planning.steps import (
+    HISTORY,
+    SAMPLES,
+    AccumulateStep,
+    FilterStep,
+    FinishStep,
+    GuideStep,
+    LayerPlan,
+    MixStep,
+    PassStep,
+    Step,
+    UpsampleStep,
+)
+from lobewise.features import Feature
+from lobewise.filters.compositing import composite_light
+from lobewise.filters.cross_filter import FilterOutput, run_filter
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
+from lobewise.filters.dual_buffer_pass import Exponents
+from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid, run_upsampling
+from lobewise.filters.mixing import mix_candidates
+from lobewise.filters.noise.residuals import split_by_noise, split_samples
+from lobewise.filters.noise_guides import LONE_FLOOR, VARIANCE_FLOOR, find_dark, make_noise_guide
+from lobewise.frame import FloatArray, Frame
+from lobewise.lobes.vectors import LUMINANCE
+from lobewise.settings import ResolvedSettings
+from lobewise.sparse_frame import AnyFrame, SparseFrame
+
+EXTRA_COUNT = 7
+"""Inputs of a mixing network beside those that it reads off the candidates."""
+MIN_ALPHA = 1e-3
+"""Roughness alpha below which a lobe counts as this wide for the network."""
+MIN_EXTRA = 1e-8
+"""Value below which the logarithm of an input does not fall."""
+
+
+class Halves(NamedTuple):
+    """Two images (height, width, 3) that are as far apart as their noise; one image twice where nothing reads it."""
+
+    a: Image
+    b: Image
+
+
+class Candidates(NamedTuple):
+    """Several averages of one layer, and the other inputs of the network that mixes them.
+
+    Parameters
+    ----------
+    pairs : list of Halves
+        Both halves of each candidate.
+    middle : DualBufferOutput
+        Candidate that the others are compared with.
+    extras : (height, width, EXTRA_COUNT)
+        Base-2 logarithms: effective samples of the narrow and of the middle candidate, variance of the two guides,
+        luminance of the albedo, geometric mean of the alphas, and their ratio. In a diffuse layer the last two are 0.
+    """
+
+    pairs: list[Halves]
+    middle: DualBufferOutput
+    extras: FloatArray
+
+
+@dataclass(frozen=True)
+class CleanLayer:
+    """The result of a layer.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+        Filtered radiance, albedo included; the noisy radiance where nothing was gathered.
+    weight_sum, effective_samples : (height, width)
+        See `lobewise.filters.dual_buffer.DualBufferOutput`.
+    """
+
+    image: FloatArray
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+
+
+@dataclass(frozen=True)
+class LayerRun:
+    """A layer and the images that the steps of its plan have written so far, by name.
+
+    Parameters
+    ----------
+    frame : Frame or SparseFrame
+    layer : Layer
+    settings : ResolvedSettings
+    found : NoisyLayer, optional
+        The layer in two halves, which the steps of guided plans read.
+    images : dict of str to images
+        A plan with a history finds it here under "history".
+    places : dict of float to list of Feature
+        Features of place that were made, by their standard deviation.
+    """
+
+    frame: AnyFrame
+    layer: Layer
+    settings: ResolvedSettings
+    found: NoisyLayer | None = None
+    images: dict[str, Any] = field(default_factory=dict)
+    places: dict[float, list[Feature]] = field(default_factory=dict)
+
+    def run(self, plan: LayerPlan, keep: Sequence[str] = ()) -> None:
+        """Run every step; let go of each image after the last step that reads it, unless it is to be kept."""
+        for number, step in enumerate(plan.steps):
+            outputs = RUNNERS[type(step)](self, step)
+            self.images.update(zip(step.writes, outputs, strict=True))
+            for name in plan.list_unused(number).difference(keep):
+                del self.images[name]
+
+    @property
+    def noisy(self) -> NoisyLayer:
+        """The layer in two halves."""
+        assert self.found is not None, "a guided plan filters halves"
+        return self.found
+
+    def get_place(self, sigma: float) -> list[Feature]:
+        """Return the features of place of a pass; passes of one sigma share them."""
+        if sigma not in self.places:
+            self.places[sigma] = make_pass_features(self.frame, self.settings, sigma)
+        return self.places[sigma]
+
+
+def run_guided(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, plan: LayerPlan) -> CleanLayer:
+    """Return the result of a layer in two halves."""
+    state = LayerRun(frame, noisy.layer, settings, noisy)
+    state.run(plan)
+    clean: CleanLayer = state.images["image"]
+    return clean
+
+
+def run_plain(frame: AnyFrame, layer: Layer, settings: ResolvedSettings, plan: LayerPlan) -> FilterOutput:
+    """Return the result of a layer that is filtered or upsampled by its guides alone."""
+    state = LayerRun(frame, layer, settings)
+    state.run(plan)
+    output: FilterOutput = state.images["image"]
+    return output
+
+
+def run_with_history(
+    frame: AnyFrame, layer: Layer, settings: ResolvedSettings, plan: LayerPlan, history: FloatArray | None
+) -> AccumulatedOutput:
+    """Return the result of a layer and the sums that become its history."""
+    state = LayerRun(frame, layer, settings, images={HISTORY: history})
+    state.run(plan)
+    output: AccumulatedOutput = state.images["image"]
+    return output
+
+
+def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:
+    """Return the images that the quality "high" mixes and the other inputs of its network, which is trained on them."""
+    plan = plan_high(noisy.traits, settings)
+    number, mix = next((number, step) for number, step in enumerate(plan.steps) if isinstance(step, MixStep))
+    state = LayerRun(frame, noisy.layer, settings, noisy)
+    state.run(LayerPlan(plan.steps[:number]), keep=mix.reads)
+    return gather_candidates(state, mix)
+
+
+def run_filter_step(state: LayerRun, step: FilterStep) -> list[FilterOutput]:
+    """Return the layer after one pass by its guides."""
+    layer, device = state.layer, state.settings.device
+    options = {"form": step.form, "radius": step.radius, "albedo": layer.albedo, "device": device}
+    return [run_filter(layer.radiance, layer.mask, layer.features, **options)]  # type: ignore[arg-type]
+
+
+def run_upsample_step(state: LayerRun, step: UpsampleStep) -> list[FilterOutput]:
+    """Return the layer at every pixel."""
+    frame, layer = state.frame, state.layer
+    assert isinstance(frame, SparseFrame)
+    return [
+        run_upsampling(
+            layer.radiance,
+            layer.mask,
+            layer.features,
+            scale=step.scale,
+            place=frame.place,
+            radius=step.radius,
+            albedo=layer.albedo,
+            device=state.settings.device,
+        )
+    ]
+
+
+def run_accumulate_step(state: LayerRun, step: AccumulateStep) -> list[AccumulatedOutput]:
+    """Return the layer joined with its history, as far as the samples bear the history out."""
+    radiance, history, grid = state.layer.radiance, state.images[HISTORY], make_grid(state)
+    options: dict[str, Any] = {"radius": step.radius, "growth": step.growth, "own": step.own}
+    if history is not None:
+        options |= {HISTORY: history, "trust": grid.find_trust(radiance, history, step.own)}
+    if isinstance(state.frame, SparseFrame):
+        return [grid.accumulate(radiance, **options)]
+    return [grid.accumulate_filtered(radiance, form=step.form, **options)]
+
+
+def make_grid(state: LayerRun) -> SampleGrid:
+    """Return the guides of a layer with the places of its samples."""
+    frame, layer = state.frame, state.layer
+    scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
+    return SampleGrid(
+        layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo, device=state.settings.device
+    )
+
+
+def make_guide(state: LayerRun, step: GuideStep) -> list[Image]:
+    """Return the guide of a pass: that of an earlier image, or of the samples."""
+    (source,), device = step.reads, state.settings.device
+    if source == SAMPLES:
+        return [make_first_guide(state.noisy, device)]
+    return [compare_halves(state.noisy, state.images[source], device)]
+
+
+def make_first_guide(noisy: NoisyLayer, device: str) -> Image:
+    """Return the guide that the samples of a layer give."""
+    layer = noisy.layer
+    if noisy.is_whole:
+        itself = PassRequest(
+            halves=noisy.samples,
+            mask=layer.mask,
+            variants=[Exponents(0.0, 0.0)],
+            radius=0,
+            albedo=layer.albedo,
+            device=device,
+        )
+        (found,) = filter_dual_buffer(itself)
+        return compare_halves(noisy, Halves(found.a, found.b), device)
+    image, dark = download(noisy.samples[0]), find_dark(noisy.level)
+    halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
+    return compare_halves(noisy, Halves(*halves), device)
+
+
+def compare_halves(noisy: NoisyLayer, halves: Halves, device: str) -> Image:
+    """Return the guide of a pass from two images that are as far apart as their noise."""
+    floor = VARIANCE_FLOOR if noisy.is_whole else LONE_FLOOR
+    return make_noise_guide(halves.a, halves.b, noisy.level, device, floor=floor)
+
+
+def run_pass(state: LayerRun, step: PassStep) -> list[Halves | DualBufferOutput]:
+    """Return one image for each variant, with its weight sums where a later step reads them."""
+    noisy, settings, dense = state.noisy, state.settings, step.source == SAMPLES
+    source = noisy.samples if dense else (state.images[step.source].a, state.images[step.source].b)
+    request = PassRequest(
+        halves=source,
+        mask=noisy.layer.mask,
+        place=state.get_place(step.sigma),
+        lobes=noisy.pilot_features if step.is_pilot else noisy.layer.features,
+        seen=noisy.seen if step.reads_seen else (),
+        variants=step.variants,
+        radius=step.radius,
+        step=step.step,
+        # An earlier pass has divided by the albedo.
+        albedo=noisy.layer.albedo if dense else None,
+        guide=state.images[step.guide],
+        noise=step.noise,
+        # The samples of an image without halves are no halves: the image and its squared residual.
+        joined=step.joined and (noisy.is_whole or not dense),
+        device=settings.device,
+    )
+    outputs = filter_dual_buffer(request)
+    if dense and not noisy.is_whole:
+        outputs = [split_lone(each, noisy.level, joined=step.joined) for each in outputs]
+    named = zip(step.writes, outputs, strict=True)
+    return [each if name in step.supports else Halves(each.a, each.b) for name, each in named]
+
+
+def split_lone(found: DualBufferOutput, level: float, *, joined: bool) -> DualBufferOutput:
+    """Return two halves of the filtered image and squared residual of an image without halves."""
+    mean = download(found.a)
+    # The mean of two halves filtered by the same weights is worth twice as many samples as this one image.
+    worth = np.float32(0.5) * download(found.effective_samples)
+    halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_dark(level))
+    return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
+
+
+def run_mix(state: LayerRun, step: MixStep) -> list[Halves]:
+    """Return the mixture of all candidates."""
+    found = gather_candidates(state, step)
+    middle = step.candidates.index(step.counted[-1])
+    network = load_networks()[step.network]
+    device = state.settings.device
+    light = mix_candidates(found.pairs, middle, found.extras, state.noisy.level, network, device)
+    return [Halves(light, light)]
+
+
+def gather_candidates(state: LayerRun, step: MixStep) -> Candidates:
+    """Return the candidates of a mixture and the other inputs of its network."""
+    pairs = [Halves(state.images[name].a, state.images[name].b) for name in step.candidates]
+    counted = [state.images[name] for name in step.counted]
+    inputs = [download(each.effective_samples) for each in counted]
+    inputs += [download(state.images[name])[..., -1] for name in step.guides]
+    return Candidates(pairs, counted[-1], _take_logarithms(state, inputs))
+
+
+def _take_logarithms(state: LayerRun, inputs: Sequence[FloatArray]) -> FloatArray:
+    guides, layer = state.frame.gbuffer, state.layer
+    one: FloatArray = np.ones(state.frame.shape, dtype=np.float32)
+    tint = roughness = ratio = one
+    with np.errstate(invalid="ignore"):
+        if layer.albedo is not None:
+            # A matrix product may add up in another order where rows are few.
+            tint = np.sum([np.float32(share) * layer.albedo[..., k] for k, share in enumerate(LUMINANCE)], axis=0)
+        if not layer.is_diffuse and guides.alpha_u is not None:
+            alpha_u = np.maximum(guides.alpha_u, MIN_ALPHA)
+            alpha_v = alpha_u if guides.alpha_v is None else np.maximum(guides.alpha_v, MIN_ALPHA)
+            roughness = np.sqrt(alpha_u * alpha_v, dtype=np.float32)
+            ratio = np.divide(alpha_u, alpha_v, dtype=np.float32)
+        logs = np.empty((*state.frame.shape, EXTRA_COUNT), dtype=np.float32)
+        for number, image in enumerate([*inputs, np.maximum(tint, ALBEDO_FLOOR), roughness, ratio]):
+            found = np.log2(np.maximum(image, np.float32(MIN_EXTRA)))
+            logs[..., number] = np.where(np.isfinite(found), found, np.float32(0.0))
+    return logs
+
+
+def run_finish(state: LayerRun, step: FinishStep) -> list[CleanLayer]:
+    """Return the radiance of the layer."""
+    light, support = (state.images[name] for name in (step.reads[0], step.support))
+    assert isinstance(state.frame, Frame)
+    return [finish_layer(state.frame, state.noisy, (light.a,), support)]
+
+
+def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], support: DualBufferOutput) -> CleanLayer:
+    """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known.
+
+    ``light`` is one image, or two halves.
+    """
+    guides, albedo = frame.gbuffer, noisy.layer.albedo
+    means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo}
+    # A layer that the frame names itself has its own albedo alone.
+    mean, coverage = means.get(noisy.name, albedo if frame.layers else None), guides.coverage
+    if coverage is None or mean is None or albedo is None:
+        mean, coverage = albedo, None
+    weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)
+    lit = noisy.layer.mask & (weight_sum > 0.0)
+    image = composite_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
+    if noisy.kept is not None:
+        image = np.add(image, noisy.kept, out=image, where=lit[..., None])
+    return CleanLayer(image, weight_sum, effective_samples)
+
+
+RUNNERS: Mapping[type[Step], Callable[[LayerRun, Any], Sequence[Any]]] = {
+    FilterStep: run_filter_step,
+    UpsampleStep: run_upsample_step,
+    AccumulateStep: run_accumulate_step,
+    GuideStep: make_guide,
+    PassStep: run_pass,
+    MixStep: run_mix,
+    FinishStep: run_finish,
+}
+"""What runs each kind of step."""

@@ -1,0 +1,306 @@
+"""The executor of frame plans: what each stage does with the layers of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import device_scope
+from lobewise.denoising.also import filter_also
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
+from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
+from lobewise.denoising.evidence import take_back_noisy
+from lobewise.denoising.layers import Layer, Support, make_layers
+from lobewise.denoising.light_loss import brighten, find_gain, find_share_missing, find_takers, sum_missing
+from lobewise.denoising.noisy import join_halves, make_noisy_layers
+from lobewise.denoising.planning.frame_plans import (
+    FILL_HOLES,
+    FILTER_ALSO,
+    FILTER_LAYERS,
+    KEEP_LIGHT,
+    MIX_PEER,
+    TAKE_BACK_NOISY,
+    FramePlan,
+    Stage,
+    describe_frame,
+    plan_frame,
+)
+from lobewise.denoising.running import run_guided, run_plain
+from lobewise.features import Feature
+from lobewise.filters.compositing import average_emission
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.specks import share_out_specks
+from lobewise.frame import FloatArray, Frame
+from lobewise.settings import ResolvedSettings
+from lobewise.settings.choices import get_quality
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filtered:
+    """The filtered layers of a frame.
+
+    Parameters
+    ----------
+    layers, parts, supports : sequences
+        The layers, their filtered radiance, and how much each filter gathered.
+    image : (height, width, 3)
+        Sum of all parts and of the light that is in none of them; see `compose`.
+    tallies : sequence of arrays
+        Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast".
+    gain : (height, width), optional
+        Factor by which the light outside of the layers was multiplied; None for 1.
+    rest : (height, width, 3), optional
+        Light that is in no part, emission and background; None where light is not told apart.
+    noisy : sequence of (height, width, 3)
+        Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
+    levels : sequence of float
+        Mean light of the samples of every layer, over the albedo; empty with the quality "fast".
+    """
+
+    layers: Sequence[Layer]
+    parts: Sequence[FloatArray]
+    supports: Sequence[Support]
+    image: FloatArray
+    tallies: Sequence[NDArray[np.float64]] = ()
+    gain: FloatArray | None = None
+    rest: FloatArray | None = None
+    noisy: Sequence[FloatArray] = ()
+    levels: Sequence[float] = ()
+
+    def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
+        untouched = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
+        holes: NDArray[np.bool_] = ~find_good(self.image) | (bad & untouched)
+        return holes
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRun:
+    """A frame on its way through the stages of its plan.
+
+    Parameters
+    ----------
+    frame, settings, features, plan
+        What is run.
+    bad : (height, width), bool
+        Pixels that are NaN, infinite or negative.
+    levels : sequence of float, optional
+        Mean light of every layer of the whole image, where the frame is a part of it.
+    found : Filtered, optional
+        The layers, once they are filtered.
+    image : (height, width, 3), optional
+        The result so far.
+    energy_lost : float
+        Share of the light that is missing.
+    gains : tuple of arrays
+        Factors of the light that no surface scatters.
+    also : dict of str to (height, width, 3)
+        The filtered light passes.
+    """
+
+    frame: Frame
+    settings: ResolvedSettings
+    features: Sequence[Feature]
+    plan: FramePlan
+    bad: NDArray[np.bool_]
+    levels: Sequence[float] | None = None
+    found: Filtered | None = None
+    image: FloatArray | None = None
+    energy_lost: float = 0.0
+    gains: tuple[FloatArray, ...] = ()
+    also: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def filtered(self) -> Filtered:
+        """The layers, which the first stage filters."""
+        assert self.found is not None, "the first stage filters the layers"
+        return self.found
+
+    @property
+    def total(self) -> FloatArray:
+        """The result so far."""
+        return self.filtered.image if self.image is None else self.image
+
+    def run(self, stages: Sequence[Stage]) -> FrameRun:
+        """Return the frame after some stages."""
+        state = self
+        for stage in stages:
+            state = RUNNERS[stage](state)
+        return state
+
+
+def start_run(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature] = (),
+    levels: Sequence[float] | None = None,
+) -> FrameRun:
+    """Return a frame before its first stage."""
+    plan, bad = plan_frame(describe_frame(frame), settings), find_bad_pixels(frame)
+    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, levels=levels)
+
+
+def filter_frame(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature] = (), levels: Sequence[float] | None = None
+) -> Filtered:
+    """Return the layers of a frame, or of a band of it, after the stages that bands run one by one."""
+    state = start_run(frame, settings, features, levels)
+    return state.run(state.plan.local_stages).filtered
+
+
+def filter_layers(state: FrameRun) -> FrameRun:
+    """Filter every layer by its plan."""
+    guided = get_quality(state.settings.quality).reads_halves
+    return replace(state, found=filter_halves(state) if guided else filter_plain(state))
+
+
+@device_scope()
+def filter_plain(state: FrameRun) -> Filtered:
+    """Return the layers after one pass by their guides alone."""
+    frame, settings = state.frame, state.settings
+    layers = make_layers(frame, settings, state.features, finest=True)
+    outputs = [run_plain(frame, layer, settings, state.plan.layers[layer.name]) for layer in layers]
+    parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
+    return Filtered(layers=layers, parts=parts, supports=outputs, image=compose(frame, parts, find_rest(frame)))
+
+
+@device_scope()
+def filter_halves(state: FrameRun) -> Filtered:
+    """Return the layers after both halves of their samples were filtered by their plans."""
+    frame, settings = state.frame, state.settings
+    noisy = make_noisy_layers(frame, settings, state.features, state.levels)
+    clean = [run_guided(frame, each, settings, state.plan.layers[each.name]) for each in noisy]
+    parts = [each.image for each in clean]
+    rest, share = find_rest(frame), frame.gbuffer.object_share
+    if rest is not None and frame.gbuffer.mean_emission is not None:
+        rest = average_emission(rest, frame.gbuffer.mean_emission, frame.spp)
+    gain = None
+    if rest is not None and share is not None:
+        gain = share_out_specks(rest, share, device=settings.device)
+        rest = rest * gain[..., None]
+    return Filtered(
+        layers=[each.layer for each in noisy],
+        parts=parts,
+        supports=clean,
+        image=compose(frame, parts, rest),
+        tallies=[each.bounded.tally for each in noisy],
+        gain=gain,
+        rest=rest,
+        noisy=[join_halves(each) for each in noisy],
+        levels=[each.level for each in noisy],
+    )
+
+
+def take_back(state: FrameRun) -> FrameRun:
+    """Take the noisy image back where it has less error than the filtered one."""
+    found = state.filtered
+    parts = take_back_noisy(state.frame, found.image, found.noisy, found.parts, max(found.levels))
+    return replace(state, found=replace(found, parts=parts, image=compose(state.frame, parts, found.rest)))
+
+
+def keep_light(state: FrameRun) -> FrameRun:
+    """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
+    found = state.filtered
+    layers = list(zip(found.layers, found.parts, found.levels, strict=True))
+    takers = [find_takers(layer, part, level) for layer, part, level in layers]
+    rows = [sum_missing(layer, part, taker) for (layer, part, _), taker in zip(layers, takers, strict=True)]
+    gains = [find_gain(each) for each in rows]
+    lost = find_share_missing(rows, gains)
+    if not any(map(any, gains)):
+        return replace(state, energy_lost=lost)
+    image, parts = found.image, []
+    for part, taker, gain in zip(found.parts, takers, gains, strict=True):
+        image = brighten(image, part, taker, gain)
+        parts.append(brighten(part, part, taker, gain))
+    return replace(state, found=replace(found, image=image, parts=parts), energy_lost=lost)
+
+
+def fill(state: FrameRun) -> FrameRun:
+    """Fill the pixels without a value."""
+    found = state.filtered
+    image = fill_holes(found.image, found.find_holes(state.bad), state.frame, state.settings.device)
+    gains = () if found.gain is None else (found.gain[..., None],)
+    return replace(state, image=image, gains=gains)
+
+
+def mix_peer(state: FrameRun) -> FrameRun:
+    """Mix in the image of Open Image Denoise, and scale the parts so that they still sum to the image."""
+    frame, found, image = state.frame, state.filtered, state.total
+    peer = denoise_with_peer(frame, image)
+    with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
+        noisy = compose(frame, found.noisy, found.rest)
+    mixed = choose_between(frame, image, peer, noisy)
+    image, parts, gain = share_out(mixed, image, found.parts)
+    return replace(state, found=replace(found, parts=parts), image=image, gains=(*state.gains, gain))
+
+
+def filter_passes(state: FrameRun) -> FrameRun:
+    """Filter the images that belong to a layer or to the total."""
+    also = filter_also(state.frame, state.settings, state.features, name_layers(state), state.total)
+    return replace(state, also=also)
+
+
+def name_layers(state: FrameRun) -> dict[str, FloatArray]:
+    """Return the filtered layers that the frame names itself, finite."""
+    if not state.frame.layers:
+        return {}
+    found = state.filtered
+    return {layer.name: blacken_bad(part) for layer, part in zip(found.layers, found.parts, strict=True)}
+
+
+RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
+    FILTER_LAYERS: filter_layers,
+    TAKE_BACK_NOISY: take_back,
+    KEEP_LIGHT: keep_light,
+    FILL_HOLES: fill,
+    MIX_PEER: mix_peer,
+    FILTER_ALSO: filter_passes,
+}
+"""What runs each stage."""
+
+
+def join_parts(layers: Sequence[Layer], parts: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return diffuse and specular light from that of all layers, finite; None both where it is not known apart."""
+    if layers[0].name == "color":
+        return None, None
+    sums: dict[bool, FloatArray] = {}
+    for layer, part in zip(layers, parts, strict=True):
+        good = blacken_bad(part)
+        sums[layer.is_diffuse] = sums[layer.is_diffuse] + good if layer.is_diffuse in sums else good
+    nothing = np.zeros_like(parts[0])
+    return sums.get(True, nothing), sums.get(False, nothing)
+
+
+def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
+    """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
+    lost = output.weight_sum <= 0.0
+    if not lost.any():
+        return output.image
+    kept = np.where(find_good(layer.radiance)[..., None], layer.radiance, np.float32(np.nan))
+    return np.where(lost[..., None], kept, output.image)
+
+
+def find_rest(frame: Frame) -> FloatArray | None:
+    """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts."""
+    if frame.radiance.parts is None:
+        return None
+    noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
+    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
+        # A negative part is no light: subtracting it would add light that is not in the total.
+        rest = frame.radiance.color - np.maximum(noisy[0], np.float32(0.0))
+        for part in noisy[1:]:
+            rest = rest - np.maximum(part, np.float32(0.0))
+    return np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
+
+
+def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:
+    """Return the total: the filtered parts, and what was in none of them."""
+    if rest is None:
+        return parts[0]
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return np.asarray(total + rest, dtype=np.float32)

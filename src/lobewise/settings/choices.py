@@ -1,0 +1,112 @@
+"""What each similarity and each quality is: one record for each name, which all other code asks instead of the name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+QualityName = Literal["fast", "balanced", "high"]
+SimilarityName = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
+FormName = Literal["full", "separable", "atrous"]
+
+FORMS: tuple[FormName, ...] = get_args(FormName)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Similarity:
+    """What a similarity compares on specular pixels, and which guides it needs for that.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the settings.
+    compares : str
+        What it compares, in words that follow "comparing".
+    needs : tuple of str
+        Images of the G-buffer that a frame must have.
+    has_lobes : bool
+        Whether it compares reflection lobes, and needs the camera, the roughness and a place for that.
+    has_covariance : bool
+        Whether a lobe is a covariance across an axis, so that an anisotropic lobe keeps its direction.
+    fits_gaussian : bool
+        Whether the covariance is that of the Gaussian nearest to the lobe, instead of the covariance of the lobe.
+    is_mixture : bool
+        Whether several spherical Gaussians stand for a lobe.
+    """
+
+    name: SimilarityName
+    compares: str
+    needs: tuple[str, ...]
+    has_lobes: bool = True
+    has_covariance: bool = False
+    fits_gaussian: bool = False
+    is_mixture: bool = False
+
+    @property
+    def takes_hits(self) -> bool:
+        """Whether footprints on the surfaces that lobes hit can be compared as well."""
+        return self.has_lobes and not self.is_mixture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """What a quality does with the noise, and what that costs.
+
+    Parameters
+    ----------
+    name : str
+        Its name in the settings.
+    forms : tuple of str
+        Forms of the kernel that it has.
+    reads_halves : bool
+        Whether several passes over both halves of the samples filter a frame, guided by what they tell of the noise.
+    mixes : bool
+        Whether a network mixes several filtered images; it reads the roughness.
+    work_bytes_per_pixel : int
+        Memory that the filters hold beside the frame, bytes; measured (docs/streaming.md).
+    seconds_per_megapixel : float
+        Time at radius 8 with diffuse and specular light apart on two threads; measured
+        (``benchmarks/results/before_after.json``).
+    """
+
+    name: QualityName
+    forms: tuple[FormName, ...] = ("full",)
+    reads_halves: bool
+    mixes: bool = False
+    work_bytes_per_pixel: int
+    seconds_per_megapixel: float
+
+
+_LOBE_NEEDS = ("normal", "alpha_u")
+
+SIMILARITIES: Mapping[str, Similarity] = {
+    each.name: each
+    for each in (
+        Similarity(name="normal", compares="which way surfaces face", needs=("normal",), has_lobes=False),
+        Similarity(name="sg", compares="what surfaces reflect", needs=_LOBE_NEEDS),
+        Similarity(name="sg_mixture", compares="what surfaces reflect", needs=_LOBE_NEEDS, is_mixture=True),
+        Similarity(
+            name="asg", compares="what surfaces reflect", needs=_LOBE_NEEDS, has_covariance=True, fits_gaussian=True
+        ),
+        Similarity(name="ggx", compares="what surfaces reflect", needs=_LOBE_NEEDS, has_covariance=True),
+    )
+}
+QUALITIES: Mapping[str, Quality] = {
+    each.name: each
+    for each in (
+        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55),
+        Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.1),
+        Quality(name="high", reads_halves=True, mixes=True, work_bytes_per_pixel=850, seconds_per_megapixel=6.2),
+    )
+}
+
+
+def get_similarity(name: str) -> Similarity:
+    """Return the record of a similarity."""
+    return SIMILARITIES[name]
+
+
+def get_quality(name: str) -> Quality:
+    """Return the record of a quality."""
+    return QUALITIES[name]
