@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.interchange.checks import check_noise
+from lobewise.interchange.checks.noise import check_noise
 
 WALL = (128, 192)
 
@@ -18,7 +18,7 @@ def list_found(light: NDArray[np.float64], spp: int | None) -> list[str]:
     normal = np.broadcast_to([0.0, 0.0, 1.0], (*light.shape, 3))
     guides = GBuffer(normal=normal, diffuse_albedo=np.full((*light.shape, 3), 0.5))
     frame = Frame(Radiance(np.repeat(light[..., None], 3, axis=-1).clip(0.0)), guides, spp=spp)
-    return [one.what for one in check_noise(frame, has_normals=True)]
+    return [one.what for one in check_noise(frame, has_normals=True)[1]]
 
 
 def make_product(rng: np.random.Generator, noise: float) -> NDArray[np.float64]:

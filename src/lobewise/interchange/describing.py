@@ -8,9 +8,7 @@ from dataclasses import replace
 from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import Frame
-from lobewise.interchange.checks import MARKED, check_own_mark, describe_alone
-from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.lacks import list_uses
+from lobewise.interchange.checks import MARKED, Finding, check_own_mark, describe_alone, list_uses
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset

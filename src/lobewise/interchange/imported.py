@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.lighting import PartOutput
-from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
@@ -77,7 +78,7 @@ class ImageReader:
         self._decode = decode
         self._wanted: dict[int, set[str]] = {}
         self._pixels: dict[int, dict[str, Pixels]] = {}
-        self._images: dict[tuple[int, tuple[str, ...]], FloatArray] = {}
+        self._images: dict[Key, FloatArray] = {}
 
     def expect(self, channels: ChannelMap) -> None:
         """Take note of the images that will be read, so that each part is decoded once and no other channel stays."""
@@ -89,15 +90,16 @@ class ImageReader:
 
     def __call__(self, found: Found) -> FloatArray:
         """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
-        key = found.source.part.index, found.channels
-        if key not in self._images:
+        if found.key not in self._images:
             planes = self.read_planes(found)
-            self._images[key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
-        return self._images[key]
+            self._images[found.key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
+        return self._images[found.key]
 
-    def replace(self, found: Found, image: FloatArray) -> None:
-        """Give another image from now on."""
-        self._images[found.source.part.index, found.channels] = image
+    def with_images(self, changed: Mapping[Key, FloatArray]) -> ImageReader:
+        """Return a reader that gives other images for some keys."""
+        reader = copy(self)
+        reader._images = {**self._images, **changed}
+        return reader
 
     def read_planes(self, found: Found) -> list[Pixels]:
         """Return the channels of an image one by one, (height, width) each, in their types."""

@@ -35,69 +35,76 @@ class PartOutput:
     divided_by: FloatArray | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class Light:
-    """Layers of a frame, what no surface scattered, and where they and their parts (``layer/part``) came from."""
+    """Layers of a frame, light that no surface scattered, and where both and the layers' parts are written.
+
+    ``outputs`` has layers, their parts (``layer/part``) and the unscattered light by name.
+    """
 
     layers: tuple[RadianceLayer, ...] = ()
-    unscattered: dict[str, FloatArray] = field(default_factory=dict)
-    outputs: dict[str, PartOutput] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    unscattered: Mapping[str, FloatArray] = field(default_factory=dict)
+    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
 
 
-def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> Light:
-    """Return the layers that add up to an image, dropped as a whole where they do not.
+def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> tuple[Light, list[str]]:
+    """Return the layers that add up to an image, none if they do not, and sentences that say so.
 
     Parameters
     ----------
     color : array, shape (height, width, 3)
         The image.
     found : sequence of FoundLayer
-        What the file holds.
+        The layers of the file.
     read : callable
-        Gives the pixels of one of its images.
+        Returns an image of the file.
     """
-    light, layers = Light(), []
+    layers: list[RadianceLayer] = []
+    outputs: dict[str, PartOutput] = {}
     known = np.zeros_like(color)
     for each in (one for one in found if one.rule.lobe != "exact"):
-        albedo = read(each.albedo) if each.albedo else None
-        factor = albedo if each.rule.times_albedo else None
-        parts, total = _add_passes([read(one) for one in each.light], factor, known)
-        if not total.any():
-            continue
-        names = [name_pass(one.source.path) for one in each.light]
-        named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
-        shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
-        if shares is not None and factor is None:
-            shares = lift_albedo(shares)
-        layers.append(RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named))
-        keys = [f"{each.rule.name}/{name}" for name in names] if named else [each.rule.name]
-        light.outputs |= {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
+        layer, places = _take_layer(each, read, known)
+        if layer is not None:
+            layers.append(layer)
+            outputs |= places
     if not layers:
-        return Light(notes=light.notes)
-    for each in (one for one in found if one.rule.lobe == "exact"):
-        _take_unscattered(light, each, color, known, read)
-    return _check_sum(light, layers, color, known)
-
-
-def _take_unscattered(light: Light, each: FoundLayer, color: FloatArray, known: FloatArray, read: Read) -> None:
-    """Add what no surface scattered to ``light``, and to ``known``, but not what is no part of the image.
-
-    An image with a transparent background does not show the background that a pass may hold.
-    """
-    for one in each.light:
+        return Light(), []
+    unscattered: dict[str, FloatArray] = {}
+    notes = []
+    exact = [(layer, one) for layer in found if layer.rule.lobe == "exact" for one in layer.light]
+    for each, one in exact:
         image = read(one)
         with np.errstate(invalid="ignore", over="ignore"):
             more = known + np.where(np.isfinite(image), image, np.float32(0.0))
+        # An image with a transparent background does not show the background that a pass may hold.
         if _measure_excess(color, more) > max(LARGEST_EXCESS, 2.0 * _measure_excess(color, known)):
-            light.notes.append(
-                f"{one.label} holds more light than the image has beside the layers: it is no part of it."
-            )
+            notes.append(f"{one.label} holds more light than the image has beside the layers: it is no part of it.")
             continue
-        known[...] = more
+        known = more
         if image.any():
             name = each.rule.name if len(each.light) == 1 else f"{each.rule.name}/{name_pass(one.source.path)}"
-            light.unscattered[name], light.outputs[name] = image, PartOutput(one)
+            unscattered[name], outputs[name] = image, PartOutput(one)
+    rest, told, is_sum = _check_sum(layers, color, known)
+    if not is_sum:
+        return Light(), told
+    return Light((*layers, *rest), unscattered, outputs), [*notes, *told]
+
+
+def _take_layer(each: FoundLayer, read: Read, known: FloatArray) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
+    """Return a layer and where it is written, None if it is black; its finite light is added to ``known``."""
+    albedo = read(each.albedo) if each.albedo else None
+    factor = albedo if each.rule.times_albedo else None
+    parts, total = _add_passes([read(one) for one in each.light], factor, known)
+    if not total.any():
+        return None, {}
+    names = [name_pass(one.source.path) for one in each.light]
+    named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
+    shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
+    if shares is not None and factor is None:
+        shares = lift_albedo(shares)
+    keys = [f"{each.rule.name}/{name}" for name in names] if named else [each.rule.name]
+    outputs = {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
+    return RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named), outputs
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -137,33 +144,32 @@ def _add_passes(
 
 # Pixels that are not finite are left out, but NumPy looks at them all the same.
 @np.errstate(invalid="ignore", over="ignore")
-def _check_sum(light: Light, layers: list[RadianceLayer], color: FloatArray, known: FloatArray) -> Light:
-    """Return layers that add up to the image together with what they leave of it, or none."""
+def _check_sum(
+    layers: Sequence[RadianceLayer], color: FloatArray, known: FloatArray
+) -> tuple[list[RadianceLayer], list[str], bool]:
+    """Return a layer for noisy light that no pass accounts for, what is told, and whether layers make up the image."""
     good = np.isfinite(color) & np.isfinite(known)
     total = float(np.sum(color, where=good, dtype=np.float64))
     if not total > 0.0:
-        return Light(notes=["The image holds no light."])
+        return [], ["The image holds no light."], False
     apart = np.where(good, color - known, np.float32(0.0))
     excess = _measure_excess(color, known)
     if excess > LARGEST_EXCESS:
         names = ", ".join(layer.name for layer in layers)
-        return Light(
-            notes=[
-                f"The layers ({names}) hold {100.0 * excess:.1f} % more light than the image, so they are not its "
-                "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
-            ]
+        told = (
+            f"The layers ({names}) hold {100.0 * excess:.1f} % more light than the image, so they are not its "
+            "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
         )
+        return [], [told], False
     # Rounding of 16-bit floats is no light.
     rest = np.maximum(apart - np.float32(2e-3) * np.where(good, np.abs(color), np.float32(0.0)), np.float32(0.0))
     share = float(np.sum(rest, dtype=np.float64)) / total
-    if share > SMALLEST_REST:
-        filtered = not is_smooth(rest)
-        if filtered:
-            layers.append(RadianceLayer(REST, "glossy", rest))
-        fate = "noisy, so it is filtered as one of its own" if filtered else "without noise, so it passes as it is"
-        light.notes.append(f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}.")
-    light.layers = tuple(layers)
-    return light
+    if not share > SMALLEST_REST:
+        return [], [], True
+    is_exact = is_smooth(rest)
+    fate = "without noise, so it passes as it is" if is_exact else "noisy, so it is filtered as one of its own"
+    told = f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}."
+    return [] if is_exact else [RadianceLayer(REST, "glossy", rest)], [told], True
 
 
 def is_smooth(image: FloatArray) -> bool:
@@ -189,12 +195,12 @@ def lift_albedo(albedo: FloatArray) -> FloatArray:
     return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
 
 
-def lend_albedo(light: Light, albedo: FloatArray) -> None:
-    """Give the diffuse layers that have no albedo the one of all light, if the file knows no other."""
-    if any(layer.albedo is not None for layer in light.layers):
-        return
+def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[RadianceLayer, ...]:
+    """Return layers of which the diffuse ones have the albedo of all light, if no layer has its own."""
+    if any(layer.albedo is not None for layer in layers):
+        return tuple(layers)
     lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
-    light.layers = tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in light.layers)
+    return tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in layers)
 
 
 def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
@@ -206,21 +212,22 @@ def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Li
     return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
 
 
-def keep_lamps(frame: Frame, notes: list[str]) -> Frame:
-    """Return a frame whose lamps are no surfaces, so that filters leave them as they are, where its light is whole."""
+def keep_lamps(frame: Frame) -> tuple[Frame, int]:
+    """Return a frame whose lamps are no surfaces, so that filters keep them, and the number of their pixels.
+
+    Only a frame without layers changes.
+    """
     guides = frame.gbuffer
     if frame.radiance.parts is not None or guides.normal is None:
-        return frame
+        return frame, 0
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
     albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else np.float32(1.0)
     with np.errstate(invalid="ignore", over="ignore"):
         lamps = find_lamps(frame.radiance.color / albedo)
     if not lamps.any():
-        return frame
-    count = int(np.count_nonzero(lamps))
-    notes.append(f"{count} pixels show lamps, or something as bright and without noise, and pass as they are.")
+        return frame, 0
     normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
-    return frame.with_changes(gbuffer=replace(guides, normal=normal))
+    return frame.with_changes(gbuffer=replace(guides, normal=normal)), int(np.count_nonzero(lamps))
 
 
 def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:

@@ -33,6 +33,8 @@ from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
 """Components of the roles that are no color."""
+Key = tuple[int, tuple[str, ...]]
+"""Index of an image's part, and the names of its channels."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,11 @@ class Found:
     source: Pass
     channels: tuple[str, ...]
     convert: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """What tells this image from the other images of the file."""
+        return self.source.part.index, self.channels
 
     @property
     def label(self) -> str:

@@ -2,59 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.interchange.cameras.header import read_camera_attributes, read_sample_count
-from lobewise.interchange.checks import (
-    SHARED,
-    check_alpha,
-    check_compression,
-    check_guides,
-    check_mark,
-    check_noise,
-    check_own_mark,
-    check_places,
-    describe_alone,
-    find_second,
-    name_assumption,
-)
-from lobewise.interchange.checks.lacks import list_lacks
+from lobewise.frame import FloatArray, Frame
+from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.joining import add_also, join_halves
-from lobewise.interchange.lighting import (
-    Light,
-    PartOutput,
-    keep_lamps,
-    lend_albedo,
-    make_radiance,
-    name_pass,
-    take_albedos,
-    take_layers,
-)
-from lobewise.interchange.mapping import ChannelMap, Found, map_channels
-from lobewise.interchange.placing import derive_normal, place_surfaces
-from lobewise.interchange.siblings import FIRST_INDEX, find_family
-from lobewise.interchange.silhouettes import Silhouettes, take_silhouettes
-from lobewise.interchange.values import convert_plain, undo_mean_roughness
+from lobewise.interchange.lighting import name_pass
+from lobewise.interchange.mapping import map_channels
+from lobewise.interchange.siblings import find_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
-from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import RadianceLayer
-
-Read = Callable[[Found], FloatArray]
-"""Gives the pixels of an image."""
 
 
 def is_own(container: Container) -> bool:
@@ -176,9 +145,8 @@ def import_file(
                 action="leave them out",
             )
         with name_file(path):
-            found = _import_foreign(
-                container, read, map_channels(family.container, preset=preset, mapping=mapping), camera
-            )
+            channels = map_channels(family.container, preset=preset, mapping=mapping)
+            found, read = import_foreign(container, read, channels, camera)
     if also:
         with name_file(path):
             found = add_also(found, also, read)
@@ -219,7 +187,7 @@ def import_planes(
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
     read = ImageReader(lambda part, names: planes)
-    return _import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)
+    return import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)[0]
 
 
 def _leave_passes(found: Imported) -> Imported:
@@ -233,131 +201,3 @@ def _leave_passes(found: Imported) -> Imported:
 
     layers = tuple(map(strip, found.frame.layers))
     return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
-
-
-def _import_foreign(container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None) -> Imported:
-    channels, marks = check_mark(container, channels)
-    read.expect(channels)
-    compressed = check_compression(channels, read)
-    images = {role: read(found) for role, found in channels.roles.items()}
-    color = images["color"]
-    beauty = channels.roles["color"].source.part
-    notes = [*channels.preset.notes]
-    if channels.shown is not None:
-        notes.append(
-            f"{channels.shown.label} was denoised by the renderer: the noisy image, {channels.roles['color'].label}, "
-            f"is filtered, and the result goes into {channels.shown.label}."
-        )
-    if channels.others:
-        notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
-    guides = check_guides(images, channels, read)
-    light = _take_light(guides.images, channels, guides.lend(read, images))
-    images = guides.images
-    if "albedo" in images:
-        lend_albedo(light, images["albedo"])
-    located = read_camera_attributes(container.parts, beauty)
-    places = place_surfaces(images, guides.roles, camera, located, read_pixel_aspect(beauty))
-    findings = [
-        *compressed,
-        *marks,
-        *guides.findings,
-        *check_places(places, guides, located.camera if located else None),
-    ]
-    shape = color.shape[0], color.shape[1]
-    normal = places.normal if places.normal is not None else derive_normal(places, shape)
-    spp = read_sample_count(container.parts, channels.preset)
-    diffuse_albedo, specular_albedo = take_albedos(images, light.layers)
-    albedos = diffuse_albedo, specular_albedo
-    alpha = _take_alpha(images, channels, albedos, notes)
-    alpha, meant = check_alpha(alpha, guides, channels, find_second(container, channels), read, albedos)
-    motion = images.get("motion")
-    # Of light that is not told apart nothing is resolved by silhouettes.
-    is_split = light.layers or {"diffuse", "specular"} <= images.keys()
-    silhouettes = take_silhouettes(channels, read, notes) if is_split else Silhouettes()
-    coverage = silhouettes.coverage
-    gbuffer = GBuffer(
-        depth=places.depth,
-        position=places.position if places.camera is not None else None,
-        normal=normal,
-        alpha_u=alpha,
-        diffuse_albedo=diffuse_albedo,
-        specular_albedo=specular_albedo,
-        motion=None if motion is None else convert_plain(motion, channels.roles["motion"].convert),
-        coverage=coverage,
-        object_share=silhouettes.object_share,
-        # Of other renderers' pixels albedos are means over the area.
-        mean_diffuse_albedo=None if coverage is None else diffuse_albedo,
-        mean_specular_albedo=None if coverage is None else specular_albedo,
-        # Open Image Denoise gets both as the file has them: at edges their means are shorter, and black is black.
-        denoiser_albedo=images.get("albedo"),
-        denoiser_normal=images.get("denoiser_normal", places.mean_normal),
-    )
-    frame = Frame(
-        make_radiance(color, images, light),
-        gbuffer,
-        places.camera,
-        variance=_take_variance(images, channels, spp),
-        spp=spp,
-        layers=light.layers,
-        unscattered=light.unscattered,
-    )
-    findings += meant
-    notes += name_assumption(channels)
-    noise = check_noise(frame, has_normals="normal" in images)
-    frame = frame.with_changes(noise_is_shared=any(one.what == SHARED for one in noise))
-    findings += noise
-    lacks = list_lacks(channels, frame, findings)
-    notes += [*places.notes, *(one.told for one in findings), *light.notes, *channels.refused.values()]
-    notes += describe_alone(channels, frame) or [one.told for one in lacks]
-    frame = keep_lamps(frame, notes)
-    outputs = {"color": PartOutput(channels.target), **light.outputs}
-    outputs |= {name: PartOutput(channels.roles[name]) for name in ("diffuse", "specular") if name in channels.roles}
-    if any(one.found.source.part.index >= FIRST_INDEX for one in outputs.values()):
-        notes.append("Passes in files of their own stay as they are there: only the image is written.")
-        outputs = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
-    shown = None if channels.shown is None else read(channels.shown)
-    return Imported(frame, container, channels, tuple(notes), outputs, tuple(findings), shown=shown, lacks=tuple(lacks))
-
-
-def _take_light(images: Mapping[str, FloatArray], channels: ChannelMap, read: Read) -> Light:
-    """Return the layers, unless diffuse and specular light are passes themselves."""
-    if "diffuse" in images and "specular" in images:
-        return Light()
-    return take_layers(images["color"], channels.layers, read)
-
-
-def _take_alpha(
-    images: Mapping[str, FloatArray],
-    channels: ChannelMap,
-    albedos: tuple[FloatArray | None, FloatArray | None],
-    notes: list[str],
-) -> FloatArray | None:
-    """Return the microfacet alpha, (height, width)."""
-    if "roughness" not in images:
-        return None
-    found, roughness = channels.roles["roughness"], images["roughness"]
-    if "cycles_roughness" in found.convert:
-        undone = undo_mean_roughness(roughness, *albedos)
-        if undone is None:
-            notes.append(
-                f"{found.label} is a mean over diffuse and specular lobes, which the albedos of both would undo; "
-                "without them it is not used."
-            )
-            return None
-        roughness, known = undone
-        share = 100.0 * float(known.mean())
-        notes.append(
-            f"{found.label} was a mean over all lobes; that of the specular ones is known at {share:.0f} % of pixels."
-        )
-    return np.clip(np.nan_to_num(convert_plain(roughness, found.convert), nan=1.0, posinf=1.0), 0.0, 1.0)
-
-
-def _take_variance(images: Mapping[str, FloatArray], channels: ChannelMap, spp: int | None) -> Radiance | None:
-    if "variance" not in images:
-        return None
-    variance = images["variance"]
-    if "of_samples" in channels.roles["variance"].convert:
-        if spp is None:
-            return None
-        variance = variance / np.float32(spp)
-    return Radiance(variance)

@@ -22,12 +22,13 @@ class Silhouettes(NamedTuple):
     object_share: FloatArray | None = None
 
 
-def take_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) -> Silhouettes:
-    """Return what a file tells of silhouettes; ``notes`` say by what.
+def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
+    """Return what a file tells of silhouettes, and sentences that say by what.
 
     Of several Cryptomattes the first counts, which is the finest. Without any there may be alpha: it tells surfaces
     from the background, not from each other.
     """
+    notes = []
     for passes in channels.cryptomatte:
         kinds = {
             channel.pixel_type for one in passes for channel in one.source.part.channels if channel.name in one.channels
@@ -39,21 +40,23 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) 
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
         if any(plane.any() for plane in shares):
             notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return Silhouettes(find_coverage(ids, shares), find_object_share(shares))
-    return _take_alpha_silhouettes(channels, read, notes)
+            return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), notes
+    silhouettes, told = _take_alpha_silhouettes(channels, read)
+    return silhouettes, [*notes, *told]
 
 
-def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader, notes: list[str]) -> Silhouettes:
+def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
     color = channels.roles["color"]
     chosen = color.source.pick(("a",))
     if chosen is None:
-        return Silhouettes()
+        return Silhouettes(), []
     found = Found(color.source, chosen)
     (plane,) = read.read_planes(found)
     alpha = plane.astype(np.float32)
     edges = (alpha > 0.01) & (alpha < 0.99)
     # Where all is between, it is no share of the area: glass, volumes, a fade.
     if not FEWEST_EDGES < edges.mean() < 0.5 or not (alpha >= 0.99).any():
-        return Silhouettes()
-    notes.append(f"Silhouettes against the background are told by {found.label}; no Cryptomatte tells the others.")
-    return Silhouettes(find_coverage([np.ones(alpha.shape, np.uint32)], [alpha]), find_object_share([alpha]))
+        return Silhouettes(), []
+    told = f"Silhouettes against the background are told by {found.label}; no Cryptomatte tells the others."
+    ids, shares = [np.ones(alpha.shape, np.uint32)], [alpha]
+    return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), [told]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
+from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding, list_names
-
-if TYPE_CHECKING:
-    from lobewise.interchange.imported import ImageReader
-    from lobewise.interchange.mapping import ChannelMap, Found
-    from lobewise.io.exr.container import Channel, Part
+from lobewise.interchange.mapping import ChannelMap, Found, Key
+from lobewise.io.exr.container import Channel, Part
 
 DWA_NAMES = ("R", "G", "B", "Y", "RY", "BY")
 """Last words of the channels that DWAA and DWAB compress with loss, in this case of letters: of positions and normals
@@ -30,15 +28,17 @@ def is_lossy(part: Part, channel: Channel) -> bool:
     return part.compression in ("b44", "b44a") and channel.pixel_type == "half"
 
 
-def check_compression(channels: ChannelMap, read: ImageReader) -> list[Finding]:
-    """Return what was found of compression with loss, after light just below 0 was set to 0 in what ``read`` gives.
+def check_compression(
+    channels: ChannelMap, read: Callable[[Found], FloatArray]
+) -> tuple[dict[Key, FloatArray], list[Finding]]:
+    """Return images of light in which values just below 0 are set to 0, and what compression with loss did.
 
     Parameters
     ----------
     channels : ChannelMap
         What the file holds.
-    read : ImageReader
-        Gives the pixels of an image; nobody has used its images of light yet.
+    read : callable
+        Returns an image of the file.
     """
     lossy = {
         (part.index, channel.name): part.compression
@@ -47,33 +47,34 @@ def check_compression(channels: ChannelMap, read: ImageReader) -> list[Finding]:
         if is_lossy(part, channel)
     }
     if not lossy:
-        return []
+        return {}, []
 
     def is_changed(found: Found) -> bool:
         return any((found.source.part.index, name) in lossy for name in found.channels)
 
     kinds = " and ".join(sorted(set(lossy.values())))
     findings = []
-    changed = [
+    altered = [
         channels.roles[role].label
         for role in ("color", *SURFACES)
         if role in channels.roles and is_changed(channels.roles[role])
     ]
-    if changed:
+    if altered:
         told = (
-            f"Compression with loss ({kinds}) altered {list_names(changed)}, so that surfaces lie a little off: save "
+            f"Compression with loss ({kinds}) altered {list_names(altered)}, so that surfaces lie a little off: save "
             "the multilayer file with ZIP."
         )
         findings.append(Finding("compressed with loss", told, mended=False))
     light = [channels.roles[role] for role in LIGHT if role in channels.roles]
     light += [one for layer in channels.layers for one in (*layer.light, layer.albedo) if one is not None]
+    changed: dict[Key, FloatArray] = {}
     dark, lowest = np.zeros((1, 1), np.bool_), 0.0
     for found in filter(is_changed, light):
-        image = read(found)
+        image = changed[found.key] if found.key in changed else read(found)
         dips = (image < 0.0) & (image > -MAX_DIP)
         if dips.any():
             lowest = min(lowest, float(image.min(where=dips, initial=0.0)))
-            read.replace(found, np.where(dips, np.float32(0.0), image))
+            changed[found.key] = np.where(dips, np.float32(0.0), image)
             dark = np.asarray(dark | dips.any(axis=-1))
     if dark.any():
         told = (
@@ -81,7 +82,7 @@ def check_compression(channels: ChannelMap, read: ImageReader) -> list[Finding]:
             f"{np.count_nonzero(dark)} pixels: they count as 0."
         )
         findings.append(Finding("light below 0 by compression", told, mended=True))
-    return findings
+    return changed, findings
 
 
 def _list_images(channels: ChannelMap) -> list[Found]:

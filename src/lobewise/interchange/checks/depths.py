@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,14 @@ SAME_SURFACE = 0.999
 ROUNDS = 4
 
 Numbers = NDArray[np.float64]
+
+
+class CheckedDepth(NamedTuple):
+    """Distances along the rays, what was found, and whether they are the positions' because the depth was none."""
+
+    distance: FloatArray
+    findings: Sequence[Finding] = ()
+    is_replaced: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ def list_meanings(assumed: bool) -> list[tuple[bool, bool, bool, bool]]:
 
 def check_depth_by_position(
     depth: FloatArray, position: FloatArray, camera: Camera, label: str, *, planar: bool
-) -> tuple[FloatArray, list[Finding]]:
+) -> CheckedDepth:
     """Return distances along the rays, 0 where there is no surface, and what was found.
 
     Parameters
@@ -95,7 +104,7 @@ def check_depth_by_position(
     taken = depth[rows, columns].astype(np.float64)
     there = (points != 0.0).any(axis=-1) & np.isfinite(points).all(axis=-1) & (taken > 0.0)
     if there.sum() < FEWEST_SAMPLES:
-        return depth, []
+        return CheckedDepth(depth)
     steps = points[there] - camera.position
     away = np.linalg.norm(steps, axis=-1)
     cosine = steps @ camera.forward / away
@@ -103,23 +112,25 @@ def check_depth_by_position(
     kinds = list_meanings(planar)
     first = _fit_by_position(raw, away, cosine, kinds[0])[1]
     if first < TOLERATED:
-        return depth, []
+        return CheckedDepth(depth)
     fits = [_fit_by_position(raw, away, cosine, kind) for kind in kinds[1:]]
     good = [meaning for meaning, error in fits if error < max(TOLERATED, BETTER * min(first, DIFFERENT))]
     if first < DIFFERENT and not (good and good[0].scale == 1.0):
-        return depth, []
+        return CheckedDepth(depth)
     surface = (position != 0.0).any(axis=-1)
     if not good:
         told = (
             f"{label} is no distance to the surfaces that the positions show, so theirs from the camera stand for it."
         )
         distance = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
-        return np.where(surface, distance, np.float32(0.0)), [Finding("depth of something else", told, mended=True)]
+        findings = [Finding("depth of something else", told, mended=True)]
+        return CheckedDepth(np.where(surface, distance, np.float32(0.0)), findings, is_replaced=True)
     height, width = depth.shape
     ray_cosine = camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)
     found = good[0].apply(depth * ray_cosine if planar else depth, ray_cosine)
     told = f"{label} is the {good[0].tell()}, as the positions show; it was converted."
-    return np.where(surface, found, np.float32(0.0)), [Finding("depth of another meaning", told, mended=True)]
+    findings = [Finding("depth of another meaning", told, mended=True)]
+    return CheckedDepth(np.where(surface, found, np.float32(0.0)), findings)
 
 
 def _fit_by_position(
@@ -146,7 +157,7 @@ def _fit_by_position(
 
 def check_depth_by_normal(
     depth: FloatArray, normal: FloatArray, camera: Camera, label: str, *, planar: bool
-) -> tuple[FloatArray, list[Finding]]:
+) -> CheckedDepth:
     """Return distances along the rays, and what was found; parameters as in `check_depth_by_position`.
 
     Between neighbours on one surface the step is across its normal: with depths ``d`` and ``e`` and rays ``r`` and
@@ -161,7 +172,7 @@ def check_depth_by_normal(
     pairs = [_take_pairs(depth, normal, rays, (rows, columns), step) for step in ((0, reach), (reach, 0))]
     n, r, s, d, e = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
     if len(n) < FEWEST_SAMPLES:
-        return depth, []
+        return CheckedDepth(depth)
     axis = camera.forward
     if planar:
         d, e = d * (r @ axis), e * (s @ axis)
@@ -171,12 +182,13 @@ def check_depth_by_normal(
     first = fits[0][1]
     least = min(error for _, error in fits)
     if first < TOLERATED_SLOPE or least > min(WORST_SLOPE, BETTER * first):
-        return depth, []
+        return CheckedDepth(depth)
     meaning = next(meaning for meaning, error in fits if error < max(2.0 * least, TOLERATED_SLOPE))
     found = meaning.apply(depth * cosine if planar else depth, cosine)
     unit = ", whose unit nothing tells" if meaning.offset != 0.0 else ""
     told = f"{label} is the {meaning.tell()}, as the normals show{unit}; it was converted."
-    return np.where(depth > 0.0, found, np.float32(0.0)), [Finding("depth of another meaning", told, mended=True)]
+    findings = [Finding("depth of another meaning", told, mended=True)]
+    return CheckedDepth(np.where(depth > 0.0, found, np.float32(0.0)), findings)
 
 
 def _take_pairs(

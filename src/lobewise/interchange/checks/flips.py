@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding, list_names
+from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.values import FARTHEST
 
 SIZE = 256
@@ -193,9 +194,8 @@ def _make_feature(role: str, thin: FloatArray) -> Numbers:
 def _find_facing(position: Numbers) -> Numbers:
     """Return which way the surface through positions faces, (height, width, 3): from place to place as normals do."""
     across, down = (np.gradient(position, axis=axis) for axis in (1, 0))
-    facing = np.cross(across, down)
-    length = np.linalg.norm(facing, axis=-1, keepdims=True)
-    return np.asarray(facing / np.where(length > 0.0, length, np.float32(1.0)), dtype=np.float32)
+    facing, length = compute_normals(across, down)
+    return np.asarray(np.where(length > 0.0, facing, np.float32(0.0)), dtype=np.float32)
 
 
 def _cut_flipped(image: Numbers) -> dict[str, Numbers]:

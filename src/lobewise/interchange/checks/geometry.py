@@ -64,6 +64,22 @@ def choose_centers(shape: tuple[int, int], reach: int, most: int = MOST_SAMPLES)
     return grid_rows[inside], grid_columns[inside]
 
 
+def compute_normals(
+    across: FloatArray, along: FloatArray, to_camera: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the unit normals (..., 3) of planes that two steps span, and the lengths (..., 1) of the cross products.
+
+    Parallel steps span no plane: their length is 0 and their normal NaN. With ``to_camera`` (..., 3), vectors of any
+    length from the surface to the camera, normals are on the camera's side.
+    """
+    normal = np.cross(across, along)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    if to_camera is not None:
+        normal = np.where((normal * to_camera).sum(axis=-1, keepdims=True) < 0.0, -normal, normal)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(normal / length), np.asarray(length)
+
+
 def find_patches(position: FloatArray, camera: Camera) -> Patches:
     """Return where the positions of a frame show flat surfaces, and which way those face.
 
@@ -83,14 +99,11 @@ def find_patches(position: FloatArray, camera: Camera) -> Patches:
     rows, columns, points = rows[there], columns[there], points[:, there]
     center, right, left, down, up = points
     across, along = right - left, down - up
-    normal = np.cross(across, along)
-    view = camera.position - center
+    to_camera = camera.position - center
+    normal, length = compute_normals(across, along, to_camera)
     scale = np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(along, axis=-1))
-    length = np.linalg.norm(normal, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        normal = normal / length[:, None]
-        view = view / np.linalg.norm(view, axis=-1, keepdims=True)
+        view = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True)
         apart = np.abs(((points[1:] - center) * normal).sum(axis=-1)).max(axis=0)
-        normal = np.where((normal * view).sum(axis=-1, keepdims=True) < 0.0, -normal, normal)
-        flat = (length > 1e-3 * scale * scale) & (apart < BENT * scale) & np.isfinite(view).all(axis=-1)
+        flat = (length[:, 0] > 1e-3 * scale * scale) & (apart < BENT * scale) & np.isfinite(view).all(axis=-1)
     return Patches(rows[flat], columns[flat], normal[flat].astype(np.float32), view[flat].astype(np.float32))

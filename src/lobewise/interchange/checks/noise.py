@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
 
-SHARED = "noise shared by pixels"
-"""What is found where neighbouring pixels are not independent: `lobewise.Frame.noise_is_shared`."""
 TILE = 32
 SMALL_TILE = 16
 """Pixels along a side of the tiles that are looked at, and in small frames."""
@@ -46,8 +44,8 @@ MEDIAN_SIZE = 0.6745 * 6.0**0.5
 Numbers = NDArray[np.float32]
 
 
-def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
-    """Return what was found of a frame's noise: denoised already, or shared between pixels.
+def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]]:
+    """Return whether neighbouring pixels share their noise, and what was found: that, or that it is denoised already.
 
     Looked at are pixels inside surfaces: where normals and albedos are those of their neighbours. There second
     differences between neighbours are noise. Those of independent pixels have a correlation of -2/3 with the next
@@ -62,13 +60,13 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
         share, so nothing is told.
     """
     if not has_normals or (frame.gbuffer.diffuse_albedo is None and frame.gbuffer.specular_albedo is None):
-        return []
+        return False, []
     tiles = _choose_tiles(frame.shape)
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
     known = [_cut(image, tiles) for image in guides if image is not None]
     correlation, noise = _measure(_cut(frame.radiance.color, tiles), known)
     if len(noise) < FEWEST_TILES:
-        return []
+        return False, []
     lowest, low, middle = np.quantile(correlation, (0.1, 0.25, 0.5))
     typical = float(np.median(noise))
     count = frame.spp
@@ -81,7 +79,7 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
             "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several: the "
             "qualities balanced and high judge it two pixels apart."
         )
-        return [Finding(SHARED, told, mended=True)]
+        return True, [Finding("noise shared by pixels", told, mended=True)]
     # A wrong alarm costs more than none: what is left must be the noise of a filter, and weak wherever it is looked at.
     most = float(np.quantile(noise, 0.9))
     limit = MAX_NOISE_OF_DENOISED_SAMPLE / float(np.sqrt(count)) if count else MAX_NOISE_OF_DENOISED
@@ -92,8 +90,8 @@ def check_noise(frame: Frame, *, has_normals: bool) -> list[Finding]:
             f"The image has noise of at most {100.0 * most:.2g} % inside surfaces, less than {left} and shared by "
             "neighbours: it seems to be denoised already; give the noisy one (--map color=...)."
         )
-        return [Finding("denoised already", told, mended=False)]
-    return []
+        return False, [Finding("denoised already", told, mended=False)]
+    return False, []
 
 
 def _choose_tiles(shape: tuple[int, int]) -> list[tuple[slice, slice]]:

@@ -1,0 +1,118 @@
+"""The steps of an import, in the order in which one mistake of a file would hide another."""
+
+from __future__ import annotations
+
+from lobewise.camera import Camera
+from lobewise.interchange.checks.denoised import leave_out_denoised_light
+from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.importing.draft import Draft, Section, Step, list_notes, run_steps
+from lobewise.interchange.importing.finishing import (
+    check_image_noise,
+    check_roughness_meaning,
+    check_roughness_range,
+    choose_albedos,
+    find_silhouettes,
+    lend_lone_albedo,
+    list_outputs,
+    make_frame,
+    take_light,
+    take_out_lamps,
+    take_roughness,
+    tell_assumed_roughness,
+    tell_missing,
+)
+from lobewise.interchange.importing.guides import (
+    check_albedo_ranges,
+    check_own_result,
+    correct_compressed_light,
+    decode_normals,
+    fill_missing_values,
+    read_images,
+    tell_channels,
+    turn_over_guides,
+)
+from lobewise.interchange.importing.surface_checks import check_depth, check_normal_space, check_position_precision
+from lobewise.interchange.importing.surfaces import (
+    choose_camera,
+    derive_depth,
+    derive_normals,
+    take_depth,
+    take_normals,
+    take_positions,
+)
+from lobewise.interchange.mapping import ChannelMap
+from lobewise.io.exr.container import Container
+
+STEPS = (
+    # Images as they stand in the file
+    Step(tell_channels, section=Section.CHANNELS),
+    Step(correct_compressed_light),
+    Step(check_own_result),
+    Step(read_images),
+    Step(fill_missing_values),
+    Step(turn_over_guides),
+    Step(decode_normals, needs=("normal",)),
+    Step(check_albedo_ranges),
+    # Light
+    Step(take_light, section=Section.LIGHT),
+    Step(lend_lone_albedo, needs=("albedo",)),
+    # Surfaces, converted to world space
+    Step(take_positions, needs=("position",)),
+    Step(choose_camera, section=Section.SURFACES),
+    Step(take_depth, needs=("depth",), section=Section.SURFACES),
+    Step(derive_depth, needs=("world_position", "camera")),
+    Step(take_normals, needs=("normal",), section=Section.SURFACES),
+    # Surfaces, held against each other
+    Step(check_position_precision, needs=("position",)),
+    Step(check_depth, needs=("depth", "camera")),
+    Step(check_normal_space, needs=("normal", "camera")),
+    Step(derive_normals, section=Section.SURFACES),
+    # Material
+    Step(choose_albedos),
+    Step(take_roughness, needs=("roughness",), section=Section.CHANNELS),
+    Step(check_roughness_range, needs=("roughness", "microfacet_alpha")),
+    Step(check_roughness_meaning, needs=("roughness", "microfacet_alpha")),
+    Step(find_silhouettes, section=Section.CHANNELS),
+    Step(tell_assumed_roughness, section=Section.CHANNELS),
+    # The frame as a whole
+    Step(make_frame),
+    Step(check_image_noise),
+    Step(tell_missing, section=Section.MISSING),
+    Step(take_out_lamps, section=Section.MISSING),
+    Step(list_outputs, section=Section.MISSING),
+)
+"""Each step reads, converts or checks one thing. Later steps rely on what earlier ones corrected."""
+
+
+def import_foreign(
+    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None
+) -> tuple[Imported, ImageReader]:
+    """Return the frame of another renderer's file, and a reader of its images that has the corrected light.
+
+    Parameters
+    ----------
+    container : Container
+        The file.
+    read : ImageReader
+        Reads its images.
+    channels : ChannelMap
+        Which channels are which image.
+    camera : Camera or None
+        The user's camera.
+    """
+    used = leave_out_denoised_light(container, channels)
+    read.expect(used)
+    start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera)
+    draft = run_steps(start, STEPS)
+    assert draft.frame is not None
+    found = Imported(
+        draft.frame,
+        container,
+        used,
+        notes=list_notes(draft),
+        outputs=draft.outputs,
+        findings=draft.findings,
+        shown=None if used.shown is None else draft.read(used.shown),
+        lacks=draft.lacks,
+    )
+    return found, draft.read

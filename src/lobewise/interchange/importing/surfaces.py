@@ -1,0 +1,184 @@
+"""Steps that place the surfaces of a foreign frame: its positions, camera, depths and normals, all in one space."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import FloatArray
+from lobewise.interchange.cameras.fitting import WORST_FIT, CameraFit, find_camera, measure_fit
+from lobewise.interchange.cameras.header import Located, read_camera_attributes
+from lobewise.interchange.checks.geometry import compute_normals
+from lobewise.interchange.importing.draft import Draft, Outcome
+from lobewise.interchange.values import FARTHEST, convert_depth, convert_plain, convert_space
+from lobewise.io.exr.header import read_pixel_aspect
+
+Mask = NDArray[np.bool_]
+
+
+def take_positions(draft: Draft) -> Outcome:
+    """Convert the positions, and set them to 0 where there is no surface."""
+    position = convert_plain(draft.images["position"], draft.roles["position"].convert)
+    surface = _find_surface(position, draft.images.get("depth"))
+    return Outcome(replace(draft, world_position=np.where(surface[..., None], position, np.float32(0.0))))
+
+
+def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
+    there = np.isfinite(position).all(axis=-1) & (np.abs(position) < FARTHEST).all(axis=-1)
+    if depth is not None:
+        return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST))
+    return np.asarray(there & (position != 0.0).any(axis=-1))
+
+
+def choose_camera(draft: Draft) -> Outcome:
+    """Choose the camera: the user's, else the header's unless the positions contradict it, else one fitted to them."""
+    pixel_aspect, notes = read_pixel_aspect(draft.image_part), []
+    if pixel_aspect is None:
+        pixel_aspect = 1.0
+        notes.append("The header's pixelAspectRatio is none of pixels, so they are taken for square.")
+    header = read_camera_attributes(draft.container.parts, draft.image_part)
+    chosen = _choose_camera(replace(draft, header_camera=header), header, pixel_aspect)
+    notes += chosen.notes
+    if chosen.draft.camera is not None and pixel_aspect != 1.0:
+        notes.append(f"Pixels are {pixel_aspect:.4g} times as wide as high (pixelAspectRatio), the camera's too.")
+    return Outcome(chosen.draft, notes=notes)
+
+
+def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) -> Outcome:
+    if draft.given_camera is not None:
+        height, width = draft.shape
+        return _use_given_camera(draft, draft.given_camera.with_pixel_aspect(width, height, pixel_aspect))
+    position = draft.world_position
+    if position is None:
+        return Outcome(draft) if header is None else _use_header(draft, header, position, ".")
+    mask: Mask = (position != 0.0).any(axis=-1)
+    if header is not None:
+        moved = _mirror(position) if header.mirrored else position
+        if measure_fit(header.camera, moved, mask) < WORST_FIT:
+            return _use_header(draft, header, moved, "; positions agree with it.")
+    fit = find_camera(position, mask, draft.images.get("depth"), pixel_aspect)
+    if fit is not None:
+        return _use_fit(draft, fit, position, header)
+    if header is not None:
+        return _use_header(draft, header, None, "; it does not see the positions where they are, so they are not used.")
+    told = "No camera shows the positions where they are seen (it may be bent, as for panoramas); give --camera."
+    return Outcome(draft, notes=[told])
+
+
+def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
+    chosen = replace(draft, camera=camera)
+    position = draft.world_position
+    if position is None or measure_fit(camera, position, (position != 0.0).any(axis=-1)) < WORST_FIT:
+        return Outcome(chosen)
+    told = "The camera that was given does not see the positions where they are, so they are not used."
+    return Outcome(replace(chosen, world_position=None), notes=[told])
+
+
+def _use_header(draft: Draft, header: Located, position: FloatArray | None, ending: str) -> Outcome:
+    chosen = replace(draft, camera=header.camera, is_mirrored=header.mirrored, world_position=position)
+    return Outcome(chosen, notes=[f"The camera is that of the header ({header.told}){ending}"])
+
+
+def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located | None) -> Outcome:
+    told = (
+        f"The camera is orthographic, by the positions, which a pinhole far away shows where they are seen to "
+        f"{fit.error:.2f} pixels."
+        if fit.orthographic
+        else f"The camera was found from the positions, which it shows where they are seen to {fit.error:.2f} pixels."
+    )
+    if header is not None:
+        told += f" The header's ({header.told}) is another: positions are in a space of their own."
+    chosen = replace(
+        draft,
+        camera=fit.camera,
+        is_mirrored=fit.mirrored,
+        is_orthographic=fit.orthographic,
+        world_position=_mirror(position) if fit.mirrored else position,
+    )
+    return Outcome(chosen, notes=[told])
+
+
+def _mirror(vectors: FloatArray) -> FloatArray:
+    return vectors * np.array([-1.0, 1.0, 1.0], np.float32)
+
+
+def take_depth(draft: Draft) -> Outcome:
+    """Convert the depth to distances along the rays; not for orthographic cameras, whose depth starts at a plane."""
+    if draft.is_orthographic:
+        return Outcome(draft)
+    found = draft.roles["depth"]
+    distance = convert_depth(convert_plain(draft.images["depth"], found.convert), found.convert, draft.camera)
+    if distance is None:
+        told = f"{found.label} is measured along the camera's axis, which no camera tells, so it is not used."
+        return Outcome(draft, notes=[told])
+    return Outcome(replace(draft, distance=distance))
+
+
+def derive_depth(draft: Draft) -> Outcome:
+    """Compute the distances of the positions from the camera where the file has no depth that can be used."""
+    position, camera = draft.world_position, draft.camera
+    if draft.distance is not None or position is None or camera is None:
+        return Outcome(draft)
+    away = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
+    return Outcome(replace(draft, distance=np.where((position != 0.0).any(axis=-1), away, np.float32(0.0))))
+
+
+def take_normals(draft: Draft) -> Outcome:
+    """Convert the normals to the space of the positions, 0 where there is no surface."""
+    found, notes = draft.roles["normal"], []
+    normal = convert_plain(draft.images["normal"], found.convert)
+    in_camera_space = any(word.startswith("camera_space") for word in found.convert)
+    if in_camera_space and draft.camera is None:
+        notes.append(f"{found.label} stays in camera space, as no camera is known: only normals are compared.")
+    normal = convert_space(normal, found.convert, draft.camera)
+    if draft.is_mirrored and not in_camera_space:
+        normal = _mirror(normal)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = np.where(length > 1e-6, normal / length, np.float32(0.0))
+    unit, mean = (np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32) for each in (unit, normal))
+    return Outcome(replace(draft, world_normal=unit, mean_normal=mean), notes=notes)
+
+
+def derive_normals(draft: Draft) -> Outcome:
+    """Compute normals where the file has none: of the surface through the positions, else all towards the camera."""
+    if draft.world_normal is not None:
+        return Outcome(draft)
+    position, camera = draft.world_position, draft.camera
+    if position is None and draft.distance is not None and camera is not None:
+        height, width = draft.shape
+        rays = camera.make_ray_directions(width, height)
+        # In float64, unlike `Camera.make_positions`: rounded positions would give rougher normals.
+        position = (camera.position + draft.distance[..., None] * rays).astype(np.float32)
+    if position is None or camera is None:
+        normal = np.zeros((*draft.shape, 3), np.float32)
+        normal[..., 2] = 1.0
+        told = "Nothing tells surfaces apart but the image itself: no normal, position or depth can be used."
+    else:
+        normal = compute_surface_normals(position, camera)
+        told = "The file has no normals; those of the surfaces through the positions stand for them."
+    return Outcome(replace(draft, world_normal=normal), notes=[told])
+
+
+def compute_surface_normals(position: FloatArray, camera: Camera) -> FloatArray:
+    """Return the unit normals, (height, width, 3), of the surface through positions, on the camera's side.
+
+    Where neighbours give no plane, the normal is the direction to the camera.
+    """
+    across, down = (_choose_step(position, axis) for axis in (1, 0))
+    view = position - camera.position.astype(np.float32)
+    normal, length = compute_normals(across, down, -view)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        to_camera = -view / np.linalg.norm(view, axis=-1, keepdims=True)
+    return np.asarray(np.where(length > 0.0, normal, to_camera), dtype=np.float32)
+
+
+def _choose_step(position: FloatArray, axis: int) -> FloatArray:
+    """Return the shorter of the steps to both neighbours along an axis: the longer may lead to another object."""
+    ahead = np.diff(position, axis=axis, append=np.take(position, [-1], axis=axis) * np.float32(np.nan))
+    behind = np.diff(position, axis=axis, prepend=np.take(position, [0], axis=axis) * np.float32(np.nan))
+    lengths = [np.nan_to_num(np.linalg.norm(step, axis=-1, keepdims=True), nan=np.inf) for step in (ahead, behind)]
+    return np.asarray(np.nan_to_num(np.where(lengths[0] <= lengths[1], ahead, behind)))
