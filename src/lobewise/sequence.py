@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import lobewise
 from lobewise.errors import InputError, LobewiseError
+from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
 
@@ -147,7 +148,8 @@ def filter_sequence(
         before = active.get_state() if index else {}
         try:
             frame = read(path)
-            last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
+            with name_file(path):
+                last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
             write(output.name(number), last, frame, path)
         except KeyboardInterrupt:
             if index:

@@ -336,7 +336,7 @@ class TestMistakes:
         write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
         write_image(tmp_path / "b.exr", rng.random((4, 5, 3)))
         err = fail(capsys, "compare", tmp_path / "a.exr", "--reference", tmp_path / "b.exr")
-        assert "a.exr: image: expected the size of the reference, 5x4 pixels, got 4x4" in err
+        assert "a.exr': image: expected the size of the reference, 5x4 pixels, got 4x4" in err
 
     def test_image_of_zero_size(self, frame_file, tmp_path, capsys):
         data = frame_file.read_bytes()
@@ -400,9 +400,9 @@ class TestMistakes:
         image[1, 2] = np.nan
         write_image(tmp_path / "bad.exr", image)
         err = fail(capsys, "compare", tmp_path / "good.exr", tmp_path / "bad.exr", "-r", tmp_path / "good.exr")
-        assert "bad.exr: image: expected finite pixels, got 1 of 16" in err
+        assert "bad.exr': image: expected finite pixels, got 1 of 16" in err
         err = fail(capsys, "compare", tmp_path / "good.exr", "-r", tmp_path / "bad.exr")
-        assert "bad.exr: reference: expected finite pixels" in err
+        assert "bad.exr': reference: expected finite pixels" in err
 
     def test_rendering_what_is_not_there(self, tmp_path, capsys):
         assert "showroom" in fail(capsys, "render", "showrom", "-o", tmp_path / "out.exr")

@@ -228,12 +228,12 @@ class TestMistakes:
         for number in NUMBERS:
             write_frame(f"g.{number:04d}.exr", small)
         err = fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
-        assert "g.0001.exr: guides: expected the size of the reference, 20x12 pixels, got 5x4" in err
-        assert "a.0001.exr: image: expected the size" in fail(capsys, "a.####.exr", "-r", "g.####.exr")
+        assert "g.0001.exr': guides: expected the size of the reference, 20x12 pixels, got 5x4" in err
+        assert "a.0001.exr': image: expected the size" in fail(capsys, "a.####.exr", "-r", "g.####.exr")
 
     def test_bad_pixels_are_blamed_on_their_file(self, films, capsys):
         films["a"][2][3, 4] = np.nan
         write_image("a.0003.exr", films["a"][2])
-        assert "a.0003.exr: image: expected finite pixels" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "a.0003.exr': image: expected finite pixels" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
         write_image("r.0002.exr", films["a"][2])
-        assert "r.0002.exr: reference: expected finite" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "r.0002.exr': reference: expected finite" in fail(capsys, "a.####.exr", "-r", "r.####.exr")

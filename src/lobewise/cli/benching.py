@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import parse_size, show_progress
+from lobewise.cli.options.common import parse_size
 from lobewise.cli.terminal.help import App
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -60,9 +61,9 @@ def filters(
     from lobewise.io.files import make_folder, open_atomic, write_text
 
     folder = make_folder(output or DEFAULT_FOLDER)
-    with show_progress() as progress:
+    with Steps() as steps:
         found = measure_filters(
-            device, extent=QUICK if quick else FULL, progress=lambda done, total: progress("Measuring", done, total)
+            device, extent=QUICK if quick else FULL, progress=lambda done, total: steps.tell("Measuring", done, total)
         )
     for section in make_sections(found):
         print_table(
@@ -119,7 +120,7 @@ def interactive(
         require_writable(output)
         require_other_files([output], [scene])
     asked: dict[str, Any] = {"similarity": similarity, "scale": scale}
-    with show_progress() as progress:
+    with Steps() as steps:
         found = measure_devices(
             [device] if device else None,
             scene=scene,
@@ -127,7 +128,7 @@ def interactive(
             methods=method,
             settings=InteractiveSettings(**asked),
             frames=frames,
-            progress=lambda done, total: progress("frames", done, total),
+            progress=lambda done, total: steps.tell("frames", done, total),
         )
     for name, rows in found["devices"].items():
         _print_stages(name, rows)

@@ -13,10 +13,12 @@ from lobewise.cli.comparing import compare
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
-from lobewise.cli.reading import Also, CameraFile, Half, Maps, Preset, parse_maps
+from lobewise.cli.options.common import Input
+from lobewise.cli.options.reading import PassReading
+from lobewise.cli.options.spreading import with_groups
 from lobewise.cli.rendering import render
-from lobewise.cli.shared import Input, show_progress
 from lobewise.cli.terminal.help import EXAMPLES, HELP_NAMES, App
+from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
 
 app = App(
@@ -61,7 +63,7 @@ def demo(
     from lobewise.cli.demo import make_demo
     from lobewise.cli.output import print_line
 
-    with show_progress() as progress:
+    with Steps() as steps:
         page = make_demo(
             output,
             live=live,
@@ -70,7 +72,7 @@ def demo(
             reference_spp=reference_spp,
             size=size,
             device=device,
-            progress=progress,
+            progress=steps.tell,
         )
     print_line(f"Wrote {page}: open it in a browser.")
 
@@ -83,8 +85,10 @@ app.add_typer(bench, name="bench")
 
 
 @app.command(epilog=EXAMPLES["inspect"])
+@with_groups
 def inspect(
     source: Input,
+    *,
     everything: Annotated[
         bool, typer.Option("--all", help="Show every channel, what each is read as, and how it is converted.")
     ] = False,
@@ -92,11 +96,7 @@ def inspect(
         bool, typer.Option("--attributes", "-a", help="Show every channel and the attributes as well.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
-    preset: Preset = None,
-    maps: Maps = None,
-    camera: CameraFile = None,
-    half: Half = None,
-    also: Also = None,
+    reading: PassReading,
 ) -> None:
     """Say whose an EXR file is, what denoising will use of it, what is missing and how to switch it on."""
     from dataclasses import asdict
@@ -104,22 +104,12 @@ def inspect(
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange import describe_file
-    from lobewise.interchange.cameras.files import read_camera_file
 
-    found = describe_file(
-        source,
-        preset=preset,
-        mapping=parse_maps(maps or []),
-        camera=None if camera is None else read_camera_file(camera),
-        half=half,
-        also=also or (),
-    )
+    found = describe_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
         return
-    given = {"--preset": [preset], "--map": maps, "--camera": [camera], "--half": [half], "--also": also}
-    words = [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
-    print_summary(found, words)
+    print_summary(found, reading.list_words())
     if everything or attributes:
         print_description(found, with_attributes=attributes)
 

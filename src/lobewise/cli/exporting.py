@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.options import with_settings
+from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
 from lobewise.exporting.names import SHADER_LANGUAGES, TARGETS, ExportSettings
 

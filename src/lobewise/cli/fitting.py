@@ -127,18 +127,21 @@ def fit_material(
         ``cosines`` and ``azimuths`` of the views, if not the usual ones.
     """
     from lobewise.cli.output import print_fit, print_line
-    from lobewise.cli.shared import show_progress
+    from lobewise.cli.terminal.steps import Steps
     from lobewise.fitting.fit import fit_lobes
     from lobewise.io.files import open_atomic
     from lobewise.io.materials import write_lobe_table
     from lobewise.reporting.fit_plot import draw_fit
 
-    with show_progress() as advance:
-
-        def progress(done: int, total: int) -> None:
-            advance(f"Fitting {name}", done, total)
-
-        table = fit_lobes(evaluate, lobes=lobes, kind=kind, name=name, progress=progress, **(grid or {}))
+    with Steps() as steps:
+        table = fit_lobes(
+            evaluate,
+            lobes=lobes,
+            kind=kind,
+            name=name,
+            progress=lambda done, total: steps.tell(f"Fitting {name}", done, total),
+            **(grid or {}),
+        )
     picture = None if plot is None else draw_fit(table, evaluate)
     write_lobe_table(output, table)
     if plot is not None and picture is not None:

@@ -52,34 +52,29 @@ def print_note(text: str) -> None:
         Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
-def describe_result(result: Result) -> str:
-    """Return in one line what was done, in words that need no knowledge of the filter, and how long it took."""
-    return _describe(result, (result.image.shape[0], result.image.shape[1]))
-
-
-def describe_file_result(done: DenoisedFile) -> str:
-    """Return the same of a file that was denoised in bands, and in how many."""
-    return _describe(done, done.shape, f" in {done.bands} band{'s' if done.bands != 1 else ''}")
+def describe_result(result: Result | DenoisedFile) -> str:
+    """Return in one line the size, how it was filtered, the seconds it took and the bad pixels."""
+    settings = result.settings
+    if isinstance(result, Result):
+        (height, width), bands = result.image.shape[:2], ""
+    else:
+        height, width = result.shape
+        bands = f" in {result.bands} band{'s' if result.bands != 1 else ''}"
+    told = [f"{width}x{height} pixels{bands}"]
+    if settings.get("bilinear"):
+        told.append("interpolated between pixels")
+    elif "quality" in settings:
+        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
+        told.append(f"quality {settings['quality']}{peer}")
+    line = ", ".join([*told, f"{result.seconds:.2f} s"])
+    count = result.bad_pixel_count
+    return f"{line}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else line
 
 
 def describe_settings(result: Result | DenoisedFile) -> str:
     """Return in one line the settings of the filter by their names."""
     names = ("similarity", "form", "quality", "radius", "beta", "device")
     return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)
-
-
-def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = "") -> str:
-    settings, told = result.settings, [f"{shape[1]}x{shape[0]} pixels{how}"]
-    if settings.get("bilinear"):
-        told.append("interpolated between pixels")
-    else:
-        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
-        told += [f"quality {settings['quality']}{peer}"] if "quality" in settings else []
-    told = [", ".join([*told, f"{result.seconds:.2f} s"])]
-    count = result.bad_pixel_count
-    if count:
-        told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")
-    return "; ".join(told)
 
 
 def to_json(value: Any) -> str:
