@@ -41,7 +41,7 @@ def filters(
 ) -> None:
     """Measure how fast this machine is: filters, upsampling, whole frames, and Open Image Denoise beside them.
 
-    Takes up to ten minutes, of which nothing else should run. `interactive` measures the chain of the viewer instead.
+    Takes up to ten minutes, during which nothing else should run. `interactive` measures the viewer instead.
     """
     if context.invoked_subcommand is not None:
         if output is not None or quick or device:
@@ -98,19 +98,19 @@ def interactive(
         typer.Option(metavar="NAME", help="paths, voxel_cones or virtual_lights; may be repeated.", show_default="all"),
     ] = None,
     similarity: Annotated[
-        str, typer.Option(metavar="NAME", help="What is compared; none, or as for `lobewise denoise`.")
+        str, typer.Option(metavar="NAME", help="none, or a similarity of `lobewise denoise`.")
     ] = "ggx",
     scale: Annotated[int, typer.Option(metavar="N", help="One of NxN pixels is shaded.")] = 4,
-    frames: Annotated[int, typer.Option(metavar="N", help="Frames that are counted.")] = 24,
+    frames: Annotated[int, typer.Option(metavar="N", help="Frames that are timed.")] = 24,
     device: Annotated[
         str | None,
         typer.Option(metavar="cpu|cuda", help="Where rays are traced.", show_default="both, where there is CUDA"),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Write the figures there as well.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Write the figures as JSON as well.")
     ] = None,
 ) -> None:
-    """Time every stage of the interactive chain while the camera goes round an orbit, one degree a frame."""
+    """Time every stage of the viewer while the camera moves along an orbit, one degree per frame."""
     from lobewise.bench.interactive import measure_devices
     from lobewise.cli.output import print_line, to_json
     from lobewise.interactive import InteractiveSettings

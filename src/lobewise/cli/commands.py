@@ -40,7 +40,7 @@ def _print_version(wanted: bool) -> None:
 def root(
     version: Annotated[
         bool,
-        typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_print_version),
+        typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version),
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
 ) -> None:
@@ -49,15 +49,17 @@ def root(
 
 @app.command(epilog=EXAMPLES["demo"])
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put the page.")] = Path(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="The folder of the page.")] = Path(
         "lobewise-demo"
     ),
     live: Annotated[bool, typer.Option("--live", help="Render the frame first, instead of the one inside.")] = False,
     scene: Annotated[str, typer.Option(metavar="SCENE", help="With --live: the scene to render.")] = "showroom",
     spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples per pixel.")] = 4,
     reference_spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples of the reference.")] = 1024,
-    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels a side.")] = 512,
-    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels per side.")] = 512,
+    device: Annotated[
+        str, typer.Option(metavar="auto|NAME", help="Device of the filters; see `lobewise devices`.")
+    ] = "auto",
 ) -> None:
     """Write a page that compares the filters on one noisy frame, beside its reference."""
     from lobewise.cli.demo import make_demo
@@ -98,7 +100,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
     reading: PassReading,
 ) -> None:
-    """Say whose an EXR file is, what denoising will use of it, what is missing and how to switch it on."""
+    """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing."""
     from dataclasses import asdict
 
     from lobewise.cli.output import print_description, to_json
@@ -116,7 +118,7 @@ def inspect(
 
 @app.command()
 def devices() -> None:
-    """List where filters can run, and why one cannot."""
+    """List the devices of this machine, and why filters cannot run on one."""
     from lobewise.backend.devices import list_devices
     from lobewise.cli.output import print_devices
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 OVER_TIME_NOTE = (
     "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
-    "passes. It is for little flicker at few samples; where noise is moderate, renders that were measured had less "
-    "error frame by frame: leave --temporal out."
+    "passes. It reduces flicker at few samples. With moderate noise, measured renders had less error frame by frame: "
+    "leave --temporal out."
 )
 
 
@@ -165,7 +165,7 @@ class _Denoiser:
 
 
 class _FilterOverTime:
-    """A filter of what `_Denoiser` reads, in which every frame knows the ones before."""
+    """A filter of what `_Denoiser` reads, that lets every frame use the frames before it."""
 
     def __init__(self, over_time: TemporalFilter) -> None:
         self._over_time = over_time
@@ -187,13 +187,13 @@ def upsample(
     settings: dict[str, Any],
     scale: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Pixels from shaded pixel to shaded pixel.", show_default="the file's"),
+        typer.Option(metavar="N", help="Distance of shaded pixels, in pixels.", show_default="the file's"),
     ] = None,
     place: Annotated[
         str | None,
         typer.Option(metavar="ROW,COLUMN", help="The shaded pixel of each block.", show_default="the file's, or 0,0"),
     ] = None,
-    bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate on the screen alone.")] = False,
+    bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate between pixels, without guides.")] = False,
     reshading: Reshading,
     over_time: OverTime,
     overwrite: Overwrite = False,

@@ -46,19 +46,19 @@ class Sampling:
         ),
     ] = None
     light: Annotated[
-        str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")
+        str, typer.Option(metavar="all|indirect", help="indirect: only light that was scattered more than once.")
     ] = "all"
     integrator: Annotated[
         str,
         typer.Option(
             metavar="auto|paths|scene",
-            help="Whose light; auto: the scene's integrator, by paths where they equal it.",
+            help="Who computes the light; auto: the scene's integrator, or path tracing where both agree.",
             rich_help_panel=SCENE_DETAILS,
         ),
     ] = "auto"
     define: Annotated[
         list[str] | None,
-        typer.Option("--define", "-D", metavar="NAME=VALUE", help="What stands for $NAME in a Mitsuba XML file."),
+        typer.Option("--define", "-D", metavar="NAME=VALUE", help="Value of $NAME in a Mitsuba XML file."),
     ] = None
 
     def list_settings(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Sparse:
         int,
         typer.Option(
             metavar="N",
-            help="Shade one pixel of every NxN; guides everywhere, for upsample.",
+            help="Shade one pixel of every NxN, with guides at every pixel, for upsample.",
             rich_help_panel=SCENE_DETAILS,
         ),
     ] = 1
@@ -123,7 +123,7 @@ class Sparse:
         str | None,
         typer.Option(
             metavar="ROW,COLUMN",
-            help="With --scale: which pixel of the block.",
+            help="With --scale: the shaded pixel of each block.",
             show_default="0,0",
             rich_help_panel=SCENE_DETAILS,
         ),
@@ -152,7 +152,7 @@ class Motion:
         str | None,
         typer.Option(
             metavar="orbit|still|FILE.json",
-            help="With --frames: where the camera goes.",
+            help="With --frames: the path of the camera.",
             show_default="orbit",
             rich_help_panel=SEQUENCES,
         ),
@@ -160,7 +160,10 @@ class Motion:
     speed: Annotated[
         float | None,
         typer.Option(
-            metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25", rich_help_panel=SEQUENCES
+            metavar="DEGREES",
+            help="Turn of the orbit from frame to frame.",
+            show_default="0.25",
+            rich_help_panel=SEQUENCES,
         ),
     ] = None
     start: Annotated[
@@ -177,7 +180,7 @@ class Motion:
         bool,
         typer.Option(
             "--moving-objects",
-            help="With --frames: objects move too; showroom and parlour have some.",
+            help="With --frames: objects move too, in showroom and parlour.",
             rich_help_panel=SEQUENCES,
         ),
     ] = False
@@ -212,7 +215,7 @@ def render(
     motion: Motion,
     picture: Picture,
 ) -> None:
-    """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
+    """Render a scene with Mitsuba into one EXR file per frame, with every channel that denoising can use."""
     _refuse_contradictions(contents, sparse, motion, picture)
     # A wrong place is an error even where it is not used.
     place = sparse.parse_place()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+from lobewise.cli.options.bands import FileInBands
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.writing import Picture, find_first
 from lobewise.cli.terminal.outcome import Remarks, tell_picture, tell_settings
@@ -64,7 +65,7 @@ class FileFilter(Protocol[FileT, ResultT]):
 
 
 class FilterAlone(Generic[FileT, ResultT]):
-    """A filter of sequences that filters every frame by itself."""
+    """A sequence filter that filters every frame by itself."""
 
     def __init__(self, filter_one: Callable[[FileT], ResultT]) -> None:
         self._filter_one = filter_one
@@ -116,7 +117,9 @@ def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
         steps.tell("Filtering")
         with name_file(job.source):
             result = verb.make_filter().add(found)
-        steps.tell(f"Writing {job.output.name}")
+        if not isinstance(found, FileInBands):
+            # A file in bands is written while it is filtered.
+            steps.tell(f"Writing {job.output.name}")
         verb.write(job.output, result, found)
     job.remarks.tell_result(result)
     return result

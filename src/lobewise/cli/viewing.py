@@ -26,12 +26,15 @@ class Page:
     """Options of the page."""
 
     port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.", rich_help_panel=PAGE)
+        int,
+        typer.Option(
+            metavar="N", min=0, max=65535, help="Port of the page, or the next free one.", rich_help_panel=PAGE
+        ),
     ] = 8080
     host: Annotated[
         str,
         typer.Option(
-            metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.", rich_help_panel=PAGE
+            metavar="ADDRESS", help="Address of the page; 0.0.0.0 lets other machines in.", rich_help_panel=PAGE
         ),
     ] = "127.0.0.1"
     token: Annotated[
@@ -50,7 +53,7 @@ class Page:
     ] = None
     fixed_size: Annotated[
         bool,
-        typer.Option("--fixed-size", help="Keep that size and its aspect whatever the window, also in motion."),
+        typer.Option("--fixed-size", help="Keep the size and aspect in every window, also in motion."),
     ] = False
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False
 

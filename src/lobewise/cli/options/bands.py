@@ -21,8 +21,8 @@ Bands = Annotated[
     str,
     typer.Option(
         metavar="auto|off|ROWS",
-        help="Filter so many rows at a time, from file to file: little memory, the same bits. auto does so with a file "
-        "that would take more than 4 GiB.",
+        help="Filter this many rows at a time: less memory, the same bits. auto does so with a file that would take "
+        "more than 4 GiB.",
         rich_help_panel=FILE_DETAILS,
     ),
 ]

@@ -31,7 +31,7 @@ class OverTime:
         bool,
         typer.Option(
             "--temporal",
-            help="With a sequence: let every frame know the ones before (quality fast).",
+            help="With a sequence: let every frame use the frames before it (quality fast).",
             rich_help_panel=SEQUENCES,
         ),
     ] = False

@@ -27,8 +27,8 @@ class Reading:
         str | None,
         typer.Option(
             metavar="NAME|FILE.toml",
-            help="Whose conventions the file follows: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, "
-            "luxcore, mitsuba, unreal, generic, or a file of them.",
+            help="Conventions of the file: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, luxcore, "
+            "mitsuba, unreal, generic, or a file of them.",
             show_default="what the file tells",
             rich_help_panel=FILES,
         ),
@@ -38,7 +38,7 @@ class Reading:
         typer.Option(
             "--map",
             metavar="ROLE=CHANNELS",
-            help="Which channels are what, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
+            help="Channels of an image, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
             show_default=False,
             rich_help_panel=FILES,
         ),

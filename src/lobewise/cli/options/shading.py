@@ -24,7 +24,7 @@ class Reshading:
         str,
         typer.Option(
             metavar="PERCENT",
-            help="Shade so many pixels again, the least supported; needs --scene.",
+            help="Shade this share of the pixels again, the least supported; needs --scene.",
             rich_help_panel=SHADING,
         ),
     ] = "0%"

@@ -89,7 +89,7 @@ def _replace_parameters(
     def run(**values: Any) -> None:
         verb(**gather(values))
 
-    # Typer reads the options from here.
+    # Typer reads the options from the signature.
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run

@@ -36,7 +36,7 @@ class Writing:
         str,
         typer.Option(
             metavar="TEXT",
-            help="Put results beside the noisy passes, in passes whose names end so.",
+            help="Put results beside the noisy passes, in passes whose names end with TEXT.",
             rich_help_panel=RESULT,
         ),
     ] = ""
@@ -83,8 +83,8 @@ class Picture:
         bool,
         typer.Option(
             "--png",
-            help="Write a picture as well, of the same name with the ending .png: tone mapped, for any program. A "
-            "sequence has one exposure, that of its first frame.",
+            help="Write a tone mapped picture as well, with the ending .png. A sequence has the exposure of its first "
+            "frame.",
             rich_help_panel=RESULT,
         ),
     ] = False
