@@ -14,7 +14,7 @@ from lobewise.bench import filters, plan
 from lobewise.bench.kernels import count_taps
 from lobewise.bench.machine import describe_machine
 from lobewise.bench.page import make_bench_page
-from lobewise.bench.plan import WHAT, Extent, add_halves, list_threads
+from lobewise.bench.plan import MEANINGS_OF_TIMES, Extent, add_halves, list_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
 from lobewise.bench.plots import draw_plots
 from lobewise.bench.summary import Section, format_time, make_sections
@@ -53,7 +53,7 @@ def make_data(*rows: dict[str, Any]) -> dict[str, Any]:
     return {
         "machine": {"processor": "Abacus <1>", "threads": 2, "version": "0.1.0"},
         "devices": {"cpu": "beads", "cuda": "more beads"},
-        "what": WHAT,
+        "what": MEANINGS_OF_TIMES,
         "skipped": ["Nothing & no one."],
         "seconds": 90.0,
         "rows": list(rows),
@@ -131,7 +131,7 @@ def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(found["devices"]) == ["cpu"]
     assert bool(found["skipped"]) != has_oidn()
     rows = found["rows"]
-    assert list(dict.fromkeys(row["part"] for row in rows)) == list(WHAT)
+    assert list(dict.fromkeys(row["part"] for row in rows)) == list(MEANINGS_OF_TIMES)
     assert all(row["milliseconds"] > 0.0 for row in rows)
     ours = [(row["part"], row["name"]) for row in rows if not row["name"].startswith("OIDN")]
     assert ours == [

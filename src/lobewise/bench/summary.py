@@ -1,4 +1,4 @@
-"""What was measured, as tables that a terminal, a page or a document can show."""
+"""A measurement as tables for a terminal, a page or a document."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ class Section:
     """A table of figures."""
 
     key: str
-    """Short name; that of the plot beside it, where there is one."""
-    # Its head, and how to read it.
+    """Short name, which is also the name of its plot, if it has one."""
     title: str
     note: str
+    """How to read the table."""
     header: list[str]
     """Names of the columns; the first column is text, the others are figures."""
     rows: list[list[str]]
-    """Its cells."""
+    """Cells, row by row."""
 
 
 def make_sections(data: Mapping[str, Any]) -> list[Section]:
-    """Return the tables of what `lobewise.bench.filters.measure_filters` found; those without rows are left out."""
+    """Return the tables of a measurement of `lobewise.bench.filters.measure_filters`, without empty tables."""
     rows = data["rows"]
     made = [
         _make_denoising(rows),
@@ -55,8 +55,9 @@ def make_sections(data: Mapping[str, Any]) -> list[Section]:
             rows,
             "lobes",
             "Time over lobes",
-            "Milliseconds of one image, radius 8, separable. Each lobe of a pixel is compared with each of the "
-            "other's; those that stand for GGX share an axis, which is cheaper, those of measured materials do not.",
+            "Milliseconds of one image, radius 8, separable. Each lobe of a pixel is compared with each lobe of the "
+            "other pixel. Lobes that approximate GGX share an axis, which is faster; lobes of measured materials do "
+            "not.",
             lambda row: str(row["lobes"]),
             "lobes",
         ),
@@ -83,18 +84,18 @@ def describe_machine_in_words(data: Mapping[str, Any]) -> str:
 
 
 def name_series(rows: Sequence[Row]) -> Callable[[Row], str]:
-    """Return what tells the series of some rows apart: their names, with the device where there are several."""
+    """Return a function that names the series of a row: by its name, and by its device where there are several."""
     several = len({row["device"] for row in rows}) > 1
     return lambda row: f"{row['name']}, {row['device']}" if several and not is_peer(row) else str(row["name"])
 
 
 def is_peer(row: Row) -> bool:
-    """Return whether it is a time of Open Image Denoise."""
+    """Return whether a row is a time of Open Image Denoise."""
     return str(row["name"]).startswith(OIDN)
 
 
 def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
-    """Return the rows of a part that have these facts; of Open Image Denoise, which has no device, one for each."""
+    """Return the rows of a part with the given facts; of Open Image Denoise, which has no device, one per setting."""
     found: dict[Any, Row] = {}
     for row in rows:
         if row["part"] == part and all(row.get(name) == value for name, value in facts.items()):
@@ -106,7 +107,7 @@ def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
 def _make_pivot(
     rows: Sequence[Row], part: str, title: str, note: str, column: Callable[[Row], str], name: str
 ) -> Section:
-    """Return a table of times: a line for each series, a column for each value of what is varied."""
+    """Return a table of times with a line for each series and a column for each value of ``column``."""
     chosen = pick(rows, part)
     series = name_series(chosen)
     columns = list(dict.fromkeys(map(column, chosen)))
@@ -122,7 +123,7 @@ def _make_pivot(
 
 
 def _make_paper(rows: Sequence[Row]) -> Section:
-    """Return our times and ratios beside the paper's."""
+    """Return the times and ratios on this machine beside the paper's ratios."""
     lines = []
     chosen = [
         row
@@ -187,7 +188,7 @@ def _make_threads(rows: Sequence[Row]) -> Section:
 
 
 def _make_denoising(rows: Sequence[Row]) -> Section:
-    """Return the times of whole frames, and how many times faster each is than the peer's two qualities."""
+    """Return the times of whole frames, and how many times faster each is than Open Image Denoise."""
     chosen = pick(rows, "denoising")
     series = name_series(chosen)
     peers = {row["name"]: row["milliseconds"] for row in chosen if is_peer(row)}
@@ -215,7 +216,7 @@ def _tell_size(rows: Sequence[Row]) -> str:
 
 
 def format_time(milliseconds: float) -> str:
-    """Return a time with three figures or more."""
+    """Return a time with at least three significant digits."""
     if milliseconds >= 100.0:
         return f"{milliseconds:.0f}"
     return f"{milliseconds:.1f}" if milliseconds >= 10.0 else f"{milliseconds:.2f}"
