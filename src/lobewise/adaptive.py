@@ -169,11 +169,7 @@ def _filter_among(
 
 
 def _merge(
-    old: FloatArray,
-    new: FloatArray,
-    where: tuple[NDArray[np.intp], ...],
-    weight: FloatArray,
-    worth: FloatArray,
+    old: FloatArray, new: FloatArray, where: tuple[NDArray[np.intp], ...], weight: FloatArray, worth: FloatArray
 ) -> FloatArray:
     """Return an image whose pixels ``where`` are averaged with new ones, with weights ``weight`` and ``worth``."""
     fresh = new[:, 0]

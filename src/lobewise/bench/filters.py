@@ -28,10 +28,7 @@ Progress = Callable[[int, int], None]
 
 
 def measure_filters(
-    devices: Sequence[str] | None = None,
-    *,
-    extent: Extent = FULL,
-    progress: Progress | None = None,
+    devices: Sequence[str] | None = None, *, extent: Extent = FULL, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Return the times of kernels, upsampling and denoising on this machine, and of Open Image Denoise.
 

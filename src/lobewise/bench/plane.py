@@ -31,10 +31,7 @@ def make_frame(width: int, height: int) -> Frame:
     """Return a noisy plane, seen in perspective, whose roughness varies from patch to patch and whose normals vary."""
     rng = np.random.default_rng(0)
     camera = Camera(
-        position=np.array([0.0, 2.0, 6.0]),
-        forward=np.array([0.0, -0.4, -1.0]),
-        up=np.array([0.0, 1.0, 0.0]),
-        fov_y=0.7,
+        position=np.array([0.0, 2.0, 6.0]), forward=np.array([0.0, -0.4, -1.0]), up=np.array([0.0, 1.0, 0.0]), fov_y=0.7
     )
     rays = camera.make_ray_directions(width, height).astype(np.float64)
     depth = 2.0 / np.maximum(-rays[..., 1], 0.05)

@@ -32,11 +32,7 @@ def filters(
     quick: Annotated[bool, typer.Option("--quick", help="Small images and few rounds: about a minute.")] = False,
     device: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="See `lobewise devices`; may be repeated.",
-            show_default="all there are",
-        ),
+        typer.Option(metavar="NAME", help="See `lobewise devices`; may be repeated.", show_default="all there are"),
     ] = None,
 ) -> None:
     """Measure how fast this machine is: filters, upsampling, whole frames, and Open Image Denoise beside them.

@@ -67,12 +67,7 @@ METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         "Compares the same lobes, and two halves of the samples: pixels that differ by more than noise are kept apart.",
         {"similarity": "ggx", "quality": "balanced"},
     ),
-    (
-        "default",
-        "lobewise",
-        "The result of `lobewise denoise` without options.",
-        {},
-    ),
+    ("default", "lobewise", "The result of `lobewise denoise` without options.", {}),
 )
 OIDN_REMARK = (
     "Open Image Denoise is a neural network trained on many renders, given the same radiance with the same albedo and "
@@ -94,27 +89,7 @@ def make_demo(
 ) -> Path:
     """Filter a frame with every method and write ``report.html`` into ``folder``; return the path of the page.
 
-    Parameters
-    ----------
-    folder : path-like
-        The folder, created if it does not exist.
-    live : bool
-        Whether to render the frame, which needs Mitsuba, instead of using the frame inside the package.
-    scene, spp, reference_spp, size : str, int
-        With ``live``: the scene, samples per pixel of the frame and of the reference, pixels per side.
-    device : str
-        The device that the filters run on.
-    progress : callable, optional
-        Called with (name of the step, done, total).
-
-    Raises
-    ------
-    FileError
-        If the folder cannot be made or written to, or the scene cannot be read.
-    InputError
-        If an option is out of range, or options of rendering are given without ``live``.
-    MissingDependencyError
-        If ``live`` needs a package or library that is not installed.
+    The parameters are the options of `lobewise demo`; ``progress`` is called with (name of the step, done, total).
     """
     say = progress or (lambda _what, _done, _total: None)
     if not live and (scene, spp, reference_spp, size) != ("showroom", 4, 1024, 512):
@@ -157,13 +132,7 @@ def make_demo(
 
 
 def load_bundled() -> tuple[Frame, FloatArray, int]:
-    """Return the frame inside the package, its reference, and the reference's samples per pixel.
-
-    Raises
-    ------
-    FileError
-        If the package was built without these files.
-    """
+    """Return the frame inside the package, its reference, and the reference's samples per pixel."""
     folder = files("lobewise").joinpath("data")
     with as_file(folder.joinpath(FRAME)) as path:
         frame = restore_positions(read_frame(path))
@@ -184,14 +153,7 @@ def restore_positions(frame: Frame) -> Frame:
 def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], list[str]]:
     # Metrics and pictures need finite pixels.
     noisy = blacken_bad(frame.radiance.color)
-    pictures = [
-        Picture(
-            "noisy",
-            "noisy",
-            noisy,
-            f"Path traced with {frame.spp} samples per pixel.",
-        )
-    ]
+    pictures = [Picture("noisy", "noisy", noisy, f"Path traced with {frame.spp} samples per pixel.")]
     total = len(METHODS) + 1
     for done, (key, title, note, settings) in enumerate(METHODS):
         say("Filtering", done, total)

@@ -57,7 +57,7 @@ def export(
 # The narrow columns of the options would cut these names off.
 export.__doc__ = f"""{export.__doc__}
 
-Targets, all tested: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
+Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
 Shader languages, with the weights alone: {", ".join(SHADER_LANGUAGES)}.
 """

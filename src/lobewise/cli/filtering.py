@@ -186,8 +186,7 @@ def upsample(
     *,
     settings: dict[str, Any],
     scale: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Distance of shaded pixels, in pixels.", show_default="the file's"),
+        int | None, typer.Option(metavar="N", help="Distance of shaded pixels, in pixels.", show_default="the file's")
     ] = None,
     place: Annotated[
         str | None,

@@ -69,17 +69,7 @@ def fit(
 
 
 def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:
-    """Return the path of the plot, None for no plot; both files can be written.
-
-    Raises
-    ------
-    FileError
-        If one of them cannot be written.
-    InputError
-        If both are the same file, or the options ask for a plot and for none.
-    MissingDependencyError
-        If a plot is wanted and Matplotlib is not installed.
-    """
+    """Return the path of the plot, None for no plot; raise an error unless both files can be written."""
     from lobewise.io.files import require_writable
     from lobewise.reporting.plotting import require_matplotlib
 
@@ -109,20 +99,7 @@ def fit_material(
 ) -> None:
     """Fit a material, print the residuals, and write its lobe file and plot after everything is computed.
 
-    Parameters
-    ----------
-    evaluate : callable
-        The material; see `lobewise.fitting.fit.Evaluate`.
-    name : str
-        Name of the material.
-    output : Path
-        The lobe file.
-    lobes, kind
-        See `lobewise.fitting.fit.fit_lobes`.
-    plot : Path, optional
-        The PNG file; None for no plot.
-    grid : mapping, optional
-        ``cosines`` and ``azimuths`` of the views; by default those of `fit_lobes`.
+    ``grid`` holds ``cosines`` and ``azimuths`` of the views; by default those of `lobewise.fitting.fit.fit_lobes`.
     """
     from lobewise.cli.output import print_fit, print_line
     from lobewise.cli.terminal.steps import Steps

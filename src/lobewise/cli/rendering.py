@@ -12,7 +12,7 @@ import typer
 from lobewise.cli.options.common import parse_place
 from lobewise.cli.options.spreading import with_groups
 from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
-from lobewise.cli.terminal.help import RESULT, SCENE_DETAILS, SEQUENCES
+from lobewise.cli.terminal.help import result_option, scene_detail, sequence_option
 from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, require_choice
@@ -38,11 +38,10 @@ class Sampling:
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0
     max_depth: Annotated[
         int | None,
-        typer.Option(
+        scene_detail(
             metavar="N",
             help="Longest path, in vertices after the camera.",
             show_default="the scene's, or 8 without any",
-            rich_help_panel=SCENE_DETAILS,
         ),
     ] = None
     light: Annotated[
@@ -50,10 +49,9 @@ class Sampling:
     ] = "all"
     integrator: Annotated[
         str,
-        typer.Option(
+        scene_detail(
             metavar="auto|paths|scene",
             help="Who computes the light; auto: the scene's integrator, or path tracing where both agree.",
-            rich_help_panel=SCENE_DETAILS,
         ),
     ] = "auto"
     define: Annotated[
@@ -86,15 +84,9 @@ class Sampling:
 class Contents:
     """Options that tell what the file holds."""
 
-    aov_only: Annotated[
-        bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.", rich_help_panel=RESULT)
-    ] = False
-    reference: Annotated[
-        bool, typer.Option("--reference", help="Only the radiance, for many samples.", rich_help_panel=RESULT)
-    ] = False
-    exact: Annotated[
-        bool, typer.Option("--float", help="Store everything as 32-bit floats.", rich_help_panel=RESULT)
-    ] = False
+    aov_only: Annotated[bool, result_option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False
+    reference: Annotated[bool, result_option("--reference", help="Only the radiance, for many samples.")] = False
+    exact: Annotated[bool, result_option("--float", help="Store everything as 32-bit floats.")] = False
 
     def write(self, path: Path, frame: Frame | SparseFrame, scene: str) -> None:
         """Write a frame, with the name of its scene."""
@@ -112,21 +104,11 @@ class Sparse:
     """Options that tell which pixels are shaded."""
 
     scale: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            help="Shade one pixel of every NxN, with guides at every pixel, for upsample.",
-            rich_help_panel=SCENE_DETAILS,
-        ),
+        int, scene_detail(metavar="N", help="Shade one pixel of every NxN, with guides at every pixel, for upsample.")
     ] = 1
     place: Annotated[
         str | None,
-        typer.Option(
-            metavar="ROW,COLUMN",
-            help="With --scale: the shaded pixel of each block.",
-            show_default="0,0",
-            rich_help_panel=SCENE_DETAILS,
-        ),
+        scene_detail(metavar="ROW,COLUMN", help="With --scale: the shaded pixel of each block.", show_default="0,0"),
     ] = None
 
     def parse_place(self) -> tuple[int, int]:
@@ -140,49 +122,24 @@ class Motion:
 
     frames: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Render so many frames, to -o out.####.exr.",
-            show_default=False,
-            rich_help_panel=SEQUENCES,
-        ),
+        sequence_option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
     ] = None
     camera_path: Annotated[
         str | None,
-        typer.Option(
-            metavar="orbit|still|FILE.json",
-            help="With --frames: the path of the camera.",
-            show_default="orbit",
-            rich_help_panel=SEQUENCES,
+        sequence_option(
+            metavar="orbit|still|FILE.json", help="With --frames: the path of the camera.", show_default="orbit"
         ),
     ] = None
     speed: Annotated[
         float | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="Turn of the orbit from frame to frame.",
-            show_default="0.25",
-            rich_help_panel=SEQUENCES,
-        ),
+        sequence_option(metavar="DEGREES", help="Turn of the orbit from frame to frame.", show_default="0.25"),
     ] = None
     start: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="With --frames: first frame of the path to render.",
-            show_default="1",
-            rich_help_panel=SEQUENCES,
-        ),
+        sequence_option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
     ] = None
     moving_objects: Annotated[
-        bool,
-        typer.Option(
-            "--moving-objects",
-            help="With --frames: objects move too, in showroom and parlour.",
-            rich_help_panel=SEQUENCES,
-        ),
+        bool, sequence_option("--moving-objects", help="With --frames: objects move too, in showroom and parlour.")
     ] = False
 
     @property
@@ -315,13 +272,7 @@ def _render_whole(scene: str, output: Path, sampling: Sampling, contents: Conten
 
 
 def _render_sequence(
-    scene: str,
-    output: Path,
-    sampling: Sampling,
-    contents: Contents,
-    scale: int,
-    motion: Motion,
-    picture: Picture,
+    scene: str, output: Path, sampling: Sampling, contents: Contents, scale: int, motion: Motion, picture: Picture
 ) -> None:
     """Render the frames of a camera path. Each is written as soon as it is rendered."""
     from lobewise.io.files import require_other_files, require_writable

@@ -12,7 +12,7 @@ import typer
 from lobewise.cli.options.common import parse_size
 from lobewise.cli.options.reading import Reading
 from lobewise.cli.options.spreading import with_groups, with_settings
-from lobewise.cli.terminal.help import FILTERING, PAGE
+from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
@@ -25,35 +25,23 @@ if TYPE_CHECKING:
 class Page:
     """Options of the page."""
 
-    port: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, max=65535, help="Port of the page, or the next free one.", rich_help_panel=PAGE
-        ),
-    ] = 8080
+    port: Annotated[int, page_option(metavar="N", min=0, max=65535, help="Port of the page, or the next free one.")] = (
+        8080
+    )
     host: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS", help="Address of the page; 0.0.0.0 lets other machines in.", rich_help_panel=PAGE
-        ),
+        str, page_option(metavar="ADDRESS", help="Address of the page; 0.0.0.0 lets other machines in.")
     ] = "127.0.0.1"
     token: Annotated[
         str | None,
-        typer.Option(
-            metavar="WORD",
-            envvar="LOBEWISE_TOKEN",
-            help="Secret in the page's URL.",
-            show_default="a random one",
-            rich_help_panel=PAGE,
+        page_option(
+            metavar="WORD", envvar="LOBEWISE_TOKEN", help="Secret in the page's URL.", show_default="a random one"
         ),
     ] = None
     size: Annotated[
-        str | None,
-        typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's"),
+        str | None, typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's")
     ] = None
     fixed_size: Annotated[
-        bool,
-        typer.Option("--fixed-size", help="Keep the size and aspect in every window, also in motion."),
+        bool, typer.Option("--fixed-size", help="Keep the size and aspect in every window, also in motion.")
     ] = False
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False
 

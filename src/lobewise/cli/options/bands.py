@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from lobewise.cli.options.reading import refuse_results
-from lobewise.cli.terminal.help import FILE_DETAILS
+from lobewise.cli.terminal.help import file_detail
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
@@ -19,11 +17,10 @@ if TYPE_CHECKING:
 
 Bands = Annotated[
     str,
-    typer.Option(
+    file_detail(
         metavar="auto|off|ROWS",
         help="Filter this many rows at a time: less memory, the same bits. auto does so with a file that would take "
         "more than 4 GiB.",
-        rich_help_panel=FILE_DETAILS,
     ),
 ]
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.terminal.help import SEQUENCE_DETAILS, SEQUENCES
+from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.errors import InputError
 from lobewise.settings import TemporalSettings, list_knobs
 
@@ -29,19 +29,10 @@ class OverTime:
 
     temporal: Annotated[
         bool,
-        typer.Option(
-            "--temporal",
-            help="With a sequence: let every frame use the frames before it (quality fast).",
-            rich_help_panel=SEQUENCES,
-        ),
+        sequence_option("--temporal", help="With a sequence: let every frame use the frames before it (quality fast)."),
     ] = False
     memory: Annotated[
-        float,
-        typer.Option(
-            metavar="0-1",
-            help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}",
-            rich_help_panel=SEQUENCE_DETAILS,
-        ),
+        float, sequence_detail(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
     ] = TemporalSettings.memory
 
     def extend(self, settings: dict[str, Any]) -> dict[str, Any] | None:

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from lobewise.cli.terminal.help import FILES
+from lobewise.cli.terminal.help import file_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,40 +23,36 @@ class Reading:
 
     preset: Annotated[
         str | None,
-        typer.Option(
+        file_option(
             metavar="NAME|FILE.toml",
             help="Conventions of the file: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, luxcore, "
             "mitsuba, unreal, generic, or a file of them.",
             show_default="what the file tells",
-            rich_help_panel=FILES,
         ),
     ] = None
     maps: Annotated[
         list[str] | None,
-        typer.Option(
+        file_option(
             "--map",
             metavar="ROLE=CHANNELS",
             help="Channels of an image, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
             show_default=False,
-            rich_help_panel=FILES,
         ),
     ] = None
     camera: Annotated[
         Path | None,
-        typer.Option(
+        file_option(
             metavar="FILE",
             help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
             show_default="what the file tells",
-            rich_help_panel=FILES,
         ),
     ] = None
     half: Annotated[
         Path | None,
-        typer.Option(
+        file_option(
             metavar="FILE",
             help="The same frame rendered with another seed: both are halves of the samples.",
             show_default=False,
-            rich_help_panel=FILES,
         ),
     ] = None
 
@@ -89,11 +83,10 @@ class PassReading(Reading):
 
     also: Annotated[
         list[str] | None,
-        typer.Option(
+        file_option(
             metavar="PATTERN",
             help="Further noisy passes, such as 'Combined_*', filtered like the passes they belong to; again for more.",
             show_default=False,
-            rich_help_panel=FILES,
         ),
     ] = None
 

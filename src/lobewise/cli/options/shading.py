@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from lobewise.cli.terminal.help import SHADING
+from lobewise.cli.terminal.help import shading_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,29 +20,17 @@ class Reshading:
 
     adaptive: Annotated[
         str,
-        typer.Option(
-            metavar="PERCENT",
-            help="Shade this share of the pixels again, the least supported; needs --scene.",
-            rich_help_panel=SHADING,
+        shading_option(
+            metavar="PERCENT", help="Shade this share of the pixels again, the least supported; needs --scene."
         ),
     ] = "0%"
     scene: Annotated[
         str | None,
-        typer.Option(
-            metavar="SCENE",
-            help="With --adaptive: the scene that was rendered.",
-            show_default=False,
-            rich_help_panel=SHADING,
-        ),
+        shading_option(metavar="SCENE", help="With --adaptive: the scene that was rendered.", show_default=False),
     ] = None
-    adaptive_spp: Annotated[
-        int, typer.Option(metavar="N", help="With --adaptive: samples of each pixel.", rich_help_panel=SHADING)
-    ] = 64
+    adaptive_spp: Annotated[int, shading_option(metavar="N", help="With --adaptive: samples of each pixel.")] = 64
     light: Annotated[
-        str,
-        typer.Option(
-            metavar="all|indirect", help="With --adaptive: the light that was rendered.", rich_help_panel=SHADING
-        ),
+        str, shading_option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")
     ] = "all"
 
     @property

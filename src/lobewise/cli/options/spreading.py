@@ -75,9 +75,7 @@ def with_settings(
 
 
 def _replace_parameters(
-    verb: Verb,
-    options: Mapping[str, Sequence[inspect.Parameter]],
-    gather: Callable[[dict[str, Any]], dict[str, Any]],
+    verb: Verb, options: Mapping[str, Sequence[inspect.Parameter]], gather: Callable[[dict[str, Any]], dict[str, Any]]
 ) -> Verb:
     """Return a verb that has ``options`` in place of some parameters; ``gather`` makes the parameters of the values."""
     signature = inspect.signature(verb, eval_str=True)

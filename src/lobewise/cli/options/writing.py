@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lobewise.cli.terminal.help import RESULT
+from lobewise.cli.terminal.help import result_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,10 +22,7 @@ MAX_EXPOSURE_STOPS = 64.0
 """Largest size of ``--exposure``, in stops of either sign."""
 
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
-Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Let the output replace a file that is read.", rich_help_panel=RESULT),
-]
+Overwrite = Annotated[bool, result_option("--overwrite", help="Let the output replace a file that is read.")]
 
 
 @dataclass(frozen=True)
@@ -34,21 +31,13 @@ class Writing:
 
     suffix: Annotated[
         str,
-        typer.Option(
-            metavar="TEXT",
-            help="Put results beside the noisy passes, in passes whose names end with TEXT.",
-            rich_help_panel=RESULT,
-        ),
+        result_option(metavar="TEXT", help="Put results beside the noisy passes, in passes whose names end with TEXT."),
     ] = ""
-    only: Annotated[
-        bool, typer.Option("--only", help="Write the results alone, no other channel.", rich_help_panel=RESULT)
-    ] = False
+    only: Annotated[bool, result_option("--only", help="Write the results alone, no other channel.")] = False
     confidence: Annotated[
         bool,
-        typer.Option(
-            "--confidence",
-            help="Add channels that tell how far to trust the result, and which pixels to render again.",
-            rich_help_panel=RESULT,
+        result_option(
+            "--confidence", help="Add channels that tell how far to trust the result, and which pixels to render again."
         ),
     ] = False
 
@@ -81,32 +70,24 @@ class Picture:
 
     png: Annotated[
         bool,
-        typer.Option(
+        result_option(
             "--png",
             help="Write a tone mapped picture as well, with the ending .png. A sequence has the exposure of its first "
             "frame.",
-            rich_help_panel=RESULT,
         ),
     ] = False
     exposure: Annotated[
         float | None,
-        typer.Option(
-            metavar="STOPS",
-            help="With --png: multiply the light by 2^STOPS.",
-            show_default="by the picture",
-            rich_help_panel=RESULT,
+        result_option(
+            metavar="STOPS", help="With --png: multiply the light by 2^STOPS.", show_default="by the picture"
         ),
     ] = None
 
     def plan(self, first: Path) -> Pictures | None:
         """Return the writer of pictures, None where none are asked for; ``first`` is the first EXR file to be written.
 
-        Raises
-        ------
-        InputError
-            If an exposure is given without a picture, or is out of range.
-        FileError
-            If the first picture cannot be written.
+        Raises InputError if an exposure is given without a picture, or is out of range, and FileError if the first
+        picture cannot be written.
         """
         stops = self.exposure
         if not self.png:

@@ -1,6 +1,7 @@
 """The help of every verb: options in groups with titles, examples that are never cut, and rare options on request.
 
-An option names its group by ``rich_help_panel``, one of the titles below; an option without it belongs to `OPTIONS`.
+An option names its group by ``rich_help_panel``, one of the titles below, or is made by the function of its group; any
+other option belongs to `OPTIONS`.
 ``--help`` leaves out the groups of `RARE` and shows the first sentence of each option; ``--help-all`` shows everything.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeVar
@@ -22,6 +24,14 @@ FILE_DETAILS, SHADING = "Details of files and machine", "Shading pixels again"
 SCENE_DETAILS = "Details of the scene"
 RARE = (FILTER_DETAILS, SEQUENCE_DETAILS, FILE_DETAILS, SHADING, SCENE_DETAILS)
 """Groups that ``--help`` leaves out. ``--help-all`` shows them after all others."""
+file_option = partial(typer.Option, rich_help_panel=FILES)
+file_detail = partial(typer.Option, rich_help_panel=FILE_DETAILS)
+page_option = partial(typer.Option, rich_help_panel=PAGE)
+result_option = partial(typer.Option, rich_help_panel=RESULT)
+scene_detail = partial(typer.Option, rich_help_panel=SCENE_DETAILS)
+sequence_detail = partial(typer.Option, rich_help_panel=SEQUENCE_DETAILS)
+sequence_option = partial(typer.Option, rich_help_panel=SEQUENCES)
+shading_option = partial(typer.Option, rich_help_panel=SHADING)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
 HELP_NAMES = ("-h", "--help", "--help-all")
 MAX_COLUMNS = 100
