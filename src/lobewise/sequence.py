@@ -90,7 +90,7 @@ def filter_sequence(
     checkpoint: PathLike | None = None,
     checkpoint_seconds: float = 20.0,
 ) -> SequenceReport[ResultT]:
-    """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with that number.
+    """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with its number.
 
     One frame is in memory at a time, beside the memory of the filter. The first frame, and every frame after a missing
     number, is a cut.

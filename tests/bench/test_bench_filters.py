@@ -1,4 +1,4 @@
-"""`lobewise bench` without a verb: what it times, and what it makes of the times."""
+"""`lobewise bench` without a verb: its jobs, times, tables and plots."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ ROWS = (
 
 
 def get_section(data: dict[str, Any], key: str) -> Section:
-    """Return the section of that key."""
+    """Return the section of a key."""
     return next(section for section in make_sections(data) if section.key == key)
 
 
@@ -105,7 +105,7 @@ def test_candidates_run_in_turn_and_their_first_run_does_not_count(monkeypatch: 
 
     monkeypatch.setattr("lobewise.bench.timing.time.perf_counter", lambda: now)
     candidates = {name: make_call(name) for name in "ab"}
-    # Two rounds last 16 seconds, and three are at least asked for.
+    # Two rounds take 16 seconds; at least three are required.
     assert time_best(candidates, 10.0, rounds=3) == {"a": 2.0, "b": 5.0}
     assert "".join(calls) == "abababab"
 
@@ -242,7 +242,7 @@ def test_every_plot_is_a_picture() -> None:
     plots = draw_plots(make_data(*ROWS))
     assert list(plots) == ["pixels", "radius", "lobes", "threads"]
     assert all(png.startswith(b"\x89PNG") for png in plots.values())
-    # A single number of threads has nothing to be compared with.
+    # A single number of threads gives no curve.
     alone = draw_plots(make_data(make_row("threads", "sg", 19.0, threads=1, **SMALL)))
     assert alone == {}
 

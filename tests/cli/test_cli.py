@@ -1,4 +1,4 @@
-"""The program as users call it: what it prints, what it leaves on disk, how it ends."""
+"""The program as users call it: its output, its files and its exit codes."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class TestDenoise:
         assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn", option, value)
 
     def test_refilled_pixels_are_told_and_no_share_of_fireflies(self):
-        """That share is noise as well as light: what was clearly lost is a note of the result."""
+        """The share holds noise as well as light. Only clearly lost light gives a note."""
         from lobewise.cli.output import describe_result
         from lobewise.frame import Result
 
@@ -308,7 +308,7 @@ def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
 
 
 class TestMistakes:
-    """Each one sentence, exit code 2, and nothing written."""
+    """Every mistake gives one sentence and exit code 2, and writes no file."""
 
     @pytest.fixture(autouse=True)
     def _nothing_is_written(self, tmp_path):
@@ -511,7 +511,7 @@ def test_devices(capsys):
 
 @pytest.mark.mitsuba
 class TestRender:
-    """Rendering itself is tested elsewhere: here, what of it arrives in files."""
+    """Files of rendered frames; other tests check the rendering itself."""
 
     @pytest.mark.slow
     def test_frame_reference_and_guides(self, tmp_path, capsys):
@@ -573,7 +573,7 @@ SCENE = """<scene version="3.0.0">
 @pytest.mark.mitsuba
 @pytest.mark.slow
 class TestFitMitsuba:
-    """Materials of scenes; what fitting itself does is tested elsewhere."""
+    """Fits of materials of scenes; other tests check the fitting itself."""
 
     @pytest.fixture
     def scene(self, tmp_path):
@@ -598,7 +598,7 @@ class TestFitMitsuba:
         assert run(line) == 0
         table = read_lobe_table(out)
         assert table.azimuth.size == 8
-        # The first azimuth is that of the BSDF's tangent, the third is across it.
+        # The first azimuth is along the tangent of the BSDF, the third across it.
         assert table.alpha[-2, 0] == pytest.approx([0.4, 0.15], rel=0.1)
         assert table.alpha[-2, 2] == pytest.approx([0.15, 0.4], rel=0.1)
 

@@ -139,7 +139,7 @@ def list_jobs(extent: Extent, device: str, *, peers: bool = True) -> Iterator[Jo
 
 
 def list_threads() -> list[int]:
-    """Return the numbers of threads to measure: the powers of two up to the threads of this process, and those."""
+    """Return the numbers of threads to measure: powers of two below the threads of this process, and these."""
     maximum = count_threads()
     return sorted({maximum, *(2**k for k in range(maximum.bit_length()) if 2**k <= maximum)})
 

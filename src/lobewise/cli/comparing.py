@@ -96,7 +96,7 @@ def _are_sequences(paths: Sequence[Path], guides: Path | None) -> bool:
 
 
 def _list_metrics() -> tuple[list[str], str]:
-    """Return the names of the metrics, and why flip is not among them, empty where it is."""
+    """Return the names of the metrics, and why flip is missing, empty where it is not."""
     import numpy as np
 
     from lobewise.metrics import METRICS, flip
@@ -267,7 +267,7 @@ def _require_size(gbuffer: GBuffer, target: FloatArray) -> None:
 
 
 def _find_lacking(path: Path) -> str | None:
-    """Return what a file lacks to find its surfaces in another frame, None if nothing."""
+    """Return why the surfaces of a file cannot be found in another frame, None if they can."""
     from lobewise.io import describe_file
 
     found = describe_file(path)

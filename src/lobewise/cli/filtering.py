@@ -122,7 +122,7 @@ class _Denoiser:
     shade: Callable[[Result, AnyFrame], Result]
 
     def read(self, path: Path) -> Imported | FileInBands:
-        """Return the frame of a file, or where it is large its name."""
+        """Return the frame of a file, or for a file that is denoised in bands its name."""
         job = self.job
         if self.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
@@ -165,7 +165,7 @@ class _Denoiser:
 
 
 class _FilterOverTime:
-    """A filter of what `_Denoiser` reads, that lets every frame use the frames before it."""
+    """A filter of imported frames that lets every frame use the frames before it."""
 
     def __init__(self, over_time: TemporalFilter) -> None:
         self._over_time = over_time

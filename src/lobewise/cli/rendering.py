@@ -60,7 +60,7 @@ class Sampling:
     ] = None
 
     def list_settings(self) -> dict[str, Any]:
-        """Return the parameters of `lobewise.render.render_frame` and its relatives."""
+        """Return parameters of `lobewise.render.render_frame` and similar functions."""
         return {name: getattr(self, name) for name in ("spp", "seed", "max_depth", "light", "integrator")}
 
     def load(self, scene: str) -> Any:
@@ -71,7 +71,7 @@ class Sampling:
         return load_scene(scene, width=self.width, height=self.height, parameters=parameters)
 
     def describe_light(self, scene: Any) -> None:
-        """Print whose light is rendered, where there is a choice; raise InputError for a light that is impossible."""
+        """Print who computes the light, if there is a choice; raise InputError for a wrong integrator."""
         from lobewise.cli.output import print_note
         from lobewise.render.integrators import plan_light
 

@@ -26,7 +26,7 @@ ResultT = TypeVar("ResultT", bound="Result | DenoisedFile")
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """The files of a run of a verb, and how much it prints."""
+    """The files that a verb filters, and how much it prints."""
 
     source: Path
     output: Path

@@ -108,7 +108,7 @@ class FileInBands:
     bands: str
     """See `parse_bands`."""
     tables: Sequence[LobeTable] | None
-    """Fitted materials in place of those in the file."""
+    """Fitted materials that replace the materials in the file."""
     settings: dict[str, Any]
     """Settings of `lobewise.denoise`."""
 

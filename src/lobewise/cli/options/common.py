@@ -1,4 +1,4 @@
-"""Arguments and options of several verbs, and words of the command line that stand for numbers."""
+"""Arguments and options of several verbs, and the parsers of numbers on the command line."""
 
 from __future__ import annotations
 

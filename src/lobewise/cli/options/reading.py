@@ -114,7 +114,7 @@ class PassReading(Reading):
         remarks : Remarks
             Prints how the file was understood.
         tables : sequence of LobeTable, optional
-            Fitted materials in place of those in the file.
+            Fitted materials that replace the materials in the file.
         light_passes : bool
             Whether to read the light by its passes as well.
         """

@@ -1,4 +1,4 @@
-"""Options of a verb that are made from declarations: from settings of the library, and from dataclasses."""
+"""Decorators that make the options of a verb from settings of the library and from dataclasses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Verb = Callable[..., None]
 def with_groups(verb: Verb) -> Verb:
     """Give a verb one option for each field of its parameters that are dataclasses.
 
-    The fields are annotated as parameters of a verb are. The verb gets an instance of each dataclass.
+    The fields are annotated as parameters of a verb are. The verb is called with an instance of each dataclass.
     """
     parameters = inspect.signature(verb, eval_str=True).parameters.values()
     groups = {one.name: one.annotation for one in parameters if _is_group(one.annotation)}
@@ -77,7 +77,10 @@ def with_settings(
 def _replace_parameters(
     verb: Verb, options: Mapping[str, Sequence[inspect.Parameter]], gather: Callable[[dict[str, Any]], dict[str, Any]]
 ) -> Verb:
-    """Return a verb that has ``options`` in place of some parameters; ``gather`` makes the parameters of the values."""
+    """Return a verb whose parameters named in ``options`` are replaced by these options.
+
+    ``gather`` turns the values of the options into the parameters of the original verb.
+    """
     signature = inspect.signature(verb, eval_str=True)
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():

@@ -1,4 +1,4 @@
-"""Options of verbs that write results, and the checks that no result replaces a file that is read."""
+"""Options of verbs that write results, and checks that no result replaces a file that the verb reads."""
 
 from __future__ import annotations
 
