@@ -96,7 +96,7 @@ QUICK = Extent(
 """Takes under a minute on two cores; its times vary more from run to run."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Job:
     """Functions that are timed together, one after the other in each round."""
 
@@ -178,7 +178,7 @@ def _plan_kernels(
         + len(names)
         + (KERNEL_TURNS + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
     )
-    return Job(part, facts, make, rounds, KERNEL_TURNS, effort)
+    return Job(part=part, facts=facts, make=make, rounds=rounds, turns=KERNEL_TURNS, effort=effort)
 
 
 def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
@@ -195,7 +195,8 @@ def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
         return make_kernel_calls(frame, features, RADIUS, "separable", device)
 
     facts = {"device": device, **describe_size(extent.size), "form": "separable", "radius": RADIUS, "lobes": lobes}
-    return Job("lobes", facts, make, extent.rounds, KERNEL_TURNS, extent.seconds + 2.0)
+    effort = extent.seconds + 2.0
+    return Job(part="lobes", facts=facts, make=make, rounds=extent.rounds, turns=KERNEL_TURNS, effort=effort)
 
 
 def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
@@ -207,7 +208,8 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
         }
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
-    return Job("upsampling", facts, make, extent.recipe_rounds, 1, 8.0 + extent.seconds)
+    effort = 8.0 + extent.seconds
+    return Job(part="upsampling", facts=facts, make=make, rounds=extent.recipe_rounds, turns=1, effort=effort)
 
 
 def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
@@ -223,9 +225,8 @@ def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
     megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
-    return Job(
-        "denoising", facts, make, extent.recipe_rounds, 1, 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels
-    )
+    effort = 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels
+    return Job(part="denoising", facts=facts, make=make, rounds=extent.recipe_rounds, turns=1, effort=effort)
 
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:

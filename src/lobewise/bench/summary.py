@@ -12,7 +12,7 @@ from lobewise.bench.plan import OIDN, OIDN_LABELS
 Row = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Section:
     """A table of figures."""
 
@@ -114,11 +114,11 @@ def _make_pivot(
     cells = {(series(row), column(row)): format_time(row["milliseconds"]) for row in chosen}
     lines = list(dict.fromkeys(map(series, chosen)))
     return Section(
-        part,
-        title,
-        note,
-        [name, *columns],
-        [[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
+        key=part,
+        title=title,
+        note=note,
+        header=[name, *columns],
+        rows=[[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
     )
 
 
@@ -138,11 +138,11 @@ def _make_paper(rows: Sequence[Row]) -> Section:
         ratio = row["milliseconds"] / normal[row["device"], row["radius"]]
         lines.append([series(row), str(row["radius"]), format_time(row["milliseconds"]), f"{ratio:.2f}", told])
     return Section(
-        "paper",
-        "The paper's table",
-        f"{PAPER_SIZE}x{PAPER_SIZE} pixels, separable; the paper's ratios are those of a Radeon HD 6990.",
-        ["similarity", "radius", "ms", "ratio to normal", "the paper's"],
-        lines,
+        key="paper",
+        title="The paper's table",
+        note=f"{PAPER_SIZE}x{PAPER_SIZE} pixels, separable; the paper measured on a Radeon HD 6990.",
+        header=["similarity", "radius", "ms", "ratio to normal", "the paper's"],
+        rows=lines,
     )
 
 
@@ -160,11 +160,11 @@ def _make_forms(rows: Sequence[Row]) -> Section:
     }
     lines = list(dict.fromkeys(map(series, chosen)))
     return Section(
-        "forms",
-        f"Forms and similarities, {_tell_size(chosen)}",
-        "Radius 8 (atrous: five 5x5 passes); milliseconds of one image, and the ratio to normal.",
-        ["similarity", *(word for form in forms for word in (form, "ratio"))],
-        [[line, *(word for form in forms for word in cells[line, form])] for line in lines],
+        key="forms",
+        title=f"Forms and similarities, {_tell_size(chosen)}",
+        note="Radius 8 (atrous: five 5x5 passes); milliseconds of one image, and the ratio to normal.",
+        header=["similarity", *(word for form in forms for word in (form, "ratio"))],
+        rows=[[line, *(word for form in forms for word in cells[line, form])] for line in lines],
     )
 
 
@@ -202,12 +202,12 @@ def _make_denoising(rows: Sequence[Row]) -> Section:
         for row in chosen
     ]
     return Section(
-        "denoising",
-        f"Whole frames, {_tell_size(chosen)}",
-        "Milliseconds of lobewise.denoise, diffuse and specular apart, radius 8, and how many times faster it is than "
-        "Open Image Denoise (OIDN), which filters one image with clean guides; its default is its best quality.",
-        ["method", "ms", *(f"vs {name}" for name in against)],
-        lines,
+        key="denoising",
+        title=f"Whole frames, {_tell_size(chosen)}",
+        note="Milliseconds of lobewise.denoise, diffuse and specular apart, radius 8, and how many times faster it is "
+        "than Open Image Denoise (OIDN), which filters one image with clean guides; its default is its best quality.",
+        header=["method", "ms", *(f"vs {name}" for name in against)],
+        rows=lines,
     )
 
 
