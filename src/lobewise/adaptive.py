@@ -1,4 +1,4 @@
-"""Adaptive re-computation: the pixels that no neighbour supports are shaded again, exactly these."""
+"""Adaptive re-computation: pixels that few neighbours support are shaded again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.sparse_frame import AnyFrame
 
 Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
-"""Takes rows and columns of pixels and returns their radiance, of shape (count, 1), for instance `render_pixels`."""
+"""Takes rows and columns of pixels and returns their radiance, of shape (count, 1), as `render_pixels` does."""
 
 
 def find_unsupported(
@@ -25,13 +25,13 @@ def find_unsupported(
     Parameters
     ----------
     result : Result
-        Of `lobewise.upsample` or `lobewise.denoise`.
+        A result of `lobewise.upsample` or `lobewise.denoise`.
     budget : float
-        Largest share of the pixels, 0 to 1; the least supported come first.
+        Largest share of the pixels, 0 to 1; the pixels of lowest weight sum are taken.
     least : float
-        Weight sum below which a pixel has no estimate worth the name; a sample that matches fully counts 1.
+        Weight sum below which a pixel is shaded again; a sample that matches fully has the weight 1.
     quality : float
-        Share of the median weight sum below which a pixel may be chosen at all, >= 0.
+        Share of the median weight sum below which a pixel is shaded again, >= 0.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def find_unsupported(
     median = float(np.median(weight))
     wanted = (weight < least) | (weight < quality * median)
     if np.count_nonzero(wanted) > count:
-        # The order is total, by weight and then by place, so that the same pixels are chosen everywhere.
+        # Order pixels of equal weight by place, so that every machine chooses the same pixels.
         limit = np.partition(weight[wanted], count)[count]
         less = wanted & (weight < limit)
         equal = np.flatnonzero(wanted & (weight == limit))
@@ -71,31 +71,31 @@ def recompute(
     least: float = 0.05,
     quality: float = 0.5,
 ) -> Result:
-    """Shade the least supported pixels again, and merge what comes back with what was there.
+    """Shade the least supported pixels again, and merge the new radiance with the result.
 
-    A pixel's estimate F of weight sum W becomes ``(W F + n I) / (W + n)``, I the new radiance and n what it is worth.
+    A pixel's estimate F of weight sum W becomes ``(W F + n I) / (W + n)``, with the new radiance I of weight n.
     Source: Tokuyoshi 2015, slide "Adaptive Sampling": re-computation for low-weight pixels. Departs: with ``frame`` the
-    new radiance is filtered among the new pixels first, because unsupported pixels come in rows along edges, and a new
-    neighbour often resembles what no old sample does; n then counts what was gathered.
+    new radiance is filtered among the new pixels first. Unsupported pixels come in rows along edges, and new neighbours
+    often resemble each other where no old sample does. n is then multiplied by the weight sum of this filter.
 
     Parameters
     ----------
     result : Result
-        Of `lobewise.upsample` or `lobewise.denoise`.
+        A result of `lobewise.upsample` or `lobewise.denoise`.
     shade : callable
-        Takes rows and columns, returns a `Radiance` of shape (count, 1); called once, or not at all where every pixel
-        is supported.
+        Takes rows and columns, returns a `Radiance` of shape (count, 1); called once, or never where every pixel is
+        supported.
     samples : float
-        Samples of the new radiance over those of one sample of the result (``spp`` by ``spp``), > 0.
+        Samples per pixel of the new radiance, over the samples per pixel of the frame, > 0.
     frame : Frame or SparseFrame, optional
-        What the result was made of: its guides tell which of the new pixels are alike.
+        The frame of the result: its guides tell which new pixels are alike.
     budget, least, quality
         See `find_unsupported`.
 
     Returns
     -------
     Result
-        With the new estimates and weight sums; ``settings["recomputed"]`` is the count of pixels.
+        The result with new estimates and weight sums; ``settings["recomputed"]`` is the number of pixels.
 
     Raises
     ------
@@ -146,13 +146,13 @@ def recompute(
 def _filter_among(
     new: Radiance, frame: AnyFrame, where: tuple[NDArray[np.intp], ...], samples: float
 ) -> tuple[Radiance, FloatArray]:
-    """Return the new radiance, filtered among the new pixels alone, and the sum of the weights, both (count, ...)."""
+    """Return the new radiance, filtered among the new pixels only, and the weight sums; shapes (count, ...)."""
     shape = frame.gbuffer.shape
     if shape is None:
         return new, np.ones(where[0].size, np.float32)
 
     def spread(part: FloatArray) -> FloatArray:
-        # What is no number neither gives nor takes.
+        # NaN marks pixels without a new sample: the filter ignores them.
         image = np.full((*shape, 3), np.nan, np.float32)
         image[where] = part[:, 0]
         return image
@@ -169,17 +169,14 @@ def _filter_among(
 
 
 def _merge(
-    old: FloatArray,
-    new: FloatArray,
-    where: tuple[NDArray[np.intp], ...],
-    weight: FloatArray,
-    worth: FloatArray,
+    old: FloatArray, new: FloatArray, where: tuple[NDArray[np.intp], ...], weight: FloatArray, worth: FloatArray
 ) -> FloatArray:
+    """Return an image whose pixels ``where`` are averaged with new ones, with weights ``weight`` and ``worth``."""
     fresh = new[:, 0]
     good = np.isfinite(fresh).all(axis=-1, keepdims=True) & (fresh >= 0.0).all(axis=-1, keepdims=True)
     n = np.where(good, worth, np.float32(0.0))
     image = old.copy()
     blend = (weight * old[where] + n * np.where(good, fresh, np.float32(0.0))) / np.maximum(weight + n, 1e-12)
-    # A pixel without weight whose new sample is bad keeps what it was filled with.
+    # A pixel without weight whose new sample is bad keeps its old value.
     image[where] = np.where(weight + n > 0.0, blend, old[where])
     return image

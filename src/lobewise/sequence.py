@@ -1,4 +1,4 @@
-"""Filter a sequence of numbered files, one frame after another; a run that was stopped goes on where it was."""
+"""Filter a sequence of numbered files frame by frame; a run that was stopped goes on after its last frame."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 import lobewise
 from lobewise.errors import InputError, LobewiseError
+from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
 
 State = dict[str, NDArray[Any]]
-"""What a filter remembers."""
+"""The memory of a filter: arrays by name."""
 
 FrameT = TypeVar("FrameT")
 ResultT = TypeVar("ResultT")
@@ -30,24 +31,25 @@ _FrameIn = TypeVar("_FrameIn", contravariant=True)
 _ResultOut = TypeVar("_ResultOut", covariant=True)
 
 CHECKPOINT_ENDING = ".lobewise-history.npz"
-"""What the name of a checkpoint ends with."""
+"""Ending of a checkpoint's name."""
 
-_STATE = "state/"
-_MAX_HEAD = 4096
-"""Bytes of the two arrays that tell whose checkpoint it is; the others are read only if it is this run's."""
+_STATE_PREFIX = "state/"
+"""Beginning of the names, in a checkpoint, of the arrays that a filter remembers."""
+_MAX_HEAD_BYTES = 4096
+"""Size limit of each of the two arrays that identify the run; all others are read only if the run is this one."""
 
 
 class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
-    """A filter that remembers: `lobewise.temporal.TemporalFilter`, or anything that works as it does."""
+    """A filter that can remember earlier frames, such as `lobewise.temporal.TemporalFilter`."""
 
     def add(self, frame: _FrameIn, *, cut: bool = False) -> _ResultOut:
-        """Return the result of the next frame; ``cut`` says that it does not continue the one before."""
+        """Return the result of the next frame; ``cut`` says that it does not continue the frame before."""
 
     def get_state(self) -> State:
-        """Return all that it remembers, as arrays that later frames do not change."""
+        """Return everything that the filter remembers, as arrays that later frames do not change."""
 
     def set_state(self, state: State) -> None:
-        """Remember what `get_state` gave, so that every further result has the same bits."""
+        """Restore the memory that `get_state` returned, so that every further result has the same bits."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,11 @@ class SequenceReport(Generic[ResultT]):
     Parameters
     ----------
     frames : int
-        Frames of the sequence; all of them have their file now.
+        Frames of the sequence; now all of them have an output file.
     written : int
-        How many of them this run wrote.
+        Frames that this run wrote.
     resumed_after : int or None
-        The number of the last frame that an earlier run had finished and this one took over; None if it began anew.
+        Number of the last frame that an earlier run had finished; None if this run began with the first frame.
     note : str
         Why an existing checkpoint was not used, in one sentence; else empty.
     last : object or None
@@ -88,15 +90,15 @@ def filter_sequence(
     checkpoint: PathLike | None = None,
     checkpoint_seconds: float = 20.0,
 ) -> SequenceReport[ResultT]:
-    """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with that number.
+    """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with its number.
 
-    One frame is in memory at a time, beside what the filter remembers. Where a number is missing the next frame is
-    given to the filter as a cut, as is the first.
+    One frame is in memory at a time, beside the memory of the filter. The first frame, and every frame after a missing
+    number, is a cut.
 
-    From time to time, and when it is interrupted, what the filter remembers is kept in a checkpoint beside the outputs.
-    A run with the same sources, outputs, fingerprint and version of the library goes on after its last frame, and
-    writes the same files as a run that was not stopped. A checkpoint that is damaged, or of another run, is left
-    unused. At the end it is removed.
+    From time to time, and on an interrupt, the memory of the filter is saved in a checkpoint beside the outputs. The
+    next run with the same sources, outputs, fingerprint and version of the library goes on after the checkpoint's last
+    frame, and writes the same files as a run that was not stopped. A checkpoint that is damaged, or belongs to another
+    run, is not used. The checkpoint is removed at the end.
 
     Parameters
     ----------
@@ -107,31 +109,31 @@ def filter_sequence(
     read : callable
         Returns the frame of a file.
     write : callable
-        Of the output's path, the result, the frame and the source's path: writes the result, whole or not at all.
+        Called with output path, result, frame and source path. Writes the result whole or not at all.
     fingerprint : str
-        Everything that the results depend on beside the files: the settings, as text.
+        The settings, as text: everything but the files that the results depend on.
     progress : callable, optional
-        Told at the start and after every frame: ("frames", how many are done, of how many).
+        Called at the start and after every frame with ("frames", done, total).
     remark : callable, optional
-        Told in one sentence, before the first frame, that a checkpoint is used, or why not.
+        Called before the first frame with a sentence that a checkpoint is used, or why it is not.
     checkpoint : path, optional
-        The file of the checkpoint, ending in ``.npz``; see `name_checkpoint` for where it is by default.
+        The file of the checkpoint, ending in ``.npz``; by default see `name_checkpoint`.
     checkpoint_seconds : float
-        The least time from checkpoint to checkpoint, >= 0; with 0 each frame has one.
+        Shortest time between checkpoints, seconds >= 0; with 0 every frame is followed by one.
 
     Raises
     ------
     FileError
         If there is no source, one cannot be read, or an output cannot be written.
     InputError
-        If a pattern is none, an output would replace its source, the checkpoint has another ending or the time is
-        negative.
+        If a path is no pattern, an output would replace a source, the checkpoint has another ending, the time is
+        negative, or the filter refuses a frame: the message names its file.
     """
     source, output = _parse(source), _parse(output)
     kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
     frames = source.find()
     _check(frames, output, kept, checkpoint_seconds)
-    # Not the folders: the sources prove themselves by size and time, and a project that was moved is the same one.
+    # Leave the folders out: a project may be moved. Sources are identified by size and time.
     names = [Path(str(pattern)).name for pattern in (source, output)]
     run = _Run(frames, output, json.dumps([fingerprint, *names, lobewise.__version__]))
     active, start, note = run.resume(kept, make_filter)
@@ -147,14 +149,15 @@ def filter_sequence(
         before = active.get_state() if index else {}
         try:
             frame = read(path)
-            last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
+            with name_file(path):
+                last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
             write(output.name(number), last, frame, path)
         except KeyboardInterrupt:
             if index:
                 with suppress(LobewiseError):
                     run.save(kept, before)
             raise
-        # Before the next one is read: frames can be large.
+        # Frames can be large: free this one before the next is read.
         del frame
         run.mark_done()
         if index + 1 < len(frames) and time.monotonic() - saved >= checkpoint_seconds:
@@ -167,7 +170,7 @@ def filter_sequence(
 
 
 def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, seconds: float) -> None:
-    """Raise what `filter_sequence` raises before it begins."""
+    """Raise the errors of `filter_sequence` that are known before the first frame."""
     if not seconds >= 0.0:
         raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(seconds), action="20 is usual")
     if kept.suffix != ".npz":
@@ -180,7 +183,7 @@ def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, sec
 
 
 def name_checkpoint(output: FramePattern | PathLike) -> Path:
-    """Return the checkpoint of an output: ``clean.lobewise-history.npz`` beside ``clean.####.exr``."""
+    """Return the default checkpoint of an output: ``clean.lobewise-history.npz`` beside ``clean.####.exr``."""
     pattern = _parse(output)
     stem = pattern.before + pattern.after.removesuffix(Path(f"a{pattern.after}").suffix)
     return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{CHECKPOINT_ENDING}"
@@ -191,7 +194,7 @@ def _parse(pattern: FramePattern | PathLike) -> FramePattern:
 
 
 class _Run:
-    """The frames of a run, how many of them are done, and the proof that a checkpoint belongs to them."""
+    """The frames of a run, how many are done, and a hash that proves that a checkpoint belongs to them."""
 
     def __init__(self, frames: list[tuple[int, Path]], output: FramePattern, identity: str) -> None:
         self._frames = frames
@@ -200,17 +203,17 @@ class _Run:
         self._proof = hashlib.sha256(identity.encode("utf-8", "surrogateescape"))
 
     def mark_done(self) -> None:
-        """Count the next frame, and take its file into the proof: one that changes makes a checkpoint worthless."""
+        """Count the next frame, and hash size and time of its file: a changed source voids the checkpoint."""
         number, path = self._frames[self._done]
         self._done += 1
-        # One that has gone meanwhile will not be there to go on from either.
+        # A source that was deleted meanwhile voids the checkpoint as well: the next run will not find it.
         with suppress(OSError):
             state = path.stat()
             self._proof.update(f"{number} {state.st_size} {state.st_mtime_ns}\n".encode())
 
     def save(self, path: Path, state: State) -> None:
-        """Write a checkpoint of all frames that are done, whole or not at all."""
-        arrays: dict[str, Any] = {_STATE + name: np.asarray(value) for name, value in state.items()}
+        """Write a checkpoint after the frames that are done, whole or not at all."""
+        arrays: dict[str, Any] = {_STATE_PREFIX + name: np.asarray(value) for name, value in state.items()}
         if any(array.dtype.hasobject for array in arrays.values()):
             raise InputError(
                 "state of the filter", expected="plain arrays", got="Python objects", action="give numbers or text"
@@ -221,15 +224,18 @@ class _Run:
     def resume(
         self, path: Path, make_filter: Callable[[], SequenceFilter[FrameT, ResultT]]
     ) -> tuple[SequenceFilter[FrameT, ResultT], int, str]:
-        """Return a filter, how many frames it has seen, and why an existing checkpoint was not used."""
+        """Return a filter, the number of frames it has seen, and why an existing checkpoint was not used."""
         if not path.exists():
             return make_filter(), 0, ""
         fresh = self._proof.copy()
         reason = "it is damaged"
-        # NumPy fails in many ways on a damaged file, and a filter on what another one remembered.
+        # NumPy raises many kinds of errors on a damaged file, and a filter on the memory of another filter.
         with suppress(Exception), zipfile.ZipFile(path) as file:
             kept = _Checkpoint(file, path.stat().st_size)
-            done, proof = int(kept.load("done", most=_MAX_HEAD)), str(kept.load("proof", most=_MAX_HEAD))
+            done, proof = (
+                int(kept.load("done", max_bytes=_MAX_HEAD_BYTES)),
+                str(kept.load("proof", max_bytes=_MAX_HEAD_BYTES)),
+            )
             while self._done < min(done, len(self._frames)):
                 self.mark_done()
             if not 0 < self._done == done or proof != self._proof.hexdigest():
@@ -245,10 +251,10 @@ class _Run:
 
 
 class _Checkpoint:
-    """A checkpoint of whatever origin: nothing in it is taken for larger than the file itself.
+    """A checkpoint that may be damaged or malicious: reading it never takes more memory than the file has bytes.
 
-    Arrays are stored as they are, one after another, as `_Run.save` writes them. Raises ValueError where they are
-    packed (megabytes may then hold terabytes), there twice, or of another size than they say.
+    Raises ValueError unless the arrays are stored as `_Run.save` writes them: without compression (a megabyte may
+    unpack to terabytes), each name once, and with the sizes that their headers say.
     """
 
     def __init__(self, file: zipfile.ZipFile, size: int) -> None:
@@ -262,17 +268,17 @@ class _Checkpoint:
         if not stored or total > size or len(self._members) < len(file.infolist()):
             raise ValueError("arrays that are not stored as they are")
 
-    def load(self, name: str, *, most: int | None = None) -> NDArray[Any]:
-        """Return an array, of at most ``most`` bytes."""
+    def load(self, name: str, *, max_bytes: int | None = None) -> NDArray[Any]:
+        """Return an array; raise ValueError if it has more than ``max_bytes``."""
         item = self._members[name]
-        if most is not None and item.file_size > most:
+        if max_bytes is not None and item.file_size > max_bytes:
             raise ValueError(f"{name} of {item.file_size} bytes")
         with self._file.open(item) as stream:
             version = np.lib.format.read_magic(stream)
             if version != (1, 0):
                 raise ValueError(f"version {version}")
             shape, _, kind = np.lib.format.read_array_header_1_0(stream)
-            # Before it is made: the size that an array says goes into memory at once.
+            # Check before reading: NumPy allocates the size in the header at once.
             if kind.kind not in "biufU" or math.prod(shape) * kind.itemsize != item.file_size - stream.tell():
                 raise ValueError(f"{name} of another size than it says")
         with self._file.open(item) as stream:
@@ -280,5 +286,9 @@ class _Checkpoint:
             return array
 
     def load_state(self) -> State:
-        """Return what the filter remembered."""
-        return {name.removeprefix(_STATE): self.load(name) for name in self._members if name.startswith(_STATE)}
+        """Return the memory of the filter."""
+        return {
+            name.removeprefix(_STATE_PREFIX): self.load(name)
+            for name in self._members
+            if name.startswith(_STATE_PREFIX)
+        }

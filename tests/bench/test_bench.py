@@ -1,4 +1,4 @@
-"""`lobewise bench`: what it measures, prints and writes."""
+"""`lobewise bench interactive`: its figures, output and files."""
 
 from __future__ import annotations
 

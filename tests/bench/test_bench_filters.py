@@ -1,4 +1,4 @@
-"""`lobewise bench` without a verb: what it times, and what it makes of the times."""
+"""`lobewise bench` without a verb: its jobs, times, tables and plots."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lobewise.bench import filters, plan
 from lobewise.bench.kernels import count_taps
 from lobewise.bench.machine import describe_machine
 from lobewise.bench.page import make_bench_page
-from lobewise.bench.plan import WHAT, Extent, add_halves, list_threads
+from lobewise.bench.plan import MEANINGS_OF_TIMES, Extent, add_halves, list_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
 from lobewise.bench.plots import draw_plots
 from lobewise.bench.summary import Section, format_time, make_sections
@@ -53,7 +53,7 @@ def make_data(*rows: dict[str, Any]) -> dict[str, Any]:
     return {
         "machine": {"processor": "Abacus <1>", "threads": 2, "version": "0.1.0"},
         "devices": {"cpu": "beads", "cuda": "more beads"},
-        "what": WHAT,
+        "what": MEANINGS_OF_TIMES,
         "skipped": ["Nothing & no one."],
         "seconds": 90.0,
         "rows": list(rows),
@@ -86,7 +86,7 @@ ROWS = (
 
 
 def get_section(data: dict[str, Any], key: str) -> Section:
-    """Return the section of that key."""
+    """Return the section of a key."""
     return next(section for section in make_sections(data) if section.key == key)
 
 
@@ -105,7 +105,7 @@ def test_candidates_run_in_turn_and_their_first_run_does_not_count(monkeypatch: 
 
     monkeypatch.setattr("lobewise.bench.timing.time.perf_counter", lambda: now)
     candidates = {name: make_call(name) for name in "ab"}
-    # Two rounds last 16 seconds, and three are at least asked for.
+    # Two rounds take 16 seconds; at least three are required.
     assert time_best(candidates, 10.0, rounds=3) == {"a": 2.0, "b": 5.0}
     assert "".join(calls) == "abababab"
 
@@ -131,7 +131,7 @@ def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(found["devices"]) == ["cpu"]
     assert bool(found["skipped"]) != has_oidn()
     rows = found["rows"]
-    assert list(dict.fromkeys(row["part"] for row in rows)) == list(WHAT)
+    assert list(dict.fromkeys(row["part"] for row in rows)) == list(MEANINGS_OF_TIMES)
     assert all(row["milliseconds"] > 0.0 for row in rows)
     ours = [(row["part"], row["name"]) for row in rows if not row["name"].startswith("OIDN")]
     assert ours == [
@@ -242,7 +242,7 @@ def test_every_plot_is_a_picture() -> None:
     plots = draw_plots(make_data(*ROWS))
     assert list(plots) == ["pixels", "radius", "lobes", "threads"]
     assert all(png.startswith(b"\x89PNG") for png in plots.values())
-    # A single number of threads has nothing to be compared with.
+    # A single number of threads gives no curve.
     alone = draw_plots(make_data(make_row("threads", "sg", 19.0, threads=1, **SMALL)))
     assert alone == {}
 

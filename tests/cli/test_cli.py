@@ -1,4 +1,4 @@
-"""The program as users call it: what it prints, what it leaves on disk, how it ends."""
+"""The program as users call it: its output, its files and its exit codes."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ class TestDenoise:
         assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn", option, value)
 
     def test_refilled_pixels_are_told_and_no_share_of_fireflies(self):
-        """That share is noise as well as light: what was clearly lost is a note of the result."""
+        """The share holds noise as well as light. Only clearly lost light gives a note."""
         from lobewise.cli.output import describe_result
         from lobewise.frame import Result
 
@@ -308,7 +308,7 @@ def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
 
 
 class TestMistakes:
-    """Each one sentence, exit code 2, and nothing written."""
+    """Every mistake gives one sentence and exit code 2, and writes no file."""
 
     @pytest.fixture(autouse=True)
     def _nothing_is_written(self, tmp_path):
@@ -336,7 +336,7 @@ class TestMistakes:
         write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
         write_image(tmp_path / "b.exr", rng.random((4, 5, 3)))
         err = fail(capsys, "compare", tmp_path / "a.exr", "--reference", tmp_path / "b.exr")
-        assert "a.exr: image: expected the size of the reference, 5x4 pixels, got 4x4" in err
+        assert "a.exr': image: expected the size of the reference, 5x4 pixels, got 4x4" in err
 
     def test_image_of_zero_size(self, frame_file, tmp_path, capsys):
         data = frame_file.read_bytes()
@@ -400,9 +400,9 @@ class TestMistakes:
         image[1, 2] = np.nan
         write_image(tmp_path / "bad.exr", image)
         err = fail(capsys, "compare", tmp_path / "good.exr", tmp_path / "bad.exr", "-r", tmp_path / "good.exr")
-        assert "bad.exr: image: expected finite pixels, got 1 of 16" in err
+        assert "bad.exr': image: expected finite pixels, got 1 of 16" in err
         err = fail(capsys, "compare", tmp_path / "good.exr", "-r", tmp_path / "bad.exr")
-        assert "bad.exr: reference: expected finite pixels" in err
+        assert "bad.exr': reference: expected finite pixels" in err
 
     def test_rendering_what_is_not_there(self, tmp_path, capsys):
         assert "showroom" in fail(capsys, "render", "showrom", "-o", tmp_path / "out.exr")
@@ -511,7 +511,7 @@ def test_devices(capsys):
 
 @pytest.mark.mitsuba
 class TestRender:
-    """Rendering itself is tested elsewhere: here, what of it arrives in files."""
+    """Files of rendered frames; other tests check the rendering itself."""
 
     @pytest.mark.slow
     def test_frame_reference_and_guides(self, tmp_path, capsys):
@@ -573,7 +573,7 @@ SCENE = """<scene version="3.0.0">
 @pytest.mark.mitsuba
 @pytest.mark.slow
 class TestFitMitsuba:
-    """Materials of scenes; what fitting itself does is tested elsewhere."""
+    """Fits of materials of scenes; other tests check the fitting itself."""
 
     @pytest.fixture
     def scene(self, tmp_path):
@@ -598,7 +598,7 @@ class TestFitMitsuba:
         assert run(line) == 0
         table = read_lobe_table(out)
         assert table.azimuth.size == 8
-        # The first azimuth is that of the BSDF's tangent, the third is across it.
+        # The first azimuth is along the tangent of the BSDF, the third across it.
         assert table.alpha[-2, 0] == pytest.approx([0.4, 0.15], rel=0.1)
         assert table.alpha[-2, 2] == pytest.approx([0.15, 0.4], rel=0.1)
 

@@ -26,14 +26,14 @@ CAMERA = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.6)
 
 
 def find_card(number):
-    """Return where a card that passes before a wall is seen: it goes right by STEP pixels a frame."""
+    """Return the pixels that show a card in front of a wall: it moves right by STEP pixels per frame."""
     card = np.zeros((HEIGHT, WIDTH), dtype=bool)
     card[3:8, STEP * number : STEP * number + 6] = True
     return card
 
 
 def make_guides(number, steps=1):
-    """Return the guides of that frame; the card has come ``steps`` times STEP pixels since the frame before."""
+    """Return the guides of a frame; the card moved ``steps`` times STEP pixels since the frame before."""
     card = find_card(number)
     motion = np.zeros((HEIGHT, WIDTH, 2))
     motion[card, 0] = -steps * STEP
@@ -42,7 +42,7 @@ def make_guides(number, steps=1):
 
 @pytest.fixture
 def films(rng, tmp_path, monkeypatch):
-    """Return the images of a reference and of two attempts, on disk beside the guides ``g``; and go there."""
+    """Write a reference, two results and the guides ``g`` to the working folder; return the images."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
     films = {"r": [], "a": [], "b": []}
@@ -86,7 +86,7 @@ def test_figures_agree_with_the_library(films, capsys):
         steps = [flicker(films[name][k - 1 : k + 1], films["r"][k - 1 : k + 1]) for k in (1, 2, 3)]
         assert [frame["flicker"] for frame in row["frames"]] == [None, *(pytest.approx(step) for step in steps)]
         assert row["flicker"] == pytest.approx(flicker(films[name], films["r"]))
-        # What the card has left since the frame before.
+        # The pixels that the card has uncovered since the frame before.
         bare = [find_card(number - 1) & ~find_card(number) for number in NUMBERS[1:]]
         assert all(mask.sum() == 5 * STEP for mask in bare)
         ghosts = [rel_mse(a, r, mask) for a, r, mask in zip(films[name][1:], films["r"][1:], bare, strict=True)]
@@ -175,9 +175,9 @@ def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):
         finally:
             tracemalloc.stop()
 
-    measure(3)  # what is loaded on first use stays
+    measure(3)  # modules are loaded on first use and stay
     growth = -measure(3) + measure(9)
-    # Of a frame its figures stay, a few kilobytes with its path; half of one image would be enough to fail.
+    # The figures of a frame stay in memory, a few kilobytes with its path.
     assert growth < 0.5 * frame.radiance.color.nbytes
 
 
@@ -228,12 +228,12 @@ class TestMistakes:
         for number in NUMBERS:
             write_frame(f"g.{number:04d}.exr", small)
         err = fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
-        assert "g.0001.exr: guides: expected the size of the reference, 20x12 pixels, got 5x4" in err
-        assert "a.0001.exr: image: expected the size" in fail(capsys, "a.####.exr", "-r", "g.####.exr")
+        assert "g.0001.exr': guides: expected the size of the reference, 20x12 pixels, got 5x4" in err
+        assert "a.0001.exr': image: expected the size" in fail(capsys, "a.####.exr", "-r", "g.####.exr")
 
     def test_bad_pixels_are_blamed_on_their_file(self, films, capsys):
         films["a"][2][3, 4] = np.nan
         write_image("a.0003.exr", films["a"][2])
-        assert "a.0003.exr: image: expected finite pixels" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "a.0003.exr': image: expected finite pixels" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
         write_image("r.0002.exr", films["a"][2])
-        assert "r.0002.exr: reference: expected finite" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "r.0002.exr': reference: expected finite" in fail(capsys, "a.####.exr", "-r", "r.####.exr")

@@ -1,4 +1,4 @@
-"""`lobewise fit` as users call it: what it prints and writes, and how it ends when something is wrong."""
+"""`lobewise fit` as users call it: its output, its files and its errors."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class TestFit:
 
 
 class TestMistakes:
-    """Each one sentence, exit code 2, and nothing written."""
+    """Every mistake gives one sentence and exit code 2, and writes no file."""
 
     @pytest.fixture
     def fail(self, tmp_path, capsys):

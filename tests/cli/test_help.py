@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -12,13 +14,22 @@ import typer
 
 from lobewise.cli.commands import app
 from lobewise.cli.main import run
+from lobewise.cli.options.spreading import with_groups
 from lobewise.cli.terminal.help import EXAMPLES, RARE, RESULT
 
 MAX_LINES_OF_PLAIN_HELP = 60
 
 
+@dataclass(frozen=True)
+class Size:
+    """A group of options."""
+
+    width: int = 1
+    height: int = 1
+
+
 def list_verbs(command: Any, before: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield the words of every verb, and what they stand for."""
+    """Yield the words of every verb, and its command."""
     yield before, command
     for name, child in getattr(command, "commands", {}).items():
         yield from list_verbs(child, (*before, name))
@@ -86,8 +97,20 @@ def test_examples_stand_whole_and_name_what_there_is(
         words = shlex.split(example)
         assert words[:2] == ["lobewise", verb]
         assert {word for word in words if word.startswith("-")} <= known
-        # It is a command line that the verb takes, but that the files are not there.
+        # The verb accepts the command line; only its files do not exist.
         VERBS[(verb,)].make_context(verb, words[2:], resilient_parsing=False)
+
+
+def test_options_of_a_group_arrive_as_one_dataclass() -> None:
+    got = []
+
+    def verb(*, size: Size, name: str = "a") -> None:
+        got.append((size, name))
+
+    spread = with_groups(verb)
+    assert list(inspect.signature(spread).parameters) == ["width", "height", "name"]
+    spread(width=3, height=2, name="b")
+    assert got == [(Size(3, 2), "b")]
 
 
 def test_what_is_written_stands_together(capsys: pytest.CaptureFixture[str]) -> None:

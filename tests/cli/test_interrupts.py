@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
-# Whoever runs the tests in the background of a shell has them ignore interrupts.
+# Tests that a shell runs in the background ignore interrupts.
 LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 PROGRAM = """
 import os, signal, sys
@@ -60,7 +60,7 @@ def test_when_all_is_done() -> None:
 
 
 def test_who_ignores_interrupts_goes_on_ignoring_them() -> None:
-    """As a command in the background of a shell does, or one under nohup."""
+    """A command in the background of a shell, or under nohup, ignores Ctrl-C."""
     program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)" + PROGRAM.format(module="typer", more="")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 2

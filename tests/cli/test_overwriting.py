@@ -57,7 +57,7 @@ def test_the_noisy_file_is_not_replaced_by_any_name(
     assert ENDS in told
     assert told.endswith("; choose another name, or add --overwrite to replace it.\n")
     assert noisy.read_bytes() == before
-    # Of a hard link only the name is replaced, which is a warning and so an error here.
+    # Replacing a hard link replaces only its name. The warning of it is an error in tests.
     if name != "hard.exr":
         assert run([*line, "--overwrite"]) == 0
         assert noisy.read_bytes() != before

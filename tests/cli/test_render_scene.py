@@ -1,4 +1,4 @@
-"""`lobewise render` of scene files: their parameters, and whose light it is."""
+"""`lobewise render` of scene files: their parameters, and the integrator that computes the light."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_parameters_stand_in_the_file(fog: Path, capsys: pytest.CaptureFixture[s
     assert render(fog, "-D", "density=0.0001", "-D", "columns=20") == 0
     frame = lobewise.read_frame(fog.with_suffix(".exr"))
     assert frame.shape == (16, 20)
-    # As good as no fog before a white sky.
+    # The fog is too thin to be seen against the white sky.
     np.testing.assert_allclose(frame.radiance.color, 1.0, rtol=2e-3)
     assert render(fog, "-D", "density=8") == 0
     assert lobewise.read_frame(fog.with_suffix(".exr")).radiance.color[8, 12].max() < 0.9

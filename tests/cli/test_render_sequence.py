@@ -1,4 +1,4 @@
-"""`lobewise render --frames`: numbered files, paths of the camera, objects that move, and what is refused."""
+"""`lobewise render --frames`: numbered files, camera paths, moving objects and refused options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lobewise.sparse_frame import list_places
 
 @pytest.fixture
 def render(mi, tmp_path, monkeypatch):
-    """Return a function that renders the showroom, 16x12, into an empty folder, by a line of options."""
+    """Return a function that renders the showroom, 16x12 pixels, into an empty folder with given options."""
     monkeypatch.chdir(tmp_path)
 
     def render(line, *, code=0):

@@ -71,7 +71,7 @@ def list_outputs(folder):
 
 @pytest.fixture
 def whole(folder):
-    """Return what a run writes that is not stopped."""
+    """Return the outputs of a run that is not stopped."""
     run()
     outputs = list_outputs(folder)
     for name in outputs:
@@ -182,7 +182,7 @@ class TestGoingOn:
         assert list_outputs(folder) == whole
 
     def test_what_the_checkpoint_does_not_know_is_written_again(self, whole, folder, monkeypatch):
-        # The clock moves on whenever it is looked at, so that a checkpoint is due after the fourth frame.
+        # The clock advances with every call, so that a checkpoint is due after the fourth frame.
         clock = iter(range(1000))
         monkeypatch.setattr("lobewise.sequence.time.monotonic", lambda: float(next(clock)))
         stop(8, seconds=4.0)
@@ -228,7 +228,7 @@ class TestGoingOn:
 
 
 class TestNotGoingOn:
-    """Whatever is wrong with the checkpoint, the result is that of a run from the first frame."""
+    """With any damage to the checkpoint, the run begins with the first frame."""
 
     @pytest.fixture(autouse=True)
     def _stopped(self, whole, folder):
@@ -299,7 +299,7 @@ class TestNotGoingOn:
         self.check("it is of other settings or files")
 
     def test_arrays_that_are_packed(self):
-        """Megabytes of packed arrays may be terabytes in memory; checkpoints are written as they are."""
+        """Megabytes of compressed arrays may unpack to terabytes; checkpoints are never compressed."""
         with np.load(KEPT) as file:
             arrays = dict(file)
         np.savez_compressed(KEPT, **arrays)
@@ -329,6 +329,14 @@ class TestMistakes:
     def test_times(self, seconds, folder):
         with pytest.raises(InputError, match="checkpoint_seconds: expected a time >= 0"):
             run(seconds=seconds)
+
+    def test_the_filter_refuses_a_frame(self, folder):
+        class Refusing(Running):
+            def add(self, frame, *, cut=False):
+                raise InputError("frame: expected a smaller one.")
+
+        with pytest.raises(InputError, match=r"^input 'in\.0001\.npy': frame: expected a smaller one"):
+            run(Refusing)
 
     def test_names_of_checkpoints(self, folder):
         with pytest.raises(InputError, match=r"checkpoint: expected a name that ends in \.npz, got 'clean.exr'"):

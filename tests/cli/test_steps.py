@@ -1,4 +1,4 @@
-"""What is shown on a terminal while a frame is denoised, and that nothing of it is where there is no terminal."""
+"""Progress on a terminal while a frame is denoised, and no progress where there is no terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Terminal(io.StringIO):
         return True
 
     def list_steps(self) -> list[str]:
-        """Return what was shown, each once as long as it stays, without bars and times."""
+        """Return the steps in the order of their display, without bars and times."""
         lines = re.split(r"[\r\n]|\x1b\[2K|\x1b\[1A", self.getvalue())
         plain = [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in lines]
         words = [re.split(r" [━╸╺]", line)[0].strip() for line in plain]
@@ -35,7 +35,7 @@ class Terminal(io.StringIO):
 
 
 def attach(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    """Return a terminal that standard error is from now on: not in a fixture, as pytest sets its own for each phase."""
+    """Replace standard error by a terminal and return it. Pytest replaces it for each phase, so it is no fixture."""
     for name, value in (("TERM", "xterm"), ("COLUMNS", "120")):
         monkeypatch.setenv(name, value)
     found = Terminal()
@@ -119,7 +119,7 @@ def test_what_is_printed_meanwhile_has_a_line_of_its_own(print_text: object, mon
         after = terminal.getvalue().partition("Filtering")[2]
         steps.tell("Writing")
     before_remark, _, behind_remark = after.partition("A remark.")
-    # The last that was done before: the line of the step was taken away, and it comes back behind the remark.
+    # The line of the step is erased before the remark, and comes back after it.
     assert re.sub(r"\x1b\[[0-9;?]*m", "", before_remark).endswith(ERASE)
     assert behind_remark.lstrip("\x1b[0m").startswith("\n")
     assert "Filtering" in behind_remark

@@ -35,7 +35,7 @@ def test_denoising_a_sequence_is_the_filter_frame_by_frame(folder: Path, tmp_pat
     assert run(["denoise", str(folder / "d.####.exr"), "-o", str(tmp_path / "o.####.exr"), "--temporal"]) == 0
     told = capsys.readouterr()
     assert "4 of 4 frames" in told.out.replace("\n", " ")
-    # Before any frame, once, and what to do instead.
+    # The note is printed once, before the first frame, and names the alternative.
     assert told.err.startswith("--temporal filters with the quality 'fast'")
     assert told.err.count("--temporal filters") == 1
     assert "leave --temporal out" in " ".join(told.err.split())

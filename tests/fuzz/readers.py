@@ -231,7 +231,7 @@ def read_preset(path: Path, _: Answer) -> None:
 
 def read_map(path: Path, _: Answer) -> None:
     """Read the words of ``--map``, one in each line, and map a file's channels by them."""
-    from lobewise.cli.reading import parse_maps
+    from lobewise.cli.options.reading import parse_maps
     from lobewise.interchange.mapping import map_channels
 
     # As Python gets the words of a command line.

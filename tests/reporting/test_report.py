@@ -1,4 +1,4 @@
-"""The page: what is drawn, what is said, and that its slider moves; the demonstration that makes one."""
+"""The page of a report: its pictures, text and slider; the demonstration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lobewise.reporting.report import Picture, Report, make_page
 
 
 def decode_png(data: bytes) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return pixels and palette: a second, slow reading of the format, sample by sample."""
+    """Return pixels and palette, read by a second, slow reader of the format."""
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     position, chunks = 8, {}
     while position < len(data):
@@ -92,7 +92,7 @@ class TestPng:
 
 class TestDisplay:
     def test_srgb_agrees_with_the_standard(self):
-        # IEC 61966-2-1: linear 0.21586 is 128/255, 0.0031308 is 10.3/255; both lie below the shoulder.
+        # IEC 61966-2-1: linear 0.21586 is 128/255, 0.0031308 is 10.3/255; both lie in the linear range.
         levels = np.array([0.0, 0.0031308, 0.21586, 0.5])
         image = np.broadcast_to(levels[:, None, None], (4, 1, 3))
         assert map_tones(image, 1.0)[:, 0, 0].tolist() == [0, 10, 128, 188]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.cli.output import describe_file_result, describe_settings
+from lobewise.cli.output import describe_result, describe_settings
 from lobewise.io import write_frame
 from lobewise.streaming import DenoisedFile, plan
 from tests.streaming.frames import change_radiance, make_scene
@@ -126,10 +126,10 @@ def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.
     write_frame(folder / "in.exr", change_radiance(make_scene((20, 19)), slice(None), slice(None), np.nan))
     for bands in ("off", "9"):
         assert denoise(folder, "--bands", bands, *CHEAP, "--radius", "-1") == 2
-        text = f"lobewise: {folder / 'in.exr'}: radius: expected an integer from 0 to 64, got -1"
+        text = f"lobewise: input '{folder / 'in.exr'}': radius: expected an integer from 0 to 64, got -1"
         assert capsys.readouterr().err.startswith(text)
         assert denoise(folder, "--bands", bands, *CHEAP) == 2
-        text = f"lobewise: {folder / 'in.exr'}: radiance: expected at least one pixel that is finite and not negative"
+        text = f"lobewise: input '{folder / 'in.exr'}': radiance: expected at least one pixel that is finite"
         assert capsys.readouterr().err.startswith(text)
     assert run(["denoise", str(folder / "none.exr"), "-o", str(folder / "out.exr"), "--bands", "9"]) == 2
     assert capsys.readouterr().err.startswith(f"lobewise: input '{folder / 'none.exr'}': expected an existing file")
@@ -138,7 +138,7 @@ def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.
 def test_the_account_names_what_was_done() -> None:
     settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
     done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
-    assert describe_file_result(done) == ("7680x4320 pixels in 12 bands, quality high, 61.23 s; 1 bad pixel refilled")
+    assert describe_result(done) == ("7680x4320 pixels in 12 bands, quality high, 61.23 s; 1 bad pixel refilled")
     assert describe_settings(done) == "similarity sg, form full, quality high, radius 8, beta 1, device cpu"
 
 

@@ -58,7 +58,7 @@ def test_the_picture_is_that_of_the_file(bands: str, folder: Path, capsys: pytes
 
 
 def test_large_images_are_measured_at_some_pixels(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "MAX_MEASURED_PIXELS", 83 * 19 // 5)
+    monkeypatch.setattr(pictures, "MAX_EXPOSURE_PIXELS", 83 * 19 // 5)
     found = []
     for bands in ("off", "70"):
         assert denoise(folder, "--png", "--bands", bands) == 0

@@ -1,1 +1,1 @@
-"""Measurements that users run on their own machines."""
+"""Benchmarks that users run on their own machines."""

@@ -1,4 +1,4 @@
-"""`lobewise bench`: how long everything takes on this machine, as a flat list of times."""
+"""`lobewise bench`: times of filters and whole frames on this machine, as a flat list."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from lobewise.backend.devices import choose_device, list_devices
 from lobewise.bench.machine import describe_machine
 from lobewise.bench.plan import (
     FULL,
+    KERNEL_TURNS,
+    MEANINGS_OF_TIMES,
     RADIUS,
-    TURNS,
-    WHAT,
     Extent,
     describe_size,
     list_jobs,
@@ -28,28 +28,26 @@ Progress = Callable[[int, int], None]
 
 
 def measure_filters(
-    devices: Sequence[str] | None = None,
-    *,
-    extent: Extent = FULL,
-    progress: Progress | None = None,
+    devices: Sequence[str] | None = None, *, extent: Extent = FULL, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Return the times of filters, upsampler and recipes on this machine, and of Open Image Denoise beside them.
+    """Return the times of kernels, upsampling and denoising on this machine, and of Open Image Denoise.
 
     Parameters
     ----------
     devices : sequence of str, optional
-        Names from `lobewise.backend.devices.list_devices`; by default all that run here and are no software.
+        Names from `lobewise.backend.devices.list_devices`; by default every device that runs here in hardware.
     extent : Extent
-        How much is measured.
+        The sizes and settings that are measured.
     progress : callable, optional
-        Called with (done, total), in tenths of a second of the time that everything takes on two cores.
+        Called with (done, total), in tenths of a second that the work takes on two cores.
 
     Returns
     -------
     dict
-        ``machine``, ``devices`` (what each is), ``what`` (what a time of each part is), ``skipped`` (sentences),
-        ``seconds`` (of it all) and ``rows``. A row has ``part``, ``device``, ``name``, ``milliseconds`` (the best), and
-        what its part varies or needs: ``width``, ``height``, ``form``, ``radius``, ``lobes``, ``scale``, ``threads``.
+        ``machine``, ``devices`` (descriptions), ``what`` (meaning of the times, by part), ``skipped`` (sentences),
+        ``seconds`` (in total) and ``rows``. A row has ``part``, ``device``, ``name``, ``milliseconds`` (the shortest
+        time), and the settings of its part: some of ``width``, ``height``, ``form``, ``radius``, ``lobes``, ``scale``
+        and ``threads``.
 
     Raises
     ------
@@ -83,14 +81,14 @@ def measure_filters(
     best: dict[int, dict[str, float]] = {}
     for turn in range(max(job.turns for job in jobs)):
         for place, job in enumerate(jobs):
-            # What failed in its first turn is not tried again.
+            # Do not repeat a job that failed in its first turn.
             if turn >= job.turns or (turn and place not in best):
                 continue
             try:
                 times = time_best(job.make(), extent.seconds / job.turns, rounds=math.ceil(job.rounds / job.turns))
                 best[place] = keep_best(best.get(place), times)
             except LobewiseError as problem:
-                # A device that cannot do one thing can do others.
+                # The device may be able to run the other jobs.
                 skipped.append(f"{job.part} on {job.facts['device']}: {problem}")
             advance(job.effort / job.turns)
     for place, times in sorted(best.items()):
@@ -98,11 +96,11 @@ def measure_filters(
         rows += [_make_row(job.part, name, value, job.facts) for name, value in times.items()]
     if progress is not None:
         progress(round(10.0 * total), round(10.0 * total))
-    order = list(WHAT)
+    order = list(MEANINGS_OF_TIMES)
     return {
         "machine": describe_machine(),
         "devices": {name: found[name].reason for name in names},
-        "what": WHAT,
+        "what": MEANINGS_OF_TIMES,
         "skipped": skipped,
         "seconds": round(time.perf_counter() - start, 1),
         "rows": sorted(rows, key=lambda row: order.index(row["part"])),
@@ -110,11 +108,11 @@ def measure_filters(
 
 
 def _time_threads(counts: Sequence[int], extent: Extent) -> list[dict[str, Any]]:
-    """Return the times with each number of threads."""
-    seconds = extent.seconds / TURNS
+    """Return the rows of times with each number of threads."""
+    seconds = extent.seconds / KERNEL_TURNS
     best: dict[int, dict[str, float]] = {}
     with open_pools(counts) as pools:
-        for _ in range(TURNS):
+        for _ in range(KERNEL_TURNS):
             for count, pool in pools.items():
                 best[count] = keep_best(best.get(count), pool.submit(_time_core, extent, seconds).result())
     facts = {"device": "cpu", **describe_size(extent.size), "form": "separable", "radius": RADIUS}

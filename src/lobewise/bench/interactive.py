@@ -1,4 +1,4 @@
-"""How long each stage of the interactive chain takes while the camera moves."""
+"""Times of the stages of the interactive renderer while the camera moves."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from lobewise.interactive import InteractiveSettings, Session
 
 DEGREES_PER_FRAME = 1.0
-"""Of the orbit."""
-WARM_UP = 4
-"""Frames of each run that are not counted: kernels are compiled in the first ones."""
+"""Turn of the camera on its orbit."""
+WARM_UP_FRAMES = 4
+"""First frames of each run that are not timed: they compile kernels."""
 
 Progress = Callable[[int, int], None]
 
@@ -39,31 +39,31 @@ def measure_interactive(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Return the stage times of a session whose camera goes round an orbit, one degree a frame.
+    """Return the stage times of a session whose camera moves along an orbit, one degree per frame.
 
     Parameters
     ----------
     scene : str
-        What `lobewise.render.load_scene` takes.
+        A scene of `lobewise.render.load_scene`.
     sizes : sequence of (int, int)
         Width and height of the images.
     methods : sequence of str, optional
-        Ways of computing indirect light; by default all.
+        Methods of indirect light; by default all.
     settings : InteractiveSettings, optional
-        Whose other parameters are used.
+        All settings but the method.
     frames : int
-        Frames that are counted, >= 1.
+        Frames that are timed, >= 1.
     device : {"auto", "cpu", "cuda"}
-        Where rays are traced; "auto" as `lobewise.render.load_mitsuba`.
+        Device that traces rays; "auto" chooses as `lobewise.render.load_mitsuba` does.
     progress : callable, optional
         Called with ``(done, total)`` frames.
 
     Returns
     -------
     dict
-        ``machine``, ``device``, ``scene``, ``settings`` and ``rows``: for each method and size the median seconds of
-        every stage and of the whole frame (``frame``, wall time), frames per second while moving, and the seconds that
-        getting ready took.
+        ``machine``, ``device``, ``scene``, ``settings`` and ``rows``. For each method and size a row has the median
+        seconds of every stage and of the whole frame (``frame``, wall time), the frames per second, and the seconds
+        before the first frame (``prepare``).
 
     Raises
     ------
@@ -79,7 +79,7 @@ def measure_interactive(
     variant = load_mitsuba(device).variant()
     asked = settings or InteractiveSettings()
     names = list(methods or METHODS)
-    each = frames + WARM_UP
+    each = frames + WARM_UP_FRAMES
     total = each * len(names) * len(sizes)
     done = itertools.count(1)
 
@@ -115,28 +115,28 @@ def measure_interactive(
 def _time_stages(
     stream: Session, cameras: Sequence[Camera], settings: InteractiveSettings, advance: Callable[[], None]
 ) -> dict[str, float]:
-    """Return the median seconds of every stage, and of the whole frame, along a path."""
+    """Return the median seconds of every stage, and of the whole frame, along a camera path."""
     seconds: list[dict[str, float]] = []
     for camera in cameras:
         start = time.perf_counter()
         stages = stream.render(camera, settings).seconds
         seconds.append({**stages, "frame": time.perf_counter() - start})
         advance()
-    counted = seconds[WARM_UP:]
+    counted = seconds[WARM_UP_FRAMES:]
     return {stage: median(item[stage] for item in counted) for stage in counted[0]}
 
 
 def measure_devices(devices: Sequence[str] | None = None, **arguments: Any) -> dict[str, Any]:
-    """Return what `measure_interactive` finds on each device where rays can be traced.
+    """Return the measurements of `measure_interactive` on each device that can trace rays.
 
-    Each is measured in a process of its own, because a process has one of them for good.
+    Each device is measured in its own process, because Mitsuba cannot change the device of a process.
 
     Parameters
     ----------
     devices : sequence of str, optional
-        By default "cpu", and "cuda" where there is one.
+        By default "cpu", and "cuda" where there is an NVIDIA GPU.
     **arguments
-        Of `measure_interactive`; ``progress`` is called for the only device, or not at all.
+        Parameters of `measure_interactive`; with several devices ``progress`` is not called.
 
     Returns
     -------
@@ -162,9 +162,9 @@ def measure_devices(devices: Sequence[str] | None = None, **arguments: Any) -> d
 
 
 def list_render_devices() -> list[str]:
-    """Return where rays can be traced: always "cpu", and "cuda" where Dr.Jit finds an NVIDIA GPU.
+    """Return the devices that can trace rays: "cpu", and "cuda" where Dr.Jit finds an NVIDIA GPU.
 
-    Asked in another process, because the first question to CUDA ties this one to it.
+    Another process asks Dr.Jit, because the first call to CUDA would bind this process to it.
     """
     code = "import drjit; print(drjit.has_backend(drjit.JitBackend.CUDA))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""Times of the filter kernels beside each other, beside the paper's, and beside Open Image Denoise."""
+"""Calls of the filter kernels to time, and the paper's times."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ PAPER_MILLISECONDS = {
     8: {"normal": 2.43, "sg": 3.29, "sg_mixture, 3 lobes": 15.2, "asg": 17.7},
     16: {"normal": 4.56, "sg": 6.03, "sg_mixture, 3 lobes": 27.6, "asg": 30.8},
 }
-"""Tokuyoshi 2015, slide "Denoising Performance": AMD Radeon HD 6990, images of `PAPER_SIZE` squared."""
+"""Times by radius and similarity. Source: Tokuyoshi 2015, slide "Denoising Performance": AMD Radeon HD 6990, images of
+`PAPER_SIZE` x `PAPER_SIZE` pixels."""
 
 
 def count_taps(form: str, radius: int) -> int:
-    """Return the taps of one pixel over all passes."""
+    """Return the taps per pixel, all passes together."""
     side = 2 * radius + 1
     return {"full": side * side, "separable": 2 * side, "atrous": 25 * ATROUS_LEVELS}[form]
 
@@ -33,6 +34,6 @@ def count_taps(form: str, radius: int) -> int:
 def make_kernel_calls(
     frame: Frame, features: dict[str, list[Feature]], radius: int, form: str, device: str = "cpu"
 ) -> Calls:
-    """Return what runs each list of features once over one image, as Open Image Denoise is given one image."""
+    """Return functions that filter one image with each list of features; Open Image Denoise also gets one image."""
     run = partial(run_filter, frame.radiance.color, np.ones(frame.shape, dtype=bool))
     return {name: partial(run, chosen, form=form, radius=radius, device=device) for name, chosen in features.items()}

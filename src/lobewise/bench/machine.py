@@ -1,4 +1,4 @@
-"""What a measurement was made on."""
+"""The machine and version of a measurement."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def count_threads() -> int:
-    """Return how many threads kernels use: one for each core, unless HL_NUM_THREADS says otherwise."""
+    """Return the number of threads of kernels: one per core, unless HL_NUM_THREADS sets another number."""
     return int(os.environ.get("HL_NUM_THREADS", count_cores()))
 
 
@@ -41,7 +41,7 @@ def find_processor() -> str:
 
 
 def _find_commit() -> str:
-    """Return the commit of the checkout that this package is imported from, marked where it was changed since."""
+    """Return the commit of the checkout that holds this package, marked if files were changed; empty without one."""
     package = Path(__file__).resolve().parents[1]
     if not (package.parents[1] / ".git").exists():
         return ""

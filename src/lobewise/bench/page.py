@@ -1,4 +1,4 @@
-"""A measurement as one HTML file that needs nothing else."""
+"""A measurement as one HTML file without other files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lobewise.reporting.report import fill_page
 
 
 def make_bench_page(data: Mapping[str, Any], plots: Mapping[str, bytes], command: str) -> str:
-    """Return the page of what `lobewise.bench.filters.measure_filters` found.
+    """Return the page of a measurement of `lobewise.bench.filters.measure_filters`.
 
     ``plots`` are from `lobewise.bench.plots.draw_plots` and may be empty; ``command`` makes the page again.
     """

@@ -1,4 +1,4 @@
-"""What `lobewise bench` measures: every job, and how much of it there is."""
+"""The jobs that `lobewise bench` times, and their sizes and settings."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from lobewise.upsampling import DEFAULT_RADIUS, upsample
 Size = tuple[int, int]
 
 CORE = ("normal", "sg", "ggx")
-"""Similarities of the plots that would take long with all of them."""
-TURNS = 2
-"""Of every job that times kernels."""
+"""Similarities of the jobs that would take too long with all similarities."""
+KERNEL_TURNS = 2
+"""Turns of every job that times kernels: see `Job.turns`."""
 RADIUS = 8
-"""Of every job that is not about the radius."""
+"""Filter radius of every job that does not vary the radius, pixels."""
 OIDN = "OIDN"
-"""Short for Open Image Denoise; its rows' names begin so."""
+"""Beginning of the names of the rows that time Open Image Denoise."""
 OIDN_LABELS = {"fast": f"{OIDN}, fast", "balanced": f"{OIDN}, balanced", "high": f"{OIDN}, default"}
-"""By quality of `lobewise.peers.denoise_oidn`; "high" is its default."""
-WHAT = {
+"""Names of rows, by quality of `lobewise.peers.denoise_oidn`; "high" is its default."""
+MEANINGS_OF_TIMES = {
     "forms": "one kernel run over one image, radius 8",
     "radius": "one kernel run over one image, separable; radii 8 and 16 are the paper's table",
     "lobes": "one kernel run over one image, separable, radius 8, mixtures of spherical Gaussians",
@@ -40,37 +40,43 @@ WHAT = {
     "upsampling": "lobewise.upsample, one of scale x scale pixels shaded",
     "denoising": "lobewise.denoise, diffuse and specular apart, radius 8; Open Image Denoise in the same turns",
 }
-"""Parts of a measurement, in order, and what one time of each is."""
+"""Parts of a measurement, in order, and the work that one time of each covers."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured."""
+    """The sizes and settings that are measured."""
 
     size: Size = (1024, 1024)
-    """Columns and rows of "forms", "lobes" and "threads"; that of "radius" is the paper's."""
+    """Columns and rows of the images of "forms", "lobes" and "threads"."""
     sizes: tuple[Size, ...] = ((512, 512), (1024, 1024), (1920, 1080), (2560, 1440), (3840, 2160))
-    """Those of "pixels"."""
+    """Sizes of "pixels"."""
     recipe_size: Size = (1920, 1080)
-    """That of "upsampling" and "denoising"."""
+    """Size of "upsampling" and "denoising"."""
     radius_size: Size = (PAPER_SIZE, PAPER_SIZE)
-    # Those of "radius", "lobes" and "upsampling".
+    """Size of "radius": the paper's."""
     radii: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
+    """Radii of "radius", pixels."""
     lobes: tuple[int, ...] = (1, 2, 3, 4)
+    """Lobes per pixel of "lobes"."""
     scales: tuple[int, ...] = (2, 4)
-    # Those of "forms" and "denoising".
+    """Distances of shaded pixels of "upsampling", pixels."""
     forms: tuple[str, ...] = FORMS
+    """Forms of "forms"."""
     qualities: tuple[str, ...] = ("fast", "balanced", "high")
-    # Those of "forms" and of the paper's radii, and those of everything else; both with "normal".
+    """Qualities of "denoising"."""
     similarities: tuple[str, ...] = SIMILARITIES
+    """Similarities of "forms" and of the paper's radii; they must include "normal"."""
     core: tuple[str, ...] = CORE
+    """Similarities of all other jobs; they must include "normal"."""
     seconds: float = 3.0
-    """Least time of each job's rounds."""
-    # Least number of rounds of kernels, and of whole recipes and what Open Image Denoise takes part in.
+    """Shortest time of all rounds of a job together."""
     rounds: int = 5
+    """Fewest rounds of a job that times kernels."""
     recipe_rounds: int = 2
+    """Fewest rounds of "upsampling", "denoising" and jobs with Open Image Denoise."""
     peer_pixels: int = 1920 * 1080
-    """Larger images are not given to it: it would take most of the time."""
+    """Largest image that Open Image Denoise is timed on, pixels: it would take most of the total time."""
 
 
 FULL = Extent()
@@ -87,36 +93,36 @@ QUICK = Extent(
     rounds=3,
     recipe_rounds=2,
 )
-"""Under a minute on two cores; its figures waver more."""
+"""Takes under a minute on two cores; its times vary more from run to run."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Job:
-    """Candidates that run in turn."""
+    """Functions that are timed together, one after the other in each round."""
 
     part: str
-    """One of `WHAT`."""
+    """A key of `MEANINGS_OF_TIMES`."""
     facts: dict[str, Any]
-    """What they have in common: ``device``, ``width``, ``height``, ``form``, ``radius`` and the like."""
+    """Settings that the functions share: ``device``, ``width``, ``height``, ``form``, ``radius`` and others."""
     make: Callable[[], Calls]
-    """Returns the candidates by name, when they are about to run, so that no two jobs' images are held at once."""
+    """Returns the functions by name. It is called just before they run: only one job's images are in memory."""
     rounds: int
-    """Least number of rounds, all turns together."""
+    """Fewest rounds, all turns together."""
     turns: int
-    """In how many parts, between which the other jobs run: a disturbance then bends no curve."""
+    """Parts of the rounds. The other jobs run between them, so that a disturbance of the machine bends no curve."""
     effort: float
-    """About how many seconds it takes on two cores, for the progress alone."""
+    """Estimated seconds on two cores, for the progress only."""
 
 
 @lru_cache(maxsize=1)
 def fetch_frame(size: Size) -> Frame:
-    """Return the plane at this size; the last one is kept, because jobs of one size follow each other."""
+    """Return the benchmark frame; the last one is cached, because jobs of one size follow each other."""
     return make_frame(*size)
 
 
 def list_jobs(extent: Extent, device: str, *, peers: bool = True) -> Iterator[Job]:
-    """Yield what is measured on a device, but for the threads; with ``peers`` beside Open Image Denoise."""
-    known = peers and has_oidn()
+    """Yield the jobs of a device, except "threads"; ``peers`` adds Open Image Denoise where it is installed."""
+    has_peer = peers and has_oidn()
     for form in extent.forms:
         yield _plan_kernels("forms", extent.size, RADIUS, form, device, extent, extent.similarities)
     for lobes in extent.lobes:
@@ -125,21 +131,21 @@ def list_jobs(extent: Extent, device: str, *, peers: bool = True) -> Iterator[Jo
         names = extent.similarities if radius in PAPER_RADII else extent.core
         yield _plan_kernels("radius", extent.radius_size, radius, "separable", device, extent, names)
     for size in extent.sizes:
-        beside = ("fast", "high") if known and size[0] * size[1] <= extent.peer_pixels else ()
-        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, extent.core, beside)
+        peer_qualities = ("fast", "high") if has_peer and size[0] * size[1] <= extent.peer_pixels else ()
+        yield _plan_kernels("pixels", size, RADIUS, "separable", device, extent, extent.core, peer_qualities)
     for scale in extent.scales:
         yield _plan_upsampling(scale, device, extent)
-    yield _plan_denoising(device, extent, tuple(OIDN_LABELS) if known else ())
+    yield _plan_denoising(device, extent, tuple(OIDN_LABELS) if has_peer else ())
 
 
 def list_threads() -> list[int]:
-    """Return the numbers of threads to measure: powers of two up to what this process may use, and that itself."""
-    most = count_threads()
-    return sorted({most, *(2**k for k in range(most.bit_length()) if 2**k <= most)})
+    """Return the numbers of threads to measure: powers of two below the threads of this process, and these."""
+    maximum = count_threads()
+    return sorted({maximum, *(2**k for k in range(maximum.bit_length()) if 2**k <= maximum)})
 
 
 def make_core_calls(extent: Extent) -> Calls:
-    """Return what "threads" runs."""
+    """Return the functions of "threads"."""
     frame = fetch_frame(extent.size)
     return make_kernel_calls(frame, make_features(frame, extent.core), RADIUS, "separable")
 
@@ -167,8 +173,12 @@ def _plan_kernels(
     facts = {"device": device, **describe_size(size), "form": form, "radius": radius}
     rounds = extent.recipe_rounds if peers else extent.rounds
     megapixels = size[0] * size[1] / 1e6
-    effort = extent.seconds + len(names) + (TURNS + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
-    return Job(part, facts, make, rounds, TURNS, effort)
+    effort = (
+        extent.seconds
+        + len(names)
+        + (KERNEL_TURNS + rounds) * megapixels * (5.0 * bool(peers) + 4.0 * (form == "full"))
+    )
+    return Job(part=part, facts=facts, make=make, rounds=rounds, turns=KERNEL_TURNS, effort=effort)
 
 
 def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
@@ -179,13 +189,14 @@ def _plan_lobes(lobes: int, device: str, extent: Extent) -> Job:
         features = {
             name: [*place, make_mixture(frame, lobes, coaxial=coaxial)]
             for name, coaxial in kinds.items()
-            # A single lobe is both.
+            # A single lobe is both kinds.
             if lobes > 1 or coaxial
         }
         return make_kernel_calls(frame, features, RADIUS, "separable", device)
 
     facts = {"device": device, **describe_size(extent.size), "form": "separable", "radius": RADIUS, "lobes": lobes}
-    return Job("lobes", facts, make, extent.rounds, TURNS, extent.seconds + 2.0)
+    effort = extent.seconds + 2.0
+    return Job(part="lobes", facts=facts, make=make, rounds=extent.rounds, turns=KERNEL_TURNS, effort=effort)
 
 
 def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
@@ -197,7 +208,8 @@ def _plan_upsampling(scale: int, device: str, extent: Extent) -> Job:
         }
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": DEFAULT_RADIUS, "scale": scale}
-    return Job("upsampling", facts, make, extent.recipe_rounds, 1, 8.0 + extent.seconds)
+    effort = 8.0 + extent.seconds
+    return Job(part="upsampling", facts=facts, make=make, rounds=extent.recipe_rounds, turns=1, effort=effort)
 
 
 def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
@@ -213,19 +225,18 @@ def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}
     megapixels = extent.recipe_size[0] * extent.recipe_size[1] / 1e6
-    return Job(
-        "denoising", facts, make, extent.recipe_rounds, 1, 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels
-    )
+    effort = 10.0 + 12.0 * (1.0 + extent.recipe_rounds) * megapixels
+    return Job(part="denoising", facts=facts, make=make, rounds=extent.recipe_rounds, turns=1, effort=effort)
 
 
 def _make_peer_calls(frame: Frame, qualities: tuple[str, ...]) -> Calls:
-    """Return Open Image Denoise at these qualities, given guides that need no filter."""
+    """Return calls of Open Image Denoise at some qualities, with guides that need no prefilter."""
     run = partial(denoise_oidn, frame, guides="centre")
     return {OIDN_LABELS[quality]: partial(run, quality=quality) for quality in qualities}
 
 
 def add_halves(frame: Frame) -> Frame:
-    """Return the frame with what two halves of its samples gave, which the better qualities look at."""
+    """Return the frame with two halves of its samples, which the qualities above "fast" use."""
     share = np.random.default_rng(1).random(frame.shape, dtype=np.float32)[..., None]
 
     def scale(weight: Any) -> Radiance:

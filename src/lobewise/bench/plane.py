@@ -1,4 +1,4 @@
-"""The frame that filters are timed on: made of formulas, at any size, the same on every machine."""
+"""The frame that filters are timed on. Formulas make it at any size, the same on every machine."""
 
 from __future__ import annotations
 
@@ -21,20 +21,17 @@ from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.lobes.band_limit import default_tau
 
 BETA = 8.0
-"""Power of every lobe's weight; it changes no time."""
+"""Exponent of the weight of lobes; it does not change the times."""
 SIMILARITIES = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", "ggx")
-"""Names of `make_features`. Coaxial lobes share an axis, as those do that stand for GGX; lobes of measured materials
-have an axis each."""
+"""Similarities that `make_features` knows. Coaxial lobes share one axis, as lobes that approximate GGX do; lobes of
+measured materials have their own axes."""
 
 
 def make_frame(width: int, height: int) -> Frame:
-    """Return a plane of patches whose roughness and normal vary, seen in perspective, with noise on it."""
+    """Return a noisy plane, seen in perspective, whose roughness varies from patch to patch and whose normals vary."""
     rng = np.random.default_rng(0)
     camera = Camera(
-        position=np.array([0.0, 2.0, 6.0]),
-        forward=np.array([0.0, -0.4, -1.0]),
-        up=np.array([0.0, 1.0, 0.0]),
-        fov_y=0.7,
+        position=np.array([0.0, 2.0, 6.0]), forward=np.array([0.0, -0.4, -1.0]), up=np.array([0.0, 1.0, 0.0]), fov_y=0.7
     )
     rays = camera.make_ray_directions(width, height).astype(np.float64)
     depth = 2.0 / np.maximum(-rays[..., 1], 0.05)
@@ -66,14 +63,14 @@ def make_frame(width: int, height: int) -> Frame:
 
 
 def make_place(frame: Frame) -> list[Feature]:
-    """Return what all similarities have in common: distance on the screen and from the tangent plane."""
+    """Return the features that all similarities share: distance on the screen and from the tangent plane."""
     position, depth = (frame.gbuffer.require(name, "the benchmark") for name in ("position", "depth"))
     pixel_angle = frame.require_camera("the benchmark").get_pixel_angle(frame.height)
     return [ScreenFeature(5.0), PositionFeature(position, depth, pixel_angle=pixel_angle, sigma=16.0)]
 
 
 def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[str, list[Feature]]:
-    """Return the features of each of these similarities; position and screen distance are the same in all."""
+    """Return the features of each similarity, by its name; all similarities share the features of `make_place`."""
     guides, camera = frame.gbuffer, frame.require_camera("the benchmark")
     place = make_place(frame)
     found: dict[str, list[Feature]] = {}
@@ -94,9 +91,9 @@ def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[s
 
 
 def make_mixture(frame: Frame, lobes: int, *, coaxial: bool) -> Feature:
-    """Return the mixture of so many Gaussians that stands for GGX, 1 to 4.
+    """Return a mixture of 1 to 4 spherical Gaussians that approximates GGX.
 
-    Where it is not ``coaxial`` every lobe has an axis of its own, which happens to be the same: kernels cannot know.
+    Without ``coaxial`` every lobe has its own axis. The axes are equal, but the kernels do not use that.
     """
     camera = frame.require_camera("the benchmark")
     field = make_mixture_field(frame.gbuffer, camera, tau=default_tau(camera, frame.height), lobes=lobes)

@@ -1,4 +1,4 @@
-"""Plots of time over pixels, radius, lobes and threads."""
+"""Plots of times against pixels, radius, lobes and threads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MARKS = {"cpu": "o", "cuda": "s", "vulkan": "^", "metal": "D"}
 
 
 def draw_plots(data: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return a PNG of every plot that there are rows for, by its name.
+    """Return a PNG of every plot that has rows, by its name.
 
     Raises MissingDependencyError if Matplotlib is not installed.
     """
@@ -65,7 +65,7 @@ def _draw(
     log: bool = False,
     diagonal: bool = False,
 ) -> bytes:
-    """Return a plot with a line for each series; ``diagonal`` adds what would be ideal."""
+    """Return a plot with one line per series; ``diagonal`` adds the line of equal coordinates, the ideal speedup."""
     figure = make_figure(6.4, 4.0)
     panel = figure.subplots()
     name = name_series(rows)
@@ -76,7 +76,7 @@ def _draw(
     if diagonal:
         panel.plot(places, places, color="0.8", lw=1.0, label="ideal")
     for label, points in series.items():
-        # What was measured here and there only is in the tables; as a line it would mislead.
+        # A line through few of the places would mislead. The tables hold these times as well.
         if 2 * len(points) < len(places):
             continue
         points = sorted(points, key=across)

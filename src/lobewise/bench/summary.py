@@ -1,4 +1,4 @@
-"""What was measured, as tables that a terminal, a page or a document can show."""
+"""A measurement as tables for a terminal, a page or a document."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from lobewise.bench.plan import OIDN, OIDN_LABELS
 Row = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Section:
     """A table of figures."""
 
     key: str
-    """Short name; that of the plot beside it, where there is one."""
-    # Its head, and how to read it.
+    """Short name, which is also the name of its plot, if it has one."""
     title: str
     note: str
+    """How to read the table."""
     header: list[str]
     """Names of the columns; the first column is text, the others are figures."""
     rows: list[list[str]]
-    """Its cells."""
+    """Cells, row by row."""
 
 
 def make_sections(data: Mapping[str, Any]) -> list[Section]:
-    """Return the tables of what `lobewise.bench.filters.measure_filters` found; those without rows are left out."""
+    """Return the tables of a measurement of `lobewise.bench.filters.measure_filters`, without empty tables."""
     rows = data["rows"]
     made = [
         _make_denoising(rows),
@@ -55,8 +55,9 @@ def make_sections(data: Mapping[str, Any]) -> list[Section]:
             rows,
             "lobes",
             "Time over lobes",
-            "Milliseconds of one image, radius 8, separable. Each lobe of a pixel is compared with each of the "
-            "other's; those that stand for GGX share an axis, which is cheaper, those of measured materials do not.",
+            "Milliseconds of one image, radius 8, separable. Each lobe of a pixel is compared with each lobe of the "
+            "other pixel. Lobes that approximate GGX share an axis, which is faster; lobes of measured materials do "
+            "not.",
             lambda row: str(row["lobes"]),
             "lobes",
         ),
@@ -83,18 +84,18 @@ def describe_machine_in_words(data: Mapping[str, Any]) -> str:
 
 
 def name_series(rows: Sequence[Row]) -> Callable[[Row], str]:
-    """Return what tells the series of some rows apart: their names, with the device where there are several."""
+    """Return a function that names the series of a row: by its name, and by its device where there are several."""
     several = len({row["device"] for row in rows}) > 1
     return lambda row: f"{row['name']}, {row['device']}" if several and not is_peer(row) else str(row["name"])
 
 
 def is_peer(row: Row) -> bool:
-    """Return whether it is a time of Open Image Denoise."""
+    """Return whether a row is a time of Open Image Denoise."""
     return str(row["name"]).startswith(OIDN)
 
 
 def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
-    """Return the rows of a part that have these facts; of Open Image Denoise, which has no device, one for each."""
+    """Return the rows of a part with the given facts; of Open Image Denoise, which has no device, one per setting."""
     found: dict[Any, Row] = {}
     for row in rows:
         if row["part"] == part and all(row.get(name) == value for name, value in facts.items()):
@@ -106,23 +107,23 @@ def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
 def _make_pivot(
     rows: Sequence[Row], part: str, title: str, note: str, column: Callable[[Row], str], name: str
 ) -> Section:
-    """Return a table of times: a line for each series, a column for each value of what is varied."""
+    """Return a table of times with a line for each series and a column for each value of ``column``."""
     chosen = pick(rows, part)
     series = name_series(chosen)
     columns = list(dict.fromkeys(map(column, chosen)))
     cells = {(series(row), column(row)): format_time(row["milliseconds"]) for row in chosen}
     lines = list(dict.fromkeys(map(series, chosen)))
     return Section(
-        part,
-        title,
-        note,
-        [name, *columns],
-        [[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
+        key=part,
+        title=title,
+        note=note,
+        header=[name, *columns],
+        rows=[[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
     )
 
 
 def _make_paper(rows: Sequence[Row]) -> Section:
-    """Return our times and ratios beside the paper's."""
+    """Return the times and ratios on this machine beside the paper's ratios."""
     lines = []
     chosen = [
         row
@@ -137,11 +138,11 @@ def _make_paper(rows: Sequence[Row]) -> Section:
         ratio = row["milliseconds"] / normal[row["device"], row["radius"]]
         lines.append([series(row), str(row["radius"]), format_time(row["milliseconds"]), f"{ratio:.2f}", told])
     return Section(
-        "paper",
-        "The paper's table",
-        f"{PAPER_SIZE}x{PAPER_SIZE} pixels, separable; the paper's ratios are those of a Radeon HD 6990.",
-        ["similarity", "radius", "ms", "ratio to normal", "the paper's"],
-        lines,
+        key="paper",
+        title="The paper's table",
+        note=f"{PAPER_SIZE}x{PAPER_SIZE} pixels, separable; the paper measured on a Radeon HD 6990.",
+        header=["similarity", "radius", "ms", "ratio to normal", "the paper's"],
+        rows=lines,
     )
 
 
@@ -159,11 +160,11 @@ def _make_forms(rows: Sequence[Row]) -> Section:
     }
     lines = list(dict.fromkeys(map(series, chosen)))
     return Section(
-        "forms",
-        f"Forms and similarities, {_tell_size(chosen)}",
-        "Radius 8 (atrous: five 5x5 passes); milliseconds of one image, and the ratio to normal.",
-        ["similarity", *(word for form in forms for word in (form, "ratio"))],
-        [[line, *(word for form in forms for word in cells[line, form])] for line in lines],
+        key="forms",
+        title=f"Forms and similarities, {_tell_size(chosen)}",
+        note="Radius 8 (atrous: five 5x5 passes); milliseconds of one image, and the ratio to normal.",
+        header=["similarity", *(word for form in forms for word in (form, "ratio"))],
+        rows=[[line, *(word for form in forms for word in cells[line, form])] for line in lines],
     )
 
 
@@ -187,7 +188,7 @@ def _make_threads(rows: Sequence[Row]) -> Section:
 
 
 def _make_denoising(rows: Sequence[Row]) -> Section:
-    """Return the times of whole frames, and how many times faster each is than the peer's two qualities."""
+    """Return the times of whole frames, and how many times faster each is than Open Image Denoise."""
     chosen = pick(rows, "denoising")
     series = name_series(chosen)
     peers = {row["name"]: row["milliseconds"] for row in chosen if is_peer(row)}
@@ -201,12 +202,12 @@ def _make_denoising(rows: Sequence[Row]) -> Section:
         for row in chosen
     ]
     return Section(
-        "denoising",
-        f"Whole frames, {_tell_size(chosen)}",
-        "Milliseconds of lobewise.denoise, diffuse and specular apart, radius 8, and how many times faster it is than "
-        "Open Image Denoise (OIDN), which filters one image with clean guides; its default is its best quality.",
-        ["method", "ms", *(f"vs {name}" for name in against)],
-        lines,
+        key="denoising",
+        title=f"Whole frames, {_tell_size(chosen)}",
+        note="Milliseconds of lobewise.denoise, diffuse and specular apart, radius 8, and how many times faster it is "
+        "than Open Image Denoise (OIDN), which filters one image with clean guides; its default is its best quality.",
+        header=["method", "ms", *(f"vs {name}" for name in against)],
+        rows=lines,
     )
 
 
@@ -215,7 +216,7 @@ def _tell_size(rows: Sequence[Row]) -> str:
 
 
 def format_time(milliseconds: float) -> str:
-    """Return a time with three figures or more."""
+    """Return a time with at least three significant digits."""
     if milliseconds >= 100.0:
         return f"{milliseconds:.0f}"
     return f"{milliseconds:.1f}" if milliseconds >= 10.0 else f"{milliseconds:.2f}"

@@ -1,4 +1,4 @@
-"""How long things take: candidates in turn, the best of each; in processes with fewer threads."""
+"""Shortest times of functions that run in turn; processes with fewer threads."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 
 
 def time_best(candidates: Mapping[str, Callable[[], Any]], seconds: float, *, rounds: int = 5) -> dict[str, float]:
-    """Return the best wall time of each candidate by its name, seconds.
+    """Return the shortest wall time of each candidate by its name, seconds.
 
-    All run once, uncounted, and then in turn again and again, so that a disturbance of the machine meets all of them:
-    at least ``rounds`` times, >= 1, and until all rounds have taken ``seconds`` together.
+    All candidates run once without timing, and then in turn, so that a disturbance of the machine hits all of them:
+    for at least ``rounds`` rounds, >= 1, and until all rounds together have taken ``seconds``.
     """
     for call in candidates.values():
         call()
@@ -31,13 +31,13 @@ def time_best(candidates: Mapping[str, Callable[[], Any]], seconds: float, *, ro
 
 
 def keep_best(known: Mapping[str, float] | None, found: Mapping[str, float]) -> dict[str, float]:
-    """Return the lower of two times of each candidate; None is no times yet."""
+    """Return the shorter of two times of each candidate; ``known`` is None before the first times."""
     return {name: min(value, (known or found)[name]) for name, value in found.items()}
 
 
 @contextmanager
 def open_pools(counts: Sequence[int]) -> Iterator[dict[int, ProcessPoolExecutor]]:
-    """Give a process for each number of threads that kernels shall use, which a process cannot change."""
+    """Yield a process for each number of threads of kernels: a process cannot change its number."""
     with ExitStack() as stack:
         context = get_context("spawn")
         yield {
@@ -49,5 +49,5 @@ def open_pools(counts: Sequence[int]) -> Iterator[dict[int, ProcessPoolExecutor]
 
 
 def limit_threads(count: int) -> None:
-    """Make this process, which has run no kernel yet, use so many threads."""
+    """Set the number of threads of kernels; the process must not have run a kernel before."""
     os.environ["HL_NUM_THREADS"] = str(count)

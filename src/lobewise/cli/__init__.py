@@ -1,4 +1,4 @@
-"""The program `lobewise`: typed verbs, one sentence for every mistake, nothing heavy imported before it is needed."""
+"""The program `lobewise`. Every mistake of a user gets one sentence; heavy modules are imported only when needed."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ INTERRUPTED = "interrupted; every output is whole, or as it was."
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the program and leave with its exit code.
+    """Run the program and exit with its exit code.
 
-    Ctrl-C ends the process at once while modules are imported and when all is done: nothing is being written then, and
-    Python would print a traceback of whatever it was doing.
+    While modules are imported and after the verb has ended, Ctrl-C ends the process at once: no file is being written,
+    and Python would print a traceback.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        Command line without the program's name; by default that of the process.
+        Command line without the program's name; by default the command line of the process.
 
     Raises
     ------
     SystemExit
-        Always: 0 when all went well, 2 for a mistake that the user can mend, 1 for one of ours, 130 for Ctrl-C.
+        Always: 0 after success, 2 for a mistake that the user can mend, 1 for an error in lobewise, 130 for Ctrl-C.
     """
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     if not is_ignored:
@@ -47,13 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def _set_handler(handler: object) -> None:
-    # Only the main thread may: in any other Ctrl-C does not arrive either.
+    # Python refuses in any thread but the main one, and Ctrl-C only reaches the main thread.
     with suppress(ValueError):
         signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
 
 
 interrupts: list[int] = []
-"""Signals of Ctrl-C that this process got: a library may turn the exception of one into another."""
+"""Numbers of the Ctrl-C signals that this process received. A library may turn KeyboardInterrupt into another error."""
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:

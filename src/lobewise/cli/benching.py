@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import parse_size, show_progress
+from lobewise.cli.options.common import parse_size
 from lobewise.cli.terminal.help import App
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -31,16 +32,12 @@ def filters(
     quick: Annotated[bool, typer.Option("--quick", help="Small images and few rounds: about a minute.")] = False,
     device: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="See `lobewise devices`; may be repeated.",
-            show_default="all there are",
-        ),
+        typer.Option(metavar="NAME", help="See `lobewise devices`; may be repeated.", show_default="all there are"),
     ] = None,
 ) -> None:
     """Measure how fast this machine is: filters, upsampling, whole frames, and Open Image Denoise beside them.
 
-    Takes up to ten minutes, of which nothing else should run. `interactive` measures the chain of the viewer instead.
+    Takes up to ten minutes, during which nothing else should run. `interactive` measures the viewer instead.
     """
     if context.invoked_subcommand is not None:
         if output is not None or quick or device:
@@ -60,9 +57,9 @@ def filters(
     from lobewise.io.files import make_folder, open_atomic, write_text
 
     folder = make_folder(output or DEFAULT_FOLDER)
-    with show_progress() as progress:
+    with Steps() as steps:
         found = measure_filters(
-            device, extent=QUICK if quick else FULL, progress=lambda done, total: progress("Measuring", done, total)
+            device, extent=QUICK if quick else FULL, progress=lambda done, total: steps.tell("Measuring", done, total)
         )
     for section in make_sections(found):
         print_table(
@@ -97,19 +94,19 @@ def interactive(
         typer.Option(metavar="NAME", help="paths, voxel_cones or virtual_lights; may be repeated.", show_default="all"),
     ] = None,
     similarity: Annotated[
-        str, typer.Option(metavar="NAME", help="What is compared; none, or as for `lobewise denoise`.")
+        str, typer.Option(metavar="NAME", help="none, or a similarity of `lobewise denoise`.")
     ] = "ggx",
     scale: Annotated[int, typer.Option(metavar="N", help="One of NxN pixels is shaded.")] = 4,
-    frames: Annotated[int, typer.Option(metavar="N", help="Frames that are counted.")] = 24,
+    frames: Annotated[int, typer.Option(metavar="N", help="Frames that are timed.")] = 24,
     device: Annotated[
         str | None,
         typer.Option(metavar="cpu|cuda", help="Where rays are traced.", show_default="both, where there is CUDA"),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Write the figures there as well.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Write the figures as JSON as well.")
     ] = None,
 ) -> None:
-    """Time every stage of the interactive chain while the camera goes round an orbit, one degree a frame."""
+    """Time every stage of the viewer while the camera moves along an orbit, one degree per frame."""
     from lobewise.bench.interactive import measure_devices
     from lobewise.cli.output import print_line, to_json
     from lobewise.interactive import InteractiveSettings
@@ -119,7 +116,7 @@ def interactive(
         require_writable(output)
         require_other_files([output], [scene])
     asked: dict[str, Any] = {"similarity": similarity, "scale": scale}
-    with show_progress() as progress:
+    with Steps() as steps:
         found = measure_devices(
             [device] if device else None,
             scene=scene,
@@ -127,7 +124,7 @@ def interactive(
             methods=method,
             settings=InteractiveSettings(**asked),
             frames=frames,
-            progress=lambda done, total: progress("frames", done, total),
+            progress=lambda done, total: steps.tell("frames", done, total),
         )
     for name, rows in found["devices"].items():
         _print_stages(name, rows)

@@ -13,10 +13,12 @@ from lobewise.cli.comparing import compare
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
-from lobewise.cli.reading import Also, CameraFile, Half, Maps, Preset, parse_maps
+from lobewise.cli.options.common import Input
+from lobewise.cli.options.reading import PassReading
+from lobewise.cli.options.spreading import with_groups
 from lobewise.cli.rendering import render
-from lobewise.cli.shared import Input, show_progress
 from lobewise.cli.terminal.help import EXAMPLES, HELP_NAMES, App
+from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
 
 app = App(
@@ -37,8 +39,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def root(
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_print_version),
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Print a traceback when something fails.")] = False,
 ) -> None:
@@ -47,21 +48,23 @@ def root(
 
 @app.command(epilog=EXAMPLES["demo"])
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put the page.")] = Path(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="The folder of the page.")] = Path(
         "lobewise-demo"
     ),
     live: Annotated[bool, typer.Option("--live", help="Render the frame first, instead of the one inside.")] = False,
     scene: Annotated[str, typer.Option(metavar="SCENE", help="With --live: the scene to render.")] = "showroom",
     spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples per pixel.")] = 4,
     reference_spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples of the reference.")] = 1024,
-    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels a side.")] = 512,
-    device: Annotated[str, typer.Option(metavar="auto|NAME", help="Where to filter; see `lobewise devices`.")] = "auto",
+    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels per side.")] = 512,
+    device: Annotated[
+        str, typer.Option(metavar="auto|NAME", help="Device of the filters; see `lobewise devices`.")
+    ] = "auto",
 ) -> None:
     """Write a page that compares the filters on one noisy frame, beside its reference."""
     from lobewise.cli.demo import make_demo
     from lobewise.cli.output import print_line
 
-    with show_progress() as progress:
+    with Steps() as steps:
         page = make_demo(
             output,
             live=live,
@@ -70,7 +73,7 @@ def demo(
             reference_spp=reference_spp,
             size=size,
             device=device,
-            progress=progress,
+            progress=steps.tell,
         )
     print_line(f"Wrote {page}: open it in a browser.")
 
@@ -83,8 +86,10 @@ app.add_typer(bench, name="bench")
 
 
 @app.command(epilog=EXAMPLES["inspect"])
+@with_groups
 def inspect(
     source: Input,
+    *,
     everything: Annotated[
         bool, typer.Option("--all", help="Show every channel, what each is read as, and how it is converted.")
     ] = False,
@@ -92,41 +97,27 @@ def inspect(
         bool, typer.Option("--attributes", "-a", help="Show every channel and the attributes as well.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
-    preset: Preset = None,
-    maps: Maps = None,
-    camera: CameraFile = None,
-    half: Half = None,
-    also: Also = None,
+    reading: PassReading,
 ) -> None:
-    """Say whose an EXR file is, what denoising will use of it, what is missing and how to switch it on."""
+    """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing."""
     from dataclasses import asdict
 
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange import describe_file
-    from lobewise.interchange.cameras.files import read_camera_file
 
-    found = describe_file(
-        source,
-        preset=preset,
-        mapping=parse_maps(maps or []),
-        camera=None if camera is None else read_camera_file(camera),
-        half=half,
-        also=also or (),
-    )
+    found = describe_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
         return
-    given = {"--preset": [preset], "--map": maps, "--camera": [camera], "--half": [half], "--also": also}
-    words = [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
-    print_summary(found, words)
+    print_summary(found, reading.list_words())
     if everything or attributes:
         print_description(found, with_attributes=attributes)
 
 
 @app.command()
 def devices() -> None:
-    """List where filters can run, and why one cannot."""
+    """List the devices of this machine, and why filters cannot run on one."""
     from lobewise.backend.devices import list_devices
     from lobewise.cli.output import print_devices
 

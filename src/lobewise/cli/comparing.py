@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import list_files, show_progress
-from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError
+from lobewise.cli.options.writing import list_files
+from lobewise.cli.terminal.steps import Steps
+from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
 
 if TYPE_CHECKING:
     from lobewise.camera import Camera
@@ -37,7 +38,7 @@ def compare(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="With sequences: that which holds position or depth and the camera, for ghosting.",
+            help="With sequences: the files that hold position or depth and the camera, for ghosting.",
             show_default="the reference",
         ),
     ] = None,
@@ -50,33 +51,17 @@ def compare(
     Of sequences the means over the frames are shown, and beside them flicker, how unlike the changes from frame to
     frame are, and ghosting, the rel_mse of what has just come into view.
     """
-    import numpy as np
-
     from lobewise.cli.output import print_comparison, print_note, to_json
     from lobewise.io.files import require_other_files, require_writable, write_text
-    from lobewise.io.sequence import is_pattern
-    from lobewise.metrics import METRICS, flip
 
     to_terminal = str(json_output) == "-"
+    inputs = [*images, reference, *([guides] if guides else [])]
     if json_output is not None and not to_terminal:
         require_writable(json_output)
-        require_other_files([json_output], list_files([*images, reference, *([guides] if guides else [])]))
-    patterns = [is_pattern(path) for path in (*images, reference, *([guides] if guides else []))]
-    sequences = any(patterns)
-    if sequences != all(patterns) or (guides is not None and not sequences):
-        raise InputError(
-            "sequences",
-            expected="names such as a.####.exr for all that is compared",
-            got="single files among them" if sequences else "--guides with single files",
-            action="compare sequences with sequences",
-        )
-    metrics, missing = list(METRICS), ""
-    try:
-        flip(np.zeros((1, 1, 3)), np.zeros((1, 1, 3)))
-    except MissingDependencyError as problem:
-        metrics.remove("flip")
-        missing = str(problem)
-    if sequences:
+        require_other_files([json_output], list_files(inputs))
+    are_sequences = _are_sequences(inputs, guides)
+    metrics, missing = _list_metrics()
+    if are_sequences:
         found = _compare_sequences(images, reference, guides, metrics)
     else:
         found = _compare_files(images, reference, metrics)
@@ -89,10 +74,38 @@ def compare(
     if json_output is not None:
         write_text(json_output, text)
     title = str(reference)
-    if sequences:
+    if are_sequences:
         metrics += ["flicker", "ghosting"]
         title += f", {len(found['frames'])} frame{'s' if len(found['frames']) > 1 else ''}"
     print_comparison(title, metrics, [(row["path"], row) for row in found["images"]])
+
+
+def _are_sequences(paths: Sequence[Path], guides: Path | None) -> bool:
+    """Return whether all paths are patterns; raise InputError where some are, or where single files have guides."""
+    from lobewise.io.sequence import is_pattern
+
+    patterns = [is_pattern(path) for path in paths]
+    if any(patterns) != all(patterns) or (guides is not None and not any(patterns)):
+        raise InputError(
+            "sequences",
+            expected="names such as a.####.exr for all that is compared",
+            got="single files among them" if any(patterns) else "--guides with single files",
+            action="compare sequences with sequences",
+        )
+    return all(patterns)
+
+
+def _list_metrics() -> tuple[list[str], str]:
+    """Return the names of the metrics, and why flip is missing, empty where it is not."""
+    import numpy as np
+
+    from lobewise.metrics import METRICS, flip
+
+    try:
+        flip(np.zeros((1, 1, 3)), np.zeros((1, 1, 3)))
+    except MissingDependencyError as problem:
+        return [name for name in METRICS if name != "flip"], str(problem)
+    return list(METRICS), ""
 
 
 def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> dict[str, Any]:
@@ -101,37 +114,38 @@ def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> d
     from lobewise.metrics import EPSILON, evaluate
 
     for path in (*images, reference):
-        two = find_noisy_pass(path)
-        if two is not None:
-            print_note(f"{path}: {two[0]}, which viewers show, is measured; {two[1]}, the noisy image, is not.")
+        passes = find_noisy_pass(path)
+        if passes is not None:
+            shown, noisy = passes
+            print_note(f"{path}: {shown}, which viewers show, is measured; {noisy}, the noisy image, is not.")
     target = read_image(reference)
     rows = [
-        {"path": str(path), **_blame(path, reference, lambda image: evaluate(image, target, metrics=metrics))}
+        {"path": str(path), **_measure_file(path, reference, lambda image: evaluate(image, target, metrics=metrics))}
         for path in images
     ]
     return {"reference": str(reference), "epsilon": EPSILON, "images": rows}
 
 
 def _compare_sequences(images: list[Path], reference: Path, guides: Path | None, metrics: list[str]) -> dict[str, Any]:
-    """Return the figures of every sequence and of its frames, reading one frame of each at a time."""
+    """Return the figures of every sequence and of its frames; one frame of each sequence is in memory at a time."""
     from lobewise.io.sequence import FramePattern
     from lobewise.metrics import EPSILON
 
-    right = FramePattern.parse(reference)
-    frames = right.find()
+    truth = FramePattern.parse(reference)
+    frames = truth.find()
     numbers = [number for number, _ in frames]
     sequences = [_Sequence(FramePattern.parse(path), metrics) for path in images]
     for one in sequences:
-        _require_numbers(one.pattern, numbers, others=False)
-    guiding = right if guides is None else FramePattern.parse(guides)
-    _require_numbers(guiding, numbers, others=True)
+        _require_numbers(one.pattern, numbers)
+    guiding = truth if guides is None else FramePattern.parse(guides)
+    _require_numbers(guiding, numbers, allow_more=True)
     guided = guides is not None or _find_lacking(frames[0][1]) is None
-    with show_progress() as progress:
-        progress("frames", 0, len(frames))
+    with Steps() as steps:
+        steps.tell("frames", 0, len(frames))
         for done, (number, target, mask, cut) in enumerate(_read_targets(frames, guiding if guided else None), start=1):
             for one in sequences:
-                one.add(number, right.name(number), target, mask, cut=cut)
-            progress("frames", done, len(frames))
+                one.add(number, truth.name(number), target, mask, cut=cut)
+            steps.tell("frames", done, len(frames))
     return {
         "reference": str(reference),
         "guides": str(guides or reference) if guided else None,
@@ -145,7 +159,7 @@ def _compare_sequences(images: list[Path], reference: Path, guides: Path | None,
 
 
 class _Sequence:
-    """The figures of one sequence, which grow by a frame at a time."""
+    """The figures of one sequence."""
 
     def __init__(self, pattern: FramePattern, metrics: list[str]) -> None:
         from lobewise.metrics import Flicker
@@ -157,7 +171,10 @@ class _Sequence:
         self._ghosts: list[tuple[float, int]] = []
 
     def add(self, number: int, reference: Path, target: FloatArray, mask: Any, *, cut: bool) -> None:
-        """Measure the frame of that number; ``mask`` tells what came into view, None if nothing is known."""
+        """Measure the next frame.
+
+        ``mask`` holds the pixels that came into view with this frame, None where they are unknown.
+        """
         from lobewise.metrics import evaluate, ghosting
 
         def measure(image: FloatArray) -> dict[str, Any]:
@@ -169,10 +186,14 @@ class _Sequence:
                 self._ghosts.append((row["ghosting"], int(mask.sum())))
             return row
 
-        self.frames.append(_blame(self.pattern.name(number), reference, measure))
+        self.frames.append(_measure_file(self.pattern.name(number), reference, measure))
 
     def summarize(self) -> dict[str, float | None]:
-        """Return the means: over frames, over steps from frame to frame, over pixels that came into view."""
+        """Return the means.
+
+        The mean of flicker is over the steps between frames, of ghosting over the pixels that came into view, of every
+        other metric over the frames.
+        """
         means: dict[str, float | None] = {
             metric: math.fsum(row[metric] for row in self.frames) / len(self.frames) for metric in self._metrics
         }
@@ -183,23 +204,24 @@ class _Sequence:
         return means
 
 
-def _blame(path: Path, reference: Path, measure: Callable[[FloatArray], dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of the image of a file; what is wrong with either is said with its name."""
+def _measure_file(path: Path, reference: Path, measure: Callable[[FloatArray], dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of the image of a file. An error names the file whose image is wrong."""
     from lobewise.interchange import read_image
+    from lobewise.io.exr.layout import name_file
 
     image = read_image(path)
     try:
         return measure(image)
     except InputError as problem:
-        whose = reference if str(problem).startswith("reference") else path
-        raise type(problem)(f"{whose}: {problem}") from None
+        with name_file(reference if str(problem).startswith("reference") else path):
+            raise
 
 
-def _require_numbers(pattern: FramePattern, numbers: list[int], *, others: bool) -> None:
-    """Raise InputError unless a sequence has the frames of these numbers, with ``others`` allowed or not."""
+def _require_numbers(pattern: FramePattern, numbers: list[int], *, allow_more: bool = False) -> None:
+    """Raise InputError unless a sequence has the frames of these numbers, and without ``allow_more`` no others."""
     here = {number for number, _ in pattern.find()}
     missing, more = sorted(set(numbers) - here), sorted(here - set(numbers))
-    if missing or (more and not others):
+    if missing or (more and not allow_more):
         raise InputError(
             f"sequence {str(pattern)!r}",
             expected="the frame numbers of the reference",
@@ -211,8 +233,9 @@ def _require_numbers(pattern: FramePattern, numbers: list[int], *, others: bool)
 def _read_targets(
     frames: list[tuple[int, Path]], guiding: FramePattern | None
 ) -> Iterator[tuple[int, FloatArray, Any, bool]]:
-    """Yield number, image, mask of what came into view or None, and whether the frame follows no other."""
+    """Yield number, image, mask of the pixels that came into view or None, and whether the frame begins a new take."""
     from lobewise.interchange import read_image
+    from lobewise.io.exr.layout import name_file
     from lobewise.metrics import find_disoccluded
 
     before: Guides | None = None
@@ -222,27 +245,29 @@ def _read_targets(
         target = read_image(path)
         now = mask = None
         if guiding is not None:
-            holder = guiding.name(number)
-            now = _read_guides(holder)
-            try:
+            now = _read_guides(guiding.name(number))
+            with name_file(guiding.name(number)):
                 if before is not None and not cut:
                     mask = find_disoccluded(*now, *before)
-                if now[0].shape != target.shape[:2]:
-                    height, width = now[0].shape or (0, 0)
-                    raise InputError(
-                        "guides",
-                        expected=f"the size of the reference, {target.shape[1]}x{target.shape[0]} pixels",
-                        got=f"{width}x{height}",
-                        action="give those of the same frames",
-                    )
-            except LobewiseError as problem:
-                raise type(problem)(f"{holder}: {problem}") from None
+                _require_size(now[0], target)
         yield number, target, mask, cut
         before, last = now, number
 
 
+def _require_size(gbuffer: GBuffer, target: FloatArray) -> None:
+    """Raise InputError unless the guides have the size of the reference."""
+    if gbuffer.shape != target.shape[:2]:
+        height, width = gbuffer.shape or (0, 0)
+        raise InputError(
+            "guides",
+            expected=f"the size of the reference, {target.shape[1]}x{target.shape[0]} pixels",
+            got=f"{width}x{height}",
+            action="give those of the same frames",
+        )
+
+
 def _find_lacking(path: Path) -> str | None:
-    """Return what a file lacks to follow its surfaces to another frame, None if nothing."""
+    """Return why the surfaces of a file cannot be found in another frame, None if they can."""
     from lobewise.io import describe_file
 
     found = describe_file(path)
@@ -252,7 +277,7 @@ def _find_lacking(path: Path) -> str | None:
 
 
 def _read_guides(path: Path) -> Guides:
-    """Return G-buffer and camera of a file, whether it was shaded sparsely or not."""
+    """Return G-buffer and camera of a file, which may be a sparse frame."""
     from lobewise.io.exr import read_whole
     from lobewise.io.exr.parsing import read_container
 

@@ -28,20 +28,26 @@ Progress = Callable[[str, int, int], None]
 
 FRAME, REFERENCE = "showroom-4spp.exr", "showroom-reference.exr"
 REFERENCE_SEED = 1000
-# The best of a grid search over both and the screen distance, on the frame inside the package.
-_NORMAL: dict[str, Any] = {"similarity": "normal", "normal_exponent": 64.0, "screen_sigma": 2.0, "quality": "fast"}
+"""Seed of a rendered reference: its noise must differ from the noise of the frame."""
+_TUNED_NORMAL: dict[str, Any] = {
+    "similarity": "normal",
+    "normal_exponent": 64.0,
+    "screen_sigma": 2.0,
+    "quality": "fast",
+}
+"""Best settings of the normal-aware filter: a grid search on the frame inside the package, against its reference."""
 METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     (
         "normal",
         "normal-aware",
         "Cross-bilateral filter that compares depth and shading normals: the usual filter for diffuse surfaces.",
-        _NORMAL,
+        _TUNED_NORMAL,
     ),
     (
         "normal-limited",
         "normal-aware, band-limited",
-        "The same, its kernel narrowed on the screen where the BRDF is sharp.",
-        {**_NORMAL, "band_limit": 1.0},
+        "The normal-aware filter with a kernel that is narrower on the screen where the BRDF is sharp.",
+        {**_TUNED_NORMAL, "band_limit": 1.0},
     ),
     (
         "sg",
@@ -58,21 +64,15 @@ METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     (
         "balanced",
         "ggx lobe and noise",
-        "The same lobes, and what two halves of the samples tell: pixels that differ by more than noise are kept "
-        "apart.",
+        "Compares the same lobes, and two halves of the samples: pixels that differ by more than noise are kept apart.",
         {"similarity": "ggx", "quality": "balanced"},
     ),
-    (
-        "default",
-        "lobewise",
-        "What `lobewise denoise` makes if nothing else is said.",
-        {},
-    ),
+    ("default", "lobewise", "The result of `lobewise denoise` without options.", {}),
 )
 OIDN_REMARK = (
     "Open Image Denoise is a neural network trained on many renders, given the same radiance with the same albedo and "
-    "normals. It knows neither the camera nor the roughness, and no parameter was tuned for it. It stands here as what "
-    "there is to reach. The default of lobewise mixes its image with that of the lobes, pixel by pixel."
+    "normals. It knows neither the camera nor the roughness, and no parameter was tuned for it. It is the mark to "
+    "reach. The default of lobewise mixes its image with the image of the lobe filter, pixel by pixel."
 )
 
 
@@ -87,29 +87,9 @@ def make_demo(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Path:
-    """Filter a frame in every way and write ``report.html`` into ``folder``; return its path.
+    """Filter a frame with every method and write ``report.html`` into ``folder``; return the path of the page.
 
-    Parameters
-    ----------
-    folder : path-like
-        Where to; created if it is not there.
-    live : bool
-        Whether to render the frame first, which needs Mitsuba; else the one inside the package is used.
-    scene, spp, reference_spp, size : str, int
-        What to render with ``live``: scene, samples per pixel of the frame and of the reference, pixels a side.
-    device : str
-        Where the filters run.
-    progress : callable, optional
-        Called with (what is being done, done, total).
-
-    Raises
-    ------
-    FileError
-        If the folder cannot be made or written to, or the scene cannot be read.
-    InputError
-        If an option is out of range, or options for ``live`` come without it.
-    MissingDependencyError
-        If ``live`` needs a package or library that is not installed.
+    The parameters are the options of `lobewise demo`; ``progress`` is called with (name of the step, done, total).
     """
     say = progress or (lambda _what, _done, _total: None)
     if not live and (scene, spp, reference_spp, size) != ("showroom", 4, 1024, 512):
@@ -134,7 +114,7 @@ def make_demo(
     mask = find_specular_pixels(frame.gbuffer)
     name = Path(scene).stem.capitalize()
     report = Report(
-        title=f"{name} at {frame.spp} samples per pixel, filtered {_count(len(pictures) - 1)} ways",
+        title=f"{name} at {frame.spp} samples per pixel, filtered {_spell_number(len(pictures) - 1)} ways",
         subtitle=f"{frame.width}\u00d7{frame.height} pixels, path traced. Each filter sees the same noisy frame; the "
         f"reference was rendered with {samples} samples per pixel.",
         pictures=pictures,
@@ -152,13 +132,7 @@ def make_demo(
 
 
 def load_bundled() -> tuple[Frame, FloatArray, int]:
-    """Return the frame inside the package, its reference, and how many samples that has.
-
-    Raises
-    ------
-    FileError
-        If the package was built without them.
-    """
+    """Return the frame inside the package, its reference, and the reference's samples per pixel."""
     folder = files("lobewise").joinpath("data")
     with as_file(folder.joinpath(FRAME)) as path:
         frame = restore_positions(read_frame(path))
@@ -168,7 +142,7 @@ def load_bundled() -> tuple[Frame, FloatArray, int]:
 
 
 def restore_positions(frame: Frame) -> Frame:
-    """Return the frame with world positions made from depth and camera, which the small file leaves out."""
+    """Return the frame with world positions, computed from depth and camera: the small file leaves them out."""
     depth, camera = frame.gbuffer.depth, frame.camera
     if frame.gbuffer.position is not None or depth is None or camera is None:
         return frame
@@ -177,23 +151,16 @@ def restore_positions(frame: Frame) -> Frame:
 
 
 def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], list[str]]:
-    # So that it can be measured and shown.
+    # Metrics and pictures need finite pixels.
     noisy = blacken_bad(frame.radiance.color)
-    pictures = [
-        Picture(
-            "noisy",
-            "noisy",
-            noisy,
-            f"Path traced with {frame.spp} samples per pixel.",
-        )
-    ]
+    pictures = [Picture("noisy", "noisy", noisy, f"Path traced with {frame.spp} samples per pixel.")]
     total = len(METHODS) + 1
     for done, (key, title, note, settings) in enumerate(METHODS):
         say("Filtering", done, total)
-        # The first call compiles the kernel; people wait for that once, and the page tells the time of the second.
+        # The first call compiles the kernel. The page shows the time of the second call.
         denoise(frame, device=device, **settings)
         result = denoise(frame, device=device, **settings)
-        shown = {name: result.settings[name] for name in _choose_settings(result.settings)}
+        shown = {name: result.settings[name] for name in _list_used_settings(result.settings)}
         note += "" if settings else f" Here: {result.method}."
         pictures.append(Picture(key, title, result.image, note, shown, result.seconds))
     say("Filtering", total - 1, total)
@@ -219,8 +186,8 @@ def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], li
     return pictures, remarks
 
 
-def _choose_settings(settings: dict[str, Any]) -> list[str]:
-    """Return the parameters that a similarity uses."""
+def _list_used_settings(settings: dict[str, Any]) -> list[str]:
+    """Return the names of the settings that a similarity uses."""
     names = ["quality", "form", "radius", "screen_sigma", "position_sigma"]
     if settings["similarity"] == "normal":
         return [*names, "normal_exponent", "band_limit"]
@@ -258,6 +225,6 @@ def _find_version(name: str) -> str:
         return "unknown"
 
 
-def _count(number: int) -> str:
+def _spell_number(number: int) -> str:
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     return words[number] if number < len(words) else str(number)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.options import with_settings
+from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
 from lobewise.exporting.names import SHADER_LANGUAGES, TARGETS, ExportSettings
 
@@ -19,14 +19,14 @@ def export(
     ],
     settings: dict[str, Any],
     target: Annotated[
-        str, typer.Option(metavar="NAME", help="Where it is to run, or hlsl, glsl, wgsl; see above.")
+        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl; see above.")
     ] = "host",
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="What files and C functions begin with.", show_default="lobewise"),
+        typer.Option(metavar="NAME", help="Beginning of the names of files and C functions.", show_default="lobewise"),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier export, with all that is in its folder.")
+        bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")
     ] = False,
 ) -> None:
     """Compile a filter ahead of time: a library with C header, README and example; or the weights as a shader."""
@@ -51,13 +51,13 @@ def export(
     from lobewise.exporting.plan import FilterPlan
 
     command = export_library(output, FilterPlan(**settings), target=target, name=name or "lobewise", force=force)
-    print_line(f"Wrote {output}; README.md says what is there. In that folder: {command}")
+    print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 
-# Options stand in narrow columns, which would cut these names off.
+# The narrow columns of the options would cut these names off.
 export.__doc__ = f"""{export.__doc__}
 
-Targets, all compiled for in the tests: {", ".join(TARGETS)}. Others of these processors and systems are tried.
+Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
 Shader languages, with the weights alone: {", ".join(SHADER_LANGUAGES)}.
 """

@@ -26,7 +26,7 @@ def fit(
         str | None,
         typer.Option(
             metavar="SCENE#ID",
-            help="Instead: a BSDF of a Mitsuba scene, by its id or that of a shape.",
+            help="Instead: a BSDF of a Mitsuba scene, by its id or the id of a shape.",
             show_default=False,
         ),
     ] = None,
@@ -37,13 +37,13 @@ def fit(
         typer.Option(
             "--plot",
             metavar="FILE.png",
-            help="Where to draw fit against data; by default beside the output.",
+            help="The plot of fit against data; by default beside the output.",
             show_default=False,
         ),
     ] = None,
     no_plot: Annotated[bool, typer.Option("--no-plot", help="Draw nothing.")] = False,
 ) -> None:
-    """Turn a measured material, or one of a Mitsuba scene, into lobes, and say how near they are."""
+    """Fit lobes to a measured material, or to a material of a Mitsuba scene, and print how well they fit."""
     from lobewise.io.files import require_other_files
 
     if (material is None) == (mitsuba is None):
@@ -69,17 +69,7 @@ def fit(
 
 
 def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:
-    """Return where the plot goes, or None for no plot; both paths can be written.
-
-    Raises
-    ------
-    FileError
-        If one of them cannot be written.
-    InputError
-        If they are the same, or a plot is named and not wanted.
-    MissingDependencyError
-        If a plot is wanted and Matplotlib is not installed.
-    """
+    """Return the path of the plot, None for no plot; raise an error unless both files can be written."""
     from lobewise.io.files import require_writable
     from lobewise.reporting.plotting import require_matplotlib
 
@@ -107,38 +97,26 @@ def fit_material(
     plot: Path | None,
     grid: Mapping[str, Any] | None = None,
 ) -> None:
-    """Fit a material, print the residuals, and write its lobe file and plot.
+    """Fit a material, print the residuals, and write its lobe file and plot after everything is computed.
 
-    Nothing is written before all is computed.
-
-    Parameters
-    ----------
-    evaluate : callable
-        The material; see `lobewise.fitting.fit.Evaluate`.
-    name : str
-        What it is called.
-    output : Path
-        The lobe file.
-    lobes, kind
-        See `lobewise.fitting.fit.fit_lobes`.
-    plot : Path, optional
-        The PNG file, if any.
-    grid : mapping, optional
-        ``cosines`` and ``azimuths`` of the views, if not the usual ones.
+    ``grid`` holds ``cosines`` and ``azimuths`` of the views; by default those of `lobewise.fitting.fit.fit_lobes`.
     """
     from lobewise.cli.output import print_fit, print_line
-    from lobewise.cli.shared import show_progress
+    from lobewise.cli.terminal.steps import Steps
     from lobewise.fitting.fit import fit_lobes
     from lobewise.io.files import open_atomic
     from lobewise.io.materials import write_lobe_table
     from lobewise.reporting.fit_plot import draw_fit
 
-    with show_progress() as advance:
-
-        def progress(done: int, total: int) -> None:
-            advance(f"Fitting {name}", done, total)
-
-        table = fit_lobes(evaluate, lobes=lobes, kind=kind, name=name, progress=progress, **(grid or {}))
+    with Steps() as steps:
+        table = fit_lobes(
+            evaluate,
+            lobes=lobes,
+            kind=kind,
+            name=name,
+            progress=lambda done, total: steps.tell(f"Fitting {name}", done, total),
+            **(grid or {}),
+        )
     picture = None if plot is None else draw_fit(table, evaluate)
     write_lobe_table(output, table)
     if plot is not None and picture is not None:

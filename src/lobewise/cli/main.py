@@ -1,4 +1,4 @@
-"""Which verb runs, and what its failures look like."""
+"""Runs the verb of a command line, and turns its failures into one sentence and an exit code."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import lobewise
 from lobewise.cli import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 from lobewise.errors import LobewiseError, make_printable
 
-EXIT_OK, EXIT_OURS, EXIT_USER = 0, 1, 2
-_PYTHONS_WAY = warnings.showwarning
-REPORT_AT = "https://github.com/lobewise/lobewise/issues"
+EXIT_OK, EXIT_INTERNAL_ERROR, EXIT_USER_ERROR = 0, 1, 2
+_show_warning_by_default = warnings.showwarning
+BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 
 
 def run(arguments: list[str]) -> int:
@@ -26,17 +26,17 @@ def run(arguments: list[str]) -> int:
     from lobewise.cli.terminal.help import asks_for_all
 
     for stream in (sys.stdout, sys.stderr):
-        # Names of files may hold bytes, and messages letters, that the terminal's encoding lacks.
+        # File names may hold bytes, and messages letters, that the terminal's encoding lacks.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # Accepted anywhere, because it is added to a line that has just failed.
+    # Accept --debug anywhere: users append it to the command line that has just failed.
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
     command = typer.main.get_command(app)
     warnings.showwarning = _show_warning
     try:
-        # Not by its own `main`, which has its own ideas of exit codes, interrupts and closed pipes.
+        # Typer's own `main` handles exit codes, interrupts and closed pipes differently.
         with command.make_context("lobewise", arguments or ["--help"], obj=asks_for_all(arguments[:end])) as context:
             command.invoke(context)
         if sys.stdout is not None:
@@ -45,9 +45,9 @@ def run(arguments: list[str]) -> int:
     except typer.Exit as leave:
         return int(leave.exit_code)
     except LobewiseError as problem:
-        return _fail(str(problem), EXIT_USER, debug)
+        return _fail(str(problem), EXIT_USER_ERROR, debug)
     except BrokenPipeError:
-        # The reader of a pipe has seen enough. Python flushes again at exit, and must find an open end.
+        # The reader closed the pipe. Python flushes stdout again at exit: give it an open file.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except (KeyboardInterrupt, typer.Abort):
@@ -56,22 +56,22 @@ def run(arguments: list[str]) -> int:
         if interrupts:
             return _fail(INTERRUPTED, EXIT_INTERRUPTED, debug)
         if hasattr(problem, "format_message"):
-            # A mistake in the command line, told by the parser, whose class depends on typer's version.
+            # The parser found a mistake in the command line. The class of its error depends on typer's version.
             verb = next((word for word in arguments if not word.startswith("-")), "")
             known = verb in getattr(command, "commands", {})
             text = problem.format_message().rstrip(".")
-            return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER, debug)
+            return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER_ERROR, debug)
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
         text = f"something went wrong inside lobewise {lobewise.__version__} ({what}); run it again with --debug"
-        return _fail(f"{text} and report what it says at {REPORT_AT}.", EXIT_OURS, debug)
+        return _fail(f"{text} and report what it says at {BUG_REPORT_URL}.", EXIT_INTERNAL_ERROR, debug)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *rest: object, **more: object) -> None:
-    """Show a warning of this package as the other remarks; leave all others to Python."""
+    """Print a warning of this package like a remark; show all other warnings as Python does."""
     if category.__module__.startswith("lobewise."):
         _write_line(str(message))
     else:
-        _PYTHONS_WAY(message, category, *rest, **more)  # type: ignore[arg-type]
+        _show_warning_by_default(message, category, *rest, **more)  # type: ignore[arg-type]
 
 
 def _fail(text: str, code: int, debug: bool) -> int:
@@ -82,7 +82,7 @@ def _fail(text: str, code: int, debug: bool) -> int:
 
 
 def _write_line(text: str) -> None:
-    # A process can be started without a standard error.
+    # A process can be started without standard error.
     if sys.stderr is not None:
         with suppress(OSError):
             sys.stderr.write(f"lobewise: {make_printable(text)}\n")

@@ -1,4 +1,4 @@
-"""What the verbs print: results on standard output, remarks on standard error."""
+"""Printing: results go to standard output, remarks to standard error."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from lobewise.cli.terminal.steps import pause_steps
 from lobewise.errors import make_printable
 from lobewise.frame import Result
 from lobewise.io import FileDescription
+from lobewise.io.exr.describe import PartDescription
 from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
@@ -23,43 +24,52 @@ if TYPE_CHECKING:
 
 
 class _Console(Console):
-    """A console that leaves closed pipes to the entry point."""
+    """A console that reports a closed pipe to the entry point."""
 
     def on_broken_pipe(self) -> None:
-        """Pass the failure on: the default is to leave at once, with exit code 1."""
+        """Raise the error that Rich turned into an exit with code 1."""
         raise BrokenPipeError
 
 
 def make_text(text: str, style: str = "") -> Text:
-    """Return a text that comes out letter for letter: no markup, and no control characters of file names."""
+    """Return a text that is printed letter for letter: without markup, and with control characters escaped."""
     return Text(make_printable(text), style=style)
 
 
 def open_console() -> Console:
-    """Return a console for results, on standard output."""
+    """Return a console on standard output, for results."""
     return _Console()
 
 
 def print_line(text: str) -> None:
-    """Print a line of result, exactly as it is."""
+    """Print a line of a result, without markup or line breaks."""
     with pause_steps():
         _Console().print(make_text(text), soft_wrap=True)
 
 
 def print_note(text: str) -> None:
-    """Print a remark that is no result."""
+    """Print a remark on standard error."""
     with pause_steps():
         Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
-def describe_result(result: Result) -> str:
-    """Return in one line what was done, in words that need no knowledge of the filter, and how long it took."""
-    return _describe(result, (result.image.shape[0], result.image.shape[1]))
-
-
-def describe_file_result(done: DenoisedFile) -> str:
-    """Return the same of a file that was denoised in bands, and in how many."""
-    return _describe(done, done.shape, f" in {done.bands} band{'s' if done.bands != 1 else ''}")
+def describe_result(result: Result | DenoisedFile) -> str:
+    """Return in one line the size, how it was filtered, the seconds it took and the bad pixels."""
+    settings = result.settings
+    if isinstance(result, Result):
+        (height, width), bands = result.image.shape[:2], ""
+    else:
+        height, width = result.shape
+        bands = f" in {result.bands} band{'s' if result.bands != 1 else ''}"
+    told = [f"{width}x{height} pixels{bands}"]
+    if settings.get("bilinear"):
+        told.append("interpolated between pixels")
+    elif "quality" in settings:
+        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
+        told.append(f"quality {settings['quality']}{peer}")
+    line = ", ".join([*told, f"{result.seconds:.2f} s"])
+    count = result.bad_pixel_count
+    return f"{line}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else line
 
 
 def describe_settings(result: Result | DenoisedFile) -> str:
@@ -68,22 +78,8 @@ def describe_settings(result: Result | DenoisedFile) -> str:
     return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)
 
 
-def _describe(result: Result | DenoisedFile, shape: tuple[int, int], how: str = "") -> str:
-    settings, told = result.settings, [f"{shape[1]}x{shape[0]} pixels{how}"]
-    if settings.get("bilinear"):
-        told.append("interpolated between pixels")
-    else:
-        peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
-        told += [f"quality {settings['quality']}{peer}"] if "quality" in settings else []
-    told = [", ".join([*told, f"{result.seconds:.2f} s"])]
-    count = result.bad_pixel_count
-    if count:
-        told.append(f"{count} bad pixel{'s' if count != 1 else ''} refilled")
-    return "; ".join(told)
-
-
 def to_json(value: Any) -> str:
-    """Return strict JSON: arrays as lists, infinite and undefined numbers as null."""
+    """Return strict JSON: arrays become lists; infinities and NaN become null."""
 
     def clean(item: Any) -> Any:
         if isinstance(item, Mapping):
@@ -100,9 +96,9 @@ def to_json(value: Any) -> str:
 
 
 def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
-    """Print one line of figures per image; the best of each column stands out, and a missing one is none."""
+    """Print one line of figures per image. The best of each column is bold; a missing figure reads "none"."""
     metrics = list(metrics)
-    # Without lines between them seven figures and a name fit 80 columns.
+    # Seven figures and a name fit 80 columns only without lines between the columns.
     table = Table(title=make_text(f"against {reference}"), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("image", overflow="fold", min_width=12)
     best: dict[str, float | None] = {}
@@ -130,17 +126,13 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
 
 
 def print_devices(devices: Iterable[tuple[str, bool, str]]) -> None:
-    """Print the devices, those that cannot run with the reason."""
-    table = Table()
-    for title in ("device", "runs here", "what it is, or why not"):
-        table.add_column(title, overflow="fold")
-    for name, available, reason in devices:
-        table.add_row(make_text(name), "yes" if available else "no", make_text(reason))
-    _Console().print(table)
+    """Print the devices, and why filters cannot run on one."""
+    rows = [(name, "yes" if available else "no", reason) for name, available, reason in devices]
+    _Console().print(_make_listing("", ("device", "runs here", "what it is, or why not"), rows))
 
 
 def print_fit(table: LobeTable) -> None:
-    """Print how near the lobes of a material are to its data at each view, and the GGX that is nearest."""
+    """Print how well the lobes of a material fit its data at each view, and the parameters of the nearest GGX."""
     many = not table.is_isotropic
     listing = Table(
         title=make_text(
@@ -155,7 +147,7 @@ def print_fit(table: LobeTable) -> None:
         listing.add_column("albedo", justify="right", no_wrap=True)
     for row in range(table.cosine.size - 1, -1, -1):
         nearness = float(table.cosine_l2[row].min())
-        # The distance of the best multiple of the lobes from the data, in the unit of the data's norm.
+        # The residual is the distance from the data to the best multiple of the lobes, over the norm of the data.
         cells = [f"{table.cosine[row]:.3f}", f"{nearness:.4f}", f"{100 * math.sqrt(1 - min(nearness, 1) ** 2):.1f} %"]
         if not many:
             cells.append(", ".join(f"{alpha:.3f}" for alpha in table.alpha[row, 0]))
@@ -165,57 +157,26 @@ def print_fit(table: LobeTable) -> None:
 
 
 def print_description(found: FileDescription, *, with_attributes: bool) -> None:
-    """Print the parts and channels, what each image of a frame is read from, and what that means."""
+    """Print the parts and channels of a file, the channels of each image of a frame, and what missing images cost."""
     console = _Console()
-    size = found.bytes / 1e6
-    console.print(
-        make_text(f"{found.path}: {size:.1f} MB, {len(found.parts)} part{'s' if len(found.parts) != 1 else ''}")
-    )
+    parts = f"{len(found.parts)} part{'s' if len(found.parts) != 1 else ''}"
+    console.print(make_text(f"{found.path}: {found.bytes / 1e6:.1f} MB, {parts}"))
     for index, part in enumerate(found.parts):
-        data, display = part.data_window, part.display_window
-        title = (
-            f"part {index}" + (f" '{part.name}'" if part.name else "") + (f", view {part.view}" if part.view else "")
-        )
-        window = f"{data.width}x{data.height}"
-        if data != display:
-            window += f" at ({data.x_min}, {data.y_min}) of {display.width}x{display.height}"
-        table = Table(title=make_text(f"{title}: {window}, {part.kind}, {part.compression}"), title_justify="left")
-        for column in ("channel", "type", "read as"):
-            table.add_column(column, overflow="fold")
-        for channel in part.channels:
-            table.add_row(
-                make_text(channel.name), channel.pixel_type, channel.used_as or make_text("only copied", style="dim")
-            )
-        console.print(table)
+        channels = [(one.name, one.pixel_type, one.used_as or _dim("only copied")) for one in part.channels]
+        console.print(_make_listing(_describe_part(index, part), ("channel", "type", "read as"), channels))
         if with_attributes:
-            listing = Table(title="attributes", title_justify="left")
-            for column in ("name", "type", "value"):
-                listing.add_column(column, overflow="fold")
-            for row in part.attributes:
-                listing.add_row(*map(make_text, row))
-            console.print(listing)
-    table = Table(title="what a frame can have", title_justify="left")
-    for column in ("image", "found", "meaning, or what follows without it"):
-        table.add_column(column)
-    for image in found.images:
-        # A half or variance that is missing as a whole is one line, not five.
-        if not image.found and image.label.count(".") > 1:
-            continue
-        text = image.meaning if image.found else f"missing: {image.missing}"
-        table.add_row(image.label, "yes" if image.found else "no", make_text(text, style="" if image.found else "dim"))
-    console.print(table)
+            console.print(_make_listing("attributes", ("name", "type", "value"), part.attributes))
+    images = [
+        (one.label, "yes" if one.found else "no", one.meaning if one.found else _dim(f"missing: {one.missing}"))
+        for one in found.images
+        # Where a half or a variance is missing as a whole, print one line instead of five.
+        if one.found or one.label.count(".") <= 1
+    ]
+    console.print(_make_listing("what a frame can have", ("image", "found", "meaning, or effect of its lack"), images))
     if found.reason:
         console.print(make_text(f"Read as {found.preset}, because {found.reason}."), soft_wrap=True)
-        listing = Table(title="what is taken", title_justify="left")
-        for column in ("image", "channels", "converted"):
-            listing.add_column(column, overflow="fold")
-        for role in found.roles:
-            listing.add_row(
-                make_text(role.role),
-                make_text(role.channels),
-                make_text(role.conversion or "as it is", style="" if role.conversion else "dim"),
-            )
-        console.print(listing)
+        roles = [(one.role, one.channels, one.conversion or _dim("as it is")) for one in found.roles]
+        console.print(_make_listing("what is taken", ("image", "channels", "converted"), roles))
     camera = "known" if found.camera else "unknown"
     console.print(make_text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
     if found.materials:
@@ -224,6 +185,30 @@ def print_description(found: FileDescription, *, with_attributes: bool) -> None:
     console.print(make_text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
     for note in found.notes:
         console.print(make_text(note), soft_wrap=True)
+
+
+def _describe_part(index: int, part: PartDescription) -> str:
+    """Return number, name, view, window and format of a part."""
+    data, display = part.data_window, part.display_window
+    title = f"part {index}" + (f" '{part.name}'" if part.name else "") + (f", view {part.view}" if part.view else "")
+    window = f"{data.width}x{data.height}"
+    if data != display:
+        window += f" at ({data.x_min}, {data.y_min}) of {display.width}x{display.height}"
+    return f"{title}: {window}, {part.kind}, {part.compression}"
+
+
+def _make_listing(title: str, columns: Sequence[str], rows: Iterable[Sequence[str | Text]]) -> Table:
+    """Return a table of texts, which are wrapped where they do not fit."""
+    table = Table(title=make_text(title) if title else None, title_justify="left")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(*(cell if isinstance(cell, Text) else make_text(cell) for cell in row))
+    return table
+
+
+def _dim(text: str) -> Text:
+    return make_text(text, style="dim")
 
 
 def _format(value: Any, digits: int = 5) -> str:

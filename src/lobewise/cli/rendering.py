@@ -3,180 +3,213 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.shared import Exposure, Output, Png, parse_place, plan_pictures, protect_from_pictures, show_progress
-from lobewise.cli.terminal.help import RESULT, SCENE_DETAILS, SEQUENCES
+from lobewise.cli.options.common import parse_place
+from lobewise.cli.options.spreading import with_groups
+from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
+from lobewise.cli.terminal.help import result_option, scene_detail, sequence_option
 from lobewise.cli.terminal.outcome import tell_picture
+from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lobewise.camera import Camera
+    from lobewise.frame import Frame
+    from lobewise.sparse_frame import SparseFrame
 
 CAMERA_PATHS = ("orbit", "still")
 
-Scene = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
-]
-Place = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ROW,COLUMN",
-        help="With --scale: which pixel of the block.",
-        show_default="0,0",
-        rich_help_panel=SCENE_DETAILS,
-    ),
-]
-Scale = Annotated[
-    int,
-    typer.Option(
-        metavar="N",
-        help="Shade one pixel of every NxN; guides everywhere, for upsample.",
-        rich_help_panel=SCENE_DETAILS,
-    ),
-]
-Frames = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        min=1,
-        help="Render so many frames, to -o out.####.exr.",
-        show_default=False,
-        rich_help_panel=SEQUENCES,
-    ),
-]
-CameraPath = Annotated[
-    str | None,
-    typer.Option(
-        metavar="orbit|still|FILE.json",
-        help="With --frames: where the camera goes.",
-        show_default="orbit",
-        rich_help_panel=SEQUENCES,
-    ),
-]
-Speed = Annotated[
-    float | None,
-    typer.Option(
-        metavar="DEGREES", help="Of an orbit, from frame to frame.", show_default="0.25", rich_help_panel=SEQUENCES
-    ),
-]
-Start = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        min=1,
-        help="With --frames: first frame of the path to render.",
-        show_default="1",
-        rich_help_panel=SEQUENCES,
-    ),
-]
-MovingObjects = Annotated[
-    bool,
-    typer.Option(
-        "--moving-objects",
-        help="With --frames: objects move too; showroom and parlour have some.",
-        rich_help_panel=SEQUENCES,
-    ),
-]
-Light = Annotated[str, typer.Option(metavar="all|indirect", help="indirect: only what was scattered more than once.")]
-Integrator = Annotated[
-    str,
-    typer.Option(
-        metavar="auto|paths|scene",
-        help="Whose light; auto: the scene's integrator, by paths where they equal it.",
-        rich_help_panel=SCENE_DETAILS,
-    ),
-]
-MaxDepth = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Longest path, in vertices after the camera.",
-        show_default="the scene's, or 8 without any",
-        rich_help_panel=SCENE_DETAILS,
-    ),
-]
-Define = Annotated[
-    list[str] | None,
-    typer.Option("--define", "-D", metavar="NAME=VALUE", help="What stands for $NAME in a Mitsuba XML file."),
-]
-AovOnly = Annotated[
-    bool, typer.Option("--aov-only", help="Only the G-buffer; the radiance is black.", rich_help_panel=RESULT)
-]
-Reference = Annotated[
-    bool, typer.Option("--reference", help="Only the radiance, for many samples.", rich_help_panel=RESULT)
-]
+
+@dataclass(frozen=True)
+class Sampling:
+    """Options that tell what to render of a scene, and with how many samples."""
+
+    spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4
+    width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None
+    height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None
+    seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0
+    max_depth: Annotated[
+        int | None,
+        scene_detail(
+            metavar="N",
+            help="Longest path, in vertices after the camera.",
+            show_default="the scene's, or 8 without any",
+        ),
+    ] = None
+    light: Annotated[
+        str, typer.Option(metavar="all|indirect", help="indirect: only light that was scattered more than once.")
+    ] = "all"
+    integrator: Annotated[
+        str,
+        scene_detail(
+            metavar="auto|paths|scene",
+            help="Who computes the light; auto: the scene's integrator, or path tracing where both agree.",
+        ),
+    ] = "auto"
+    define: Annotated[
+        list[str] | None,
+        typer.Option("--define", "-D", metavar="NAME=VALUE", help="Value of $NAME in a Mitsuba XML file."),
+    ] = None
+
+    def list_settings(self) -> dict[str, Any]:
+        """Return parameters of `lobewise.render.render_frame` and similar functions."""
+        return {name: getattr(self, name) for name in ("spp", "seed", "max_depth", "light", "integrator")}
+
+    def load(self, scene: str) -> Any:
+        """Return the scene, loaded with Mitsuba."""
+        from lobewise.render import load_scene
+
+        parameters = parse_definitions(self.define or [])
+        return load_scene(scene, width=self.width, height=self.height, parameters=parameters)
+
+    def describe_light(self, scene: Any) -> None:
+        """Print who computes the light, if there is a choice; raise InputError for a wrong integrator."""
+        from lobewise.cli.output import print_note
+        from lobewise.render.integrators import plan_light
+
+        told = plan_light(scene, self.integrator, self.max_depth).told
+        if told:
+            print_note(told)
 
 
+@dataclass(frozen=True)
+class Contents:
+    """Options that tell what the file holds."""
+
+    aov_only: Annotated[bool, result_option("--aov-only", help="Only the G-buffer; the radiance is black.")] = False
+    reference: Annotated[bool, result_option("--reference", help="Only the radiance, for many samples.")] = False
+    exact: Annotated[bool, result_option("--float", help="Store everything as 32-bit floats.")] = False
+
+    def write(self, path: Path, frame: Frame | SparseFrame, scene: str) -> None:
+        """Write a frame, with the name of its scene."""
+        from lobewise.io import write_frame, write_sparse_frame
+        from lobewise.sparse_frame import SparseFrame
+
+        if isinstance(frame, SparseFrame):
+            write_sparse_frame(path, frame, half=not self.exact)
+        else:
+            write_frame(path, frame, half=not self.exact, attributes={"lobewise/scene": scene})
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """Options that tell which pixels are shaded."""
+
+    scale: Annotated[
+        int, scene_detail(metavar="N", help="Shade one pixel of every NxN, with guides at every pixel, for upsample.")
+    ] = 1
+    place: Annotated[
+        str | None,
+        scene_detail(metavar="ROW,COLUMN", help="With --scale: the shaded pixel of each block.", show_default="0,0"),
+    ] = None
+
+    def parse_place(self) -> tuple[int, int]:
+        """Return row and column of the shaded pixel in its block."""
+        return parse_place(self.place or "0,0")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Options of a sequence."""
+
+    frames: Annotated[
+        int | None,
+        sequence_option(metavar="N", min=1, help="Render so many frames, to -o out.####.exr.", show_default=False),
+    ] = None
+    camera_path: Annotated[
+        str | None,
+        sequence_option(
+            metavar="orbit|still|FILE.json", help="With --frames: the path of the camera.", show_default="orbit"
+        ),
+    ] = None
+    speed: Annotated[
+        float | None,
+        sequence_option(metavar="DEGREES", help="Turn of the orbit from frame to frame.", show_default="0.25"),
+    ] = None
+    start: Annotated[
+        int | None,
+        sequence_option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
+    ] = None
+    moving_objects: Annotated[
+        bool, sequence_option("--moving-objects", help="With --frames: objects move too, in showroom and parlour.")
+    ] = False
+
+    @property
+    def path(self) -> str:
+        """``orbit``, ``still``, or the name of a file with cameras."""
+        return self.camera_path or "orbit"
+
+    def list_files(self, output: Path) -> dict[int, Path]:
+        """Return the file of every frame, by the frame's number."""
+        from lobewise.io.sequence import FramePattern, is_pattern
+
+        assert self.frames is not None
+        first = self.start or 1
+        pattern = FramePattern.parse(output) if self.frames > 1 or is_pattern(output) else None
+        numbers = range(first, first + self.frames)
+        return {number: pattern.name(number) if pattern else output for number in numbers}
+
+
+@with_groups
 def render(
-    scene: Scene,
+    scene: Annotated[
+        str,
+        typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
+    ],
     output: Output,
-    spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4,
-    width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None,
-    height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0,
-    max_depth: MaxDepth = None,
-    light: Light = "all",
-    integrator: Integrator = "auto",
-    define: Define = None,
-    aov_only: AovOnly = False,
-    reference: Reference = False,
-    scale: Scale = 1,
-    place: Place = None,
-    frames: Frames = None,
-    camera_path: CameraPath = None,
-    speed: Speed = None,
-    start: Start = None,
-    moving_objects: MovingObjects = False,
-    exact: Annotated[
-        bool, typer.Option("--float", help="Store everything as 32-bit floats.", rich_help_panel=RESULT)
-    ] = False,
-    png: Png = False,
-    exposure: Exposure = None,
+    *,
+    sampling: Sampling,
+    contents: Contents,
+    sparse: Sparse,
+    motion: Motion,
+    picture: Picture,
 ) -> None:
-    """Render a scene with Mitsuba, with all that denoising needs, in one EXR file, or one for each frame."""
-    on_path = (
-        ("--camera-path", camera_path is not None),
-        ("--speed", speed is not None),
-        ("--start", start is not None),
-        ("--moving-objects", moving_objects),
-    )
-    if frames is None:
-        _require_beside("--frames", on_path, "say how many frames")
+    """Render a scene with Mitsuba into one EXR file per frame, with every channel that denoising can use."""
+    _refuse_contradictions(contents, sparse, motion, picture)
+    # A wrong place is an error even where it is not used.
+    place = sparse.parse_place()
+    parse_definitions(sampling.define or [])
+    if motion.frames is not None:
+        _render_sequence(scene, output, sampling, contents, sparse.scale, motion, picture)
+    elif sparse.scale != 1:
+        _render_sparse(scene, output, sampling, contents, sparse.scale, place)
     else:
-        _refuse_beside("--frames", (("--aov-only", aov_only), ("--place", place is not None)))
-    if scale != 1:
-        _refuse_beside("--scale", (("--aov-only", aov_only), ("--reference", reference), ("--png", png)))
-    if aov_only:
-        _refuse_beside("--aov-only", (("--reference", reference), ("--png", png)))
-    if speed is not None and camera_path not in (None, "orbit"):
-        _refuse_beside(f"--camera-path {camera_path}", (("--speed", True),))
-    common: dict[str, Any] = {
-        "spp": spp,
-        "seed": seed,
-        "max_depth": max_depth,
-        "light": light,
-        "integrator": integrator,
+        _render_whole(scene, output, sampling, contents, picture)
+
+
+def _refuse_contradictions(contents: Contents, sparse: Sparse, motion: Motion, picture: Picture) -> None:
+    """Raise InputError if two options exclude each other, or an option lacks another that it needs."""
+    needs_frames = {
+        "--camera-path": motion.camera_path is not None,
+        "--speed": motion.speed is not None,
+        "--start": motion.start is not None,
+        "--moving-objects": motion.moving_objects,
     }
-    picture = png, exposure
-    size: dict[str, Any] = {"width": width, "height": height, "parameters": parse_definitions(define or [])}
-    if frames is not None:
-        path = {"camera_path": camera_path or "orbit", "speed": speed, "moving_objects": moving_objects}
-        many: dict[str, Any] = {**common, **size, **path, "scale": scale, "reference": reference}
-        _render_sequence(scene, output, frames=frames, start=start or 1, half=not exact, picture=picture, **many)
-    elif scale != 1:
-        _render_sparse(scene, output, size, {**common, "scale": scale, "place": parse_place(place or "0,0")}, not exact)
-    else:
-        # A place that is none is told, whether it is used or not.
-        parse_place(place or "0,0")
-        _render_whole(
-            scene, output, size, common, half=not exact, aov_only=aov_only, reference=reference, picture=picture
-        )
+    if motion.frames is None:
+        for other, given in needs_frames.items():
+            if given:
+                raise InputError(other, expected="--frames beside it", got="none", action="say how many frames")
+    rules: list[tuple[str, bool, dict[str, bool]]] = [
+        ("--frames", motion.frames is not None, {"--aov-only": contents.aov_only, "--place": sparse.place is not None}),
+        (
+            "--scale",
+            sparse.scale != 1,
+            {"--aov-only": contents.aov_only, "--reference": contents.reference, "--png": picture.png},
+        ),
+        ("--aov-only", contents.aov_only, {"--reference": contents.reference, "--png": picture.png}),
+        (f"--camera-path {motion.path}", motion.path != "orbit", {"--speed": motion.speed is not None}),
+    ]
+    for name, is_given, others in rules:
+        for other in (other for other, given in others.items() if is_given and given):
+            raise InputError(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
 
 
 def parse_definitions(words: Iterable[str]) -> dict[str, str]:
@@ -192,134 +225,103 @@ def parse_definitions(words: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _tell_light(scene: Any, settings: dict[str, Any], *, aov_only: bool = False) -> None:
-    """Say whose light is rendered, where there is a choice; refuse what cannot be."""
-    from lobewise.cli.output import print_note
-    from lobewise.render.integrators import plan_light
-
-    if not aov_only:
-        told = plan_light(scene, settings["integrator"], settings["max_depth"]).told
-        if told:
-            print_note(told)
-
-
-def _render_sparse(scene: str, output: Path, size: dict[str, Any], settings: dict[str, Any], half: bool) -> None:
-    """Render a frame at some of its pixels only."""
-    from lobewise.cli.output import print_line
-    from lobewise.io import write_sparse_frame
-    from lobewise.io.files import require_other_files, require_writable
-    from lobewise.render import load_scene, render_sparse_frame
-
-    require_writable(output)
-    require_other_files([output], [scene])
-    loaded = load_scene(scene, **size)
-    if settings["integrator"] == "paths":
-        _tell_light(loaded, settings)
-    with show_progress() as advance:
-        settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
-        frame = render_sparse_frame(loaded, **settings)
-    write_sparse_frame(output, frame, half=half)
-    scale, spp = settings["scale"], settings["spp"]
-    share = f"one of {scale}x{scale} pixels shaded"
-    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {share}, {spp} spp.")
-
-
-def _render_whole(
-    scene: str,
-    output: Path,
-    size: dict[str, Any],
-    settings: dict[str, Any],
-    *,
-    half: bool,
-    aov_only: bool,
-    reference: bool,
-    picture: tuple[bool, float | None],
+def _render_sparse(
+    scene: str, output: Path, sampling: Sampling, contents: Contents, scale: int, place: tuple[int, int]
 ) -> None:
-    """Render a frame, or a reference."""
-    from lobewise.cli.output import print_line
-    from lobewise.io import write_frame
+    """Render a frame of which one pixel in each block is shaded."""
     from lobewise.io.files import require_other_files, require_writable
-    from lobewise.render import load_scene, render_frame, render_reference
+    from lobewise.render import render_sparse_frame
 
     require_writable(output)
     require_other_files([output], [scene])
-    pictures = plan_pictures(*picture, output)
+    loaded = sampling.load(scene)
+    if sampling.integrator == "paths":
+        sampling.describe_light(loaded)
+    with Steps() as steps:
+        frame = render_sparse_frame(
+            loaded, scale=scale, place=place, progress=_show(steps, scene), **sampling.list_settings()
+        )
+    contents.write(output, frame, scene)
+    _tell_outcome(str(output), frame, sampling.spp, scale)
+
+
+def _render_whole(scene: str, output: Path, sampling: Sampling, contents: Contents, picture: Picture) -> None:
+    """Render a frame, or a reference."""
+    from lobewise.io.files import require_other_files, require_writable
+    from lobewise.render import render_frame, render_reference
+
+    require_writable(output)
+    require_other_files([output], [scene])
+    pictures = picture.plan(output)
     if pictures is not None:
         protect_from_pictures([output], [scene])
-    loaded = load_scene(scene, **size)
-    _tell_light(loaded, settings, aov_only=aov_only)
-    with show_progress() as advance:
-        settings["progress"] = lambda done, total: advance(f"Rendering {scene}", done, total)
-        frame = (
-            render_reference(loaded, **settings) if reference else render_frame(loaded, aov_only=aov_only, **settings)
-        )
-    write_frame(output, frame, half=half, attributes={"lobewise/scene": scene})
+    loaded = sampling.load(scene)
+    if not contents.aov_only:
+        sampling.describe_light(loaded)
+    with Steps() as steps:
+        settings = {**sampling.list_settings(), "progress": _show(steps, scene)}
+        if contents.reference:
+            frame = render_reference(loaded, **settings)
+        else:
+            frame = render_frame(loaded, aov_only=contents.aov_only, **settings)
+    contents.write(output, frame, scene)
     if pictures is not None:
         pictures.write(output, frame.radiance.color)
-    print_line(f"Wrote {output}: {frame.width}x{frame.height} pixels, {settings['spp']} spp.")
+    _tell_outcome(str(output), frame, sampling.spp)
     tell_picture(output, pictures)
 
 
 def _render_sequence(
-    scene: str,
-    output: Path,
-    *,
-    frames: int,
-    start: int,
-    camera_path: str,
-    speed: float | None,
-    moving_objects: bool,
-    width: int | None,
-    height: int | None,
-    parameters: dict[str, str],
-    half: bool,
-    picture: tuple[bool, float | None],
-    **settings: Any,
+    scene: str, output: Path, sampling: Sampling, contents: Contents, scale: int, motion: Motion, picture: Picture
 ) -> None:
-    """Render frames ``start`` to ``start + frames - 1`` of a path, each to its file as soon as it is there."""
-    from lobewise.cli.output import print_line
-    from lobewise.io import write_frame, write_sparse_frame
+    """Render the frames of a camera path. Each is written as soon as it is rendered."""
     from lobewise.io.files import require_other_files, require_writable
-    from lobewise.io.sequence import FramePattern, is_pattern
-    from lobewise.render import MovingScene, load_scene, render_sequence
+    from lobewise.render import MovingScene, render_sequence
     from lobewise.sparse_frame import SparseFrame
 
-    pattern = FramePattern.parse(output) if frames > 1 or is_pattern(output) else None
-    last = start + frames - 1
-    files = {number: pattern.name(number) if pattern else output for number in range(start, last + 1)}
-    require_writable(files[start])
-    require_other_files(files.values(), [scene, camera_path])
-    pictures = plan_pictures(*picture, files[start])
+    files = motion.list_files(output)
+    first, last = min(files), max(files)
+    require_writable(files[first])
+    require_other_files(files.values(), [scene, motion.path])
+    pictures = picture.plan(files[first])
     if pictures is not None:
-        protect_from_pictures(files.values(), [scene, camera_path])
-    moving = MovingScene(scene, width, height) if moving_objects else None
-    loaded = load_scene(scene, width=width, height=height, parameters=parameters)
-    _tell_light(loaded, settings)
-    cameras = _plan_cameras(loaded, camera_path, last, speed)
-    wide = high = 0
-    with show_progress() as advance:
-        advance(f"Rendering {scene}", 0, frames)
-        rendered = render_sequence(moving or loaded, cameras, first=start - 1, **settings)
-        # A second scene in memory would be compiled into every kernel.
+        protect_from_pictures(files.values(), [scene, motion.path])
+    moving = MovingScene(scene, sampling.width, sampling.height) if motion.moving_objects else None
+    loaded = sampling.load(scene)
+    sampling.describe_light(loaded)
+    cameras = _plan_cameras(loaded, motion.path, last, motion.speed)
+    with Steps() as steps:
+        show = _show(steps, scene)
+        show(0, len(files))
+        settings = {**sampling.list_settings(), "scale": scale, "reference": contents.reference}
+        rendered = render_sequence(moving or loaded, cameras, first=first - 1, **settings)
+        # Mitsuba would compile a second scene in memory into every kernel.
         del loaded
         for (number, file), frame in zip(files.items(), rendered, strict=True):
-            if isinstance(frame, SparseFrame):
-                write_sparse_frame(file, frame, half=half)
-            else:
-                write_frame(file, frame, half=half, attributes={"lobewise/scene": scene})
-                if pictures is not None:
-                    pictures.write(file, frame.radiance.color)
-            wide, high = frame.width, frame.height
-            advance(f"Rendering {scene}", number - start + 1, frames)
-    scale, spp = settings["scale"], settings["spp"]
-    share = f"one of {scale}x{scale} pixels shaded, " if scale != 1 else ""
-    names = f"{files[start]} to {files[last].name}" if frames > 1 else f"{files[start]}"
-    print_line(f"Wrote {names}: {wide}x{high} pixels, {share}{spp} spp.")
+            contents.write(file, frame, scene)
+            if pictures is not None and not isinstance(frame, SparseFrame):
+                pictures.write(file, frame.radiance.color)
+            show(number - first + 1, len(files))
+    _tell_outcome(
+        f"{files[first]} to {files[last].name}" if last > first else str(files[first]), frame, sampling.spp, scale
+    )
     tell_picture(output, pictures)
 
 
+def _show(steps: Steps, scene: str) -> Callable[[int, int], None]:
+    """Return a function that shows how much of a scene is rendered."""
+    return lambda done, total: steps.tell(f"Rendering {scene}", done, total)
+
+
+def _tell_outcome(names: str, frame: Frame | SparseFrame, spp: int, scale: int = 1) -> None:
+    from lobewise.cli.output import print_line
+
+    share = f"one of {scale}x{scale} pixels shaded, " if scale != 1 else ""
+    print_line(f"Wrote {names}: {frame.width}x{frame.height} pixels, {share}{spp} spp.")
+
+
 def _plan_cameras(scene: Any, path: str, count: int, speed: float | None) -> list[Camera]:
-    """Return the cameras of the first ``count`` frames of a path."""
+    """Return the cameras of the first ``count`` frames of a path; ``speed`` is in degrees per frame."""
     from lobewise.render import find_orbit_centre, get_camera, make_orbit, read_camera_path
 
     camera = get_camera(scene)
@@ -339,17 +341,3 @@ def _plan_cameras(scene: Any, path: str, count: int, speed: float | None) -> lis
             action="ask for fewer frames",
         )
     return cameras[:count]
-
-
-def _refuse_beside(name: str, others: Iterable[tuple[str, bool]]) -> None:
-    """Raise InputError if another option is given that makes no sense beside this one."""
-    for other, given in others:
-        if given:
-            raise InputError(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
-
-
-def _require_beside(name: str, others: Iterable[tuple[str, bool]], action: str) -> None:
-    """Raise InputError if another option is given that needs this one, which is not."""
-    for other, given in others:
-        if given:
-            raise InputError(other, expected=f"{name} beside it", got="none", action=action)

@@ -2,19 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options import with_settings
-from lobewise.cli.reading import CameraFile, Half, Maps, Preset, Reading
-from lobewise.cli.shared import parse_size
-from lobewise.cli.terminal.help import FILTERING, PAGE
+from lobewise.cli.options.common import parse_size
+from lobewise.cli.options.reading import Reading
+from lobewise.cli.options.spreading import with_groups, with_settings
+from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
+
+if TYPE_CHECKING:
+    from lobewise.viewer import Viewer
+
+
+@dataclass(frozen=True)
+class Page:
+    """Options of the page."""
+
+    port: Annotated[int, page_option(metavar="N", min=0, max=65535, help="Port of the page, or the next free one.")] = (
+        8080
+    )
+    host: Annotated[
+        str, page_option(metavar="ADDRESS", help="Address of the page; 0.0.0.0 lets other machines in.")
+    ] = "127.0.0.1"
+    token: Annotated[
+        str | None,
+        page_option(
+            metavar="WORD", envvar="LOBEWISE_TOKEN", help="Secret in the page's URL.", show_default="a random one"
+        ),
+    ] = None
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's")
+    ] = None
+    fixed_size: Annotated[
+        bool, typer.Option("--fixed-size", help="Keep the size and aspect in every window, also in motion.")
+    ] = False
+    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False
 
 
 @with_settings(
@@ -25,6 +54,7 @@ from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
     similarity="ggx",
     radius="2, a frame's 8",
 )
+@with_groups
 def view(
     target: Annotated[
         str,
@@ -34,87 +64,73 @@ def view(
             show_default=False,
         ),
     ],
+    *,
     settings: dict[str, Any],
-    port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Of the page; the next free one.", rich_help_panel=PAGE)
-    ] = 8080,
-    host: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS", help="Where the page is; 0.0.0.0 lets other machines in.", rich_help_panel=PAGE
-        ),
-    ] = "127.0.0.1",
-    token: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WORD",
-            envvar="LOBEWISE_TOKEN",
-            help="Secret in the page's URL.",
-            show_default="a random one",
-            rich_help_panel=PAGE,
-        ),
-    ] = None,
-    size: Annotated[
-        str | None,
-        typer.Option(metavar="WxH", help="Pixels of a scene's picture.", show_default="the scene's"),
-    ] = None,
-    fixed_size: Annotated[
-        bool,
-        typer.Option("--fixed-size", help="Keep that size and its aspect whatever the window, also in motion."),
-    ] = False,
-    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False,
-    preset: Preset = None,
-    maps: Maps = None,
-    camera: CameraFile = None,
-    half: Half = None,
+    page: Page,
+    reading: Reading,
 ) -> None:
     """Show a scene or a finished frame, of any renderer, in the browser, with every setting as a slider."""
-    is_frame, reading = _is_frame(target), Reading(preset, maps, camera, half)
-    given = [f"--{name}" for name in ("method", "scale") if name in settings]
-    given += ["--size"] * (size is not None) + ["--fixed-size"] * fixed_size
-    if is_frame and given:
-        raise InputError(given[0], expected="a scene beside it", got="a finished frame", action="leave it out")
-    if reading.option and not is_frame:
-        raise InputError(reading.option, expected="a finished frame beside it", got="a scene", action="leave it out")
-    from lobewise.cli.output import print_line, print_note
+    is_frame = _is_frame(target)
+    _refuse_options(is_frame, settings, page, reading)
+    _check_settings(is_frame, settings)
+    from lobewise.cli.output import print_note
     from lobewise.viewer import FrameReading, Viewer
 
+    viewer = Viewer(
+        target,
+        is_frame=is_frame,
+        host=page.host,
+        port=page.port,
+        size=None if page.size is None else parse_size(page.size),
+        fixed_size=page.fixed_size,
+        changes=settings,
+        token=page.token,
+        tell=print_note,
+        reading=FrameReading(**reading.parse(), half=reading.half),
+    )
+    # Ctrl-C is the usual end of a page, and it leaves no file half written.
+    with suppress(KeyboardInterrupt):
+        _serve(viewer, target, page, is_frame)
+
+
+def _refuse_options(is_frame: bool, settings: dict[str, Any], page: Page, reading: Reading) -> None:
+    """Raise InputError if an option of scenes is given with a frame, or an option of frames with a scene."""
+    of_scenes = [f"--{name}" for name in ("method", "scale") if name in settings]
+    of_scenes += ["--size"] * (page.size is not None) + ["--fixed-size"] * page.fixed_size
+    if is_frame and of_scenes:
+        raise InputError(of_scenes[0], expected="a scene beside it", got="a finished frame", action="leave it out")
+    if reading.option and not is_frame:
+        raise InputError(reading.option, expected="a finished frame beside it", got="a scene", action="leave it out")
+
+
+def _check_settings(is_frame: bool, settings: dict[str, Any]) -> None:
+    """Raise InputError if a setting is out of range; frames and scenes have different similarities."""
     for name, value in settings.items():
         knob = KNOBS[name]
         if name == "similarity":
             knob = replace(knob, choices=FRAME_SIMILARITIES if is_frame else SCENE_SIMILARITIES)
         knob.check(value)
-    viewer = Viewer(
-        target,
-        is_frame=is_frame,
-        host=host,
-        port=port,
-        size=None if size is None else parse_size(size),
-        fixed_size=fixed_size,
-        changes=settings,
-        token=token,
-        tell=print_note,
-        reading=FrameReading(**reading.parse(), half=half),
-    )
-    try:
-        with viewer:
-            if is_frame:
-                # A scene takes longer, which its page shows.
-                viewer.wait_until_open()
-            reach = "only this machine can reach it" if viewer.is_private else f"other machines can reach it by {host}"
-            print_line(f"Showing {target} at {viewer.url} ({reach}); Ctrl-C ends it.")
-            if open_page:
-                import webbrowser
 
-                webbrowser.open(viewer.url)
-            viewer.wait()
-    except KeyboardInterrupt:
-        # The usual end of a page, and nothing was written that could be half done.
-        return
+
+def _serve(viewer: Viewer, target: str, page: Page, is_frame: bool) -> None:
+    """Serve the page until Ctrl-C, and print its address."""
+    from lobewise.cli.output import print_line
+
+    with viewer:
+        if is_frame:
+            # A scene takes longer to open, and its page shows the progress.
+            viewer.wait_until_open()
+        reach = "only this machine can reach it" if viewer.is_private else f"other machines can reach it by {page.host}"
+        print_line(f"Showing {target} at {viewer.url} ({reach}); Ctrl-C ends it.")
+        if page.open_page:
+            import webbrowser
+
+            webbrowser.open(viewer.url)
+        viewer.wait()
 
 
 def _is_frame(target: str) -> bool:
-    """Return whether the target is an EXR file, and not a scene; raise where it cannot be either."""
+    """Return whether the target is an EXR file rather than a scene; raise an error where it is neither."""
     from lobewise.io.files import require_readable
 
     path = Path(target)

@@ -1,1 +1,1 @@
-"""Pages, plots and pictures that people look at."""
+"""Pages, plots and pictures for people."""

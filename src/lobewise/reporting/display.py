@@ -1,4 +1,4 @@
-"""From radiance and errors to pictures on a screen."""
+"""Tone mapping, and colours of error maps."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError
 
-SHOULDER = 0.8
-"""Display value up to which `map_tones` is linear."""
+MAX_LINEAR_VALUE = 0.8
+"""Largest display value up to which `map_tones` is linear."""
 WHITE_PERCENTILE = 98.0
-"""Percentile of the reference's luminance that `choose_exposure` puts at the shoulder."""
-LOWEST_ERROR, HIGHEST_ERROR = 0.01, 1.0
-"""Ends of the error maps' logarithmic colour scale, as relative errors: 1 % and 100 %."""
+"""Percentile of the reference's luminance that `choose_exposure` maps to `MAX_LINEAR_VALUE`."""
+MIN_SHOWN_ERROR, MAX_SHOWN_ERROR = 0.01, 1.0
+"""Relative errors at the ends of the logarithmic colour scale of error maps: 1 % and 100 %."""
 
-# Dark blue to pale yellow by way of red: lightness rises all along, so that the order survives grey print and any eye.
 _RAMP = ((8, 8, 20), (46, 28, 104), (122, 34, 118), (196, 58, 88), (240, 122, 60), (250, 196, 98), (254, 248, 205))
+"""sRGB colours of error maps, dark blue to red to pale yellow. Lightness rises, so the order is kept in grey prints."""
 
 
 def choose_exposure(reference: ArrayLike) -> float:
@@ -31,15 +31,14 @@ def choose_exposure(reference: ArrayLike) -> float:
     if finite.size == 0:
         raise InputError("reference", expected="finite pixels", got="none", action="pass another image")
     level = float(np.percentile(finite, WHITE_PERCENTILE))
-    return SHOULDER / level if level > 0.0 else 1.0
+    return MAX_LINEAR_VALUE / level if level > 0.0 else 1.0
 
 
 def map_tones(image: ArrayLike, exposure: float) -> NDArray[np.uint8]:
     """Return the sRGB picture of linear radiance, uint8 of shape (height, width, 3).
 
-    Each channel is multiplied by ``exposure``; up to 0.8 it stays as it is, above it goes to 1 as
-    ``0.8 + 0.2 (1 - exp(-(x - 0.8) / 0.2))``, with equal slope at the joint; then the sRGB curve. Pixels that are NaN
-    become black and infinite ones white.
+    Each channel is multiplied by ``exposure``. A value x above 0.8 becomes ``0.8 + 0.2 (1 - exp(-(x - 0.8) / 0.2))``,
+    which approaches 1 and has the slope 1 at 0.8. Then the sRGB curve is applied. NaN becomes black, infinity white.
 
     Notes
     -----
@@ -47,18 +46,21 @@ def map_tones(image: ArrayLike, exposure: float) -> NDArray[np.uint8]:
     """
     value = np.nan_to_num(np.asarray(image, dtype=np.float64) * exposure, nan=0.0, posinf=1e9, neginf=0.0)
     value = np.maximum(value, 0.0)
-    rest = 1.0 - SHOULDER
-    value = np.where(value <= SHOULDER, value, SHOULDER - rest * np.expm1(-np.maximum(value - SHOULDER, 0.0) / rest))
+    rest = 1.0 - MAX_LINEAR_VALUE
+    value = np.where(
+        value <= MAX_LINEAR_VALUE,
+        value,
+        MAX_LINEAR_VALUE - rest * np.expm1(-np.maximum(value - MAX_LINEAR_VALUE, 0.0) / rest),
+    )
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 0.0031308) ** (1.0 / 2.4) - 0.055)
     out: NDArray[np.uint8] = np.rint(np.clip(encoded, 0.0, 1.0) * 255.0).astype(np.uint8)
     return out
 
 
 def map_tones_quickly(image: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
-    """Return what `map_tones` returns, to within one code value, in a few milliseconds for 512x512 pixels.
+    """Return the picture of `map_tones`, to within one code value, in a few milliseconds for 512x512 pixels.
 
-    Departs: the curve is read from a table by the value as a half float, whose eleven bits are eight times finer than
-    the codes.
+    Departs: a table holds the curve at every half float. Their eleven bits are eight times finer than the code values.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         value = (image * np.float32(exposure)).astype(np.float16)
@@ -68,7 +70,7 @@ def map_tones_quickly(image: NDArray[np.float32], exposure: float) -> NDArray[np
 @lru_cache(maxsize=1)
 def _make_tone_table() -> NDArray[np.uint8]:
     """Return the display value of every half float, by its bits; shape (65536,)."""
-    with np.errstate(invalid="ignore"):  # some of the patterns are signalling NaNs
+    with np.errstate(invalid="ignore"):  # some bit patterns are signalling NaNs
         return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), 1.0)
 
 
@@ -82,8 +84,8 @@ def make_error_palette() -> NDArray[np.uint8]:
 
 
 def index_errors(error: ArrayLike) -> NDArray[np.uint8]:
-    """Return indices into `make_error_palette` for relative errors: logarithmic from 1 % to 100 %, clamped beyond."""
-    value = np.clip(np.asarray(error, dtype=np.float64), LOWEST_ERROR, HIGHEST_ERROR)
-    place = np.log(value / LOWEST_ERROR) / np.log(HIGHEST_ERROR / LOWEST_ERROR)
+    """Return indices into `make_error_palette` for relative errors, logarithmic from 1 % to 100 %, clamped outside."""
+    value = np.clip(np.asarray(error, dtype=np.float64), MIN_SHOWN_ERROR, MAX_SHOWN_ERROR)
+    place = np.log(value / MIN_SHOWN_ERROR) / np.log(MAX_SHOWN_ERROR / MIN_SHOWN_ERROR)
     out: NDArray[np.uint8] = np.rint(place * 255.0).astype(np.uint8)
     return out

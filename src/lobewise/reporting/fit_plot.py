@@ -1,4 +1,4 @@
-"""A picture of how near fitted lobes are to the data: cuts in the plane of incidence."""
+"""A plot of fitted lobes against the data of a material: cuts in the plane of incidence."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.reporting.plotting import encode_figure, make_figure, require_matplotlib
 
-VIEWS = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)
-"""n.v of the cuts; each is drawn at the nearest view of the table."""
-DECADES = 5.0
-"""Height of the logarithmic axis."""
+VIEW_COSINES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)
+"""n.v of the cuts. Each cut is drawn at the nearest view of the table."""
+AXIS_DECADES = 5.0
+"""Height of the logarithmic axis, powers of ten."""
 
 
 def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
     """Return a PNG of reflected luminance times cosine over the light's angle, data against lobes.
 
-    The table is drawn at the first of its azimuths; ``evaluate`` is what it was fitted to.
+    The cuts are at the first azimuth of the table; ``evaluate`` is the material that the lobes were fitted to.
 
     Raises MissingDependencyError if Matplotlib is not installed.
     """
     require_matplotlib("the plot of a fit")
-    rows = sorted({int(np.argmin(np.abs(table.cosine - cosine))) for cosine in VIEWS}, reverse=True)
+    rows = sorted({int(np.argmin(np.abs(table.cosine - cosine))) for cosine in VIEW_COSINES}, reverse=True)
     figure = make_figure(11.0, 3.4 * math.ceil(len(rows) / 3) + 0.5)
     panels = figure.subplots(math.ceil(len(rows) / 3), min(3, len(rows)), squeeze=False).ravel()
     for panel in panels[len(rows) :]:
@@ -51,7 +51,7 @@ def _draw_cut(panel: Any, table: LobeTable, row: int, evaluate: Evaluate) -> Non
     data, lobes, light = _sample_cut(table, cosine, azimuth, angle, evaluate)
     fit = evaluate_lobes(lobes, light, table.kind)
     top = float(np.nanmax(np.append(data, fit.max())))
-    floor = top * 10.0**-DECADES
+    floor = top * 10.0**-AXIS_DECADES
     degrees = np.degrees(angle)
     for index in range(table.lobe_count):
         only = slice(index, index + 1)
@@ -72,7 +72,7 @@ def _draw_cut(panel: Any, table: LobeTable, row: int, evaluate: Evaluate) -> Non
 def _sample_cut(
     table: LobeTable, cosine: float, azimuth: float, angle: Array, evaluate: Evaluate
 ) -> tuple[Array, TableLobes, Array]:
-    """Return (data, lobes, lights) for lights in the plane of incidence; data is NaN without a measurement."""
+    """Return (data, lobes, lights) for lights in the plane of incidence; data is NaN where there is no measurement."""
     away = np.asarray([math.cos(azimuth), math.sin(azimuth), 0.0])
     up = np.asarray([0.0, 0.0, 1.0])
     view = math.sqrt(max(0.0, 1.0 - cosine * cosine)) * away + cosine * up
@@ -85,7 +85,7 @@ def _sample_cut(
 
 
 def _space_angles(mirror: float) -> Array:
-    """Return ascending angles from horizon to horizon, dense about the mirror direction."""
+    """Return ascending angles from horizon to horizon, dense around the mirror direction."""
     limit = 0.5 * math.pi - 1e-4
     near = mirror + 1e-3 * np.sinh(np.linspace(-8.0, 8.0, 401))
     both = np.concatenate([np.linspace(-limit, limit, 361), near])
@@ -93,5 +93,5 @@ def _space_angles(mirror: float) -> Array:
 
 
 def _mask(values: Array, floor: float) -> Array:
-    """Return ``values`` with gaps where a logarithmic axis cannot show them."""
+    """Return values with NaN where they are far below the axis."""
     return np.asarray(np.where(values > 0.01 * floor, values, np.nan))

@@ -1,4 +1,4 @@
-"""Pictures beside EXR files: tone mapped as in reports, for programs that show no EXR."""
+"""Tone mapped PNG pictures beside EXR files, for programs that do not show EXR files."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from lobewise.io.png import encode_png, read_png_text
 from lobewise.reporting.display import choose_exposure, map_tones
 
 EXPOSURE = "lobewise exposure"
-"""Name of the text in a picture that holds the factor from radiance to display values."""
-MAX_MEASURED_PIXELS = 1 << 22
-"""Of larger images every n-th row and column tells the exposure."""
+"""Name of the text chunk in a picture that holds the factor from radiance to display values."""
+MAX_EXPOSURE_PIXELS = 1 << 22
+"""Most pixels that the exposure is measured on; of a larger image every n-th row and column is taken."""
 EXR_ENDINGS = (".exr", ".sxr", ".mxr")
 
 
@@ -28,14 +28,14 @@ def name_picture(path: Path) -> Path:
 
 
 class Pictures:
-    """Pictures of one exposure, each beside its EXR file; written whole or not at all.
+    """Writes pictures of one exposure, each beside its EXR file, whole or not at all.
 
     Parameters
     ----------
     stops : float, optional
-        Base-2 logarithm of the exposure; by default the first picture's image tells it (see `choose_exposure`).
+        Base-2 logarithm of the exposure; by default it is measured on the first image (see `choose_exposure`).
     first : path, optional
-        The EXR file of the first of a sequence: where an earlier run wrote its picture, the exposure is that one's.
+        The first EXR file of a sequence. If an earlier run wrote its picture, the exposure of this picture is used.
     """
 
     def __init__(self, *, stops: float | None = None, first: Path | None = None) -> None:
@@ -55,7 +55,7 @@ class Pictures:
         return _write(path, _paint(image.shape[0], image.shape[1], rows, exposure), exposure)
 
     def write_from_file(self, path: Path) -> Path:
-        """Write the picture of a file in lobewise's own names, read some rows at a time; return its path.
+        """Write the picture of a file with lobewise's own channel names, reading some rows at a time; return its path.
 
         Raises FileError if it cannot be written, or ``path`` cannot be read.
         """
@@ -67,16 +67,16 @@ class Pictures:
         return _write(path, _paint(height, width, _read_rows(_open(path)), exposure), exposure)
 
     def _choose(self, path: Path, measure: Callable[[], FloatArray]) -> float:
-        """Return the exposure of all pictures; the first one decides it."""
+        """Return the exposure of all pictures, which the first picture decides; ``measure`` returns its image."""
         if self._exposure is None and self._first is not None and self._first != path:
             self._exposure = _read_exposure(name_picture(self._first))
         if self._exposure is None:
-            self._exposure = choose_exposure(_halve(measure()))
+            self._exposure = choose_exposure(_round_to_half(measure()))
         return self._exposure
 
 
 def _choose_step(height: int, width: int) -> int:
-    return max(math.ceil(math.sqrt(height * width / MAX_MEASURED_PIXELS)), 1)
+    return max(math.ceil(math.sqrt(height * width / MAX_EXPOSURE_PIXELS)), 1)
 
 
 def _open(path: Path) -> BandReader:
@@ -84,15 +84,15 @@ def _open(path: Path) -> BandReader:
 
 
 def _paint(height: int, width: int, rows: Iterable[tuple[int, FloatArray]], exposure: float) -> NDArray[np.uint8]:
-    """Return a picture whose image is given some rows at a time, since tone mapping takes several times its memory."""
+    """Return the picture of an image; tone mapping some rows at a time saves several times the image's memory."""
     picture = np.empty((height, width, 3), np.uint8)
     for top, some in rows:
-        picture[top : top + len(some)] = map_tones(_halve(some), exposure)
+        picture[top : top + len(some)] = map_tones(_round_to_half(some), exposure)
     return picture
 
 
-def _halve(image: FloatArray) -> FloatArray:
-    """Return an image as files of 16-bit floats hold it, so that its picture is that of the file."""
+def _round_to_half(image: FloatArray) -> FloatArray:
+    """Round an image to the 16-bit floats of the file, so that its picture is the picture of the file."""
     with np.errstate(over="ignore"):
         return image.astype(np.float16).astype(np.float32)
 
@@ -106,7 +106,7 @@ def _read_rows(reader: BandReader) -> Iterator[tuple[int, FloatArray]]:
 
 
 def _read_exposure(path: Path) -> float | None:
-    """Return the exposure that a picture was made with; None if it does not tell a sensible one."""
+    """Return the exposure that a picture was made with, None where it holds no positive finite number."""
     try:
         exposure = float(read_png_text(path, EXPOSURE) or "nan")
     except ValueError:

@@ -7,17 +7,13 @@ from typing import Any
 
 from lobewise.errors import MissingDependencyError
 
-DOTS = 110
-"""Per inch."""
+DOTS_PER_INCH = 110
 
 
 def require_matplotlib(what: str) -> None:
-    """Find out whether ``what`` can be drawn.
-
-    Raises MissingDependencyError if Matplotlib is not installed.
-    """
+    """Raise MissingDependencyError if Matplotlib is not installed; ``what`` names the plot."""
     try:
-        import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is there
+        import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is installed
     except ImportError as problem:
         raise MissingDependencyError(
             what,
@@ -28,10 +24,10 @@ def require_matplotlib(what: str) -> None:
 
 
 def make_figure(width: float, height: float) -> Any:
-    """Return an empty figure of this size, inches, that `encode_figure` takes."""
+    """Return an empty figure; width and height are in inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), dpi=DOTS, layout="constrained")
+    return Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained")
 
 
 def encode_figure(figure: Any) -> bytes:

@@ -1,4 +1,4 @@
-"""A page of pictures, differences and figures: one HTML file that needs nothing else."""
+"""A page of pictures, error maps and figures, in one HTML file without other files."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from lobewise.reporting.display import choose_exposure, index_errors, make_error
 
 TITLES = {"rel_mse": "relMSE", "mse": "MSE", "smape": "SMAPE", "psnr": "PSNR, dB", "flip": "FLIP"}
 ORDER = ("rel_mse", "mse", "smape", "psnr", "flip")
-SPOT = 64
-"""Side of the square that the magnifier shows, pixels."""
+MAGNIFIER_PIXELS = 64
+"""Side of the square that the magnifier shows, image pixels."""
 
 
 @dataclass(frozen=True)
@@ -33,49 +33,49 @@ class Picture:
     key: str
     """Short name: lower-case letters, digits and hyphens."""
     title: str
-    """What the reader sees."""
+    """Title that the reader sees."""
     image: FloatArray
     """Linear radiance, finite, shape (height, width, 3)."""
     note: str = ""
-    """What it is, in a sentence or two."""
+    """Description in one or two sentences."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters that it was made with."""
+    """Settings of the filter, by name."""
     seconds: float | None = None
-    """How long that took."""
+    """Time that the filter took."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a page shows."""
+    """The content of a page."""
 
-    # Its head.
     title: str
     subtitle: str
     pictures: Sequence[Picture]
-    """What is compared, in order."""
+    """The pictures that are compared, in order."""
     reference: Picture
-    """What is right."""
+    """The picture that errors are measured against."""
     baseline: str
     """Key of the picture that figures are given relative to."""
-    # Keys of the two pictures that the slider shows first.
     left: str
+    """Key of the picture that the slider shows first on its left side."""
     right: str
+    """Key of the picture that the slider shows first on its right side."""
     mask: NDArray[np.bool_] | None
-    """Pixels of the second table, the specular ones, shape (height, width)."""
+    """Specular pixels, which the second table measures, shape (height, width); None for no second table."""
     command: str
-    """What makes the page again."""
+    """Command line that makes the page again."""
     facts: Mapping[str, str]
-    """Machine, versions and the like."""
+    """Machine, versions and other facts, by title."""
     remarks: Sequence[str] = ()
     """Further sentences for the reader."""
 
 
 def make_page(report: Report, *, progress: Callable[[int, int], None] | None = None) -> str:
-    """Return the page as one HTML text with every image inside.
+    """Return the page as one HTML text that holds every image.
 
-    ``progress`` is called with (done, total) while the figures are taken, which is what takes long.
+    ``progress`` is called with (done, total) while the errors are measured, which takes most of the time.
 
-    Raises InputError if a key is unknown, twice there or not a plain word, the sizes differ, or a pixel is not finite.
+    Raises InputError if a key is unknown, repeated or not a plain word, sizes differ, or a pixel is not finite.
     """
     everything = [*report.pictures, report.reference]
     _check(report, everything)
@@ -85,15 +85,15 @@ def make_page(report: Report, *, progress: Callable[[int, int], None] | None = N
     for picture in everything:
         styles.append(_make_style(f"p-{picture.key}", encode_png(map_tones(picture.image, exposure))))
     for picture in report.pictures:
-        # The square root of a pixel's relMSE is its relative error, which is what people think in.
+        # The square root of a pixel's relMSE is its relative error, which is easier to read.
         errors[picture.key] = np.sqrt(make_error_map(picture.image, report.reference.image, "rel_mse"))
         styles.append(_make_style(f"e-{picture.key}", encode_png(index_errors(errors[picture.key]), palette)))
     height, width = report.reference.image.shape[:2]
-    spot = _choose_spot(errors.get(report.left), errors.get(report.right), height, width)
+    spot = _find_largest_gain(errors.get(report.left), errors.get(report.right), height, width)
     data = {
         "width": width,
         "height": height,
-        "side": SPOT,
+        "side": MAGNIFIER_PIXELS,
         "spot": spot,
         "left": report.left,
         "right": report.right,
@@ -145,7 +145,7 @@ def _check(report: Report, everything: Sequence[Picture]) -> None:
 
 
 def fill_page(template: str, parts: Mapping[str, str]) -> str:
-    """Return a file of the package's data with every ``{{name}}`` replaced, so that content is never searched again."""
+    """Return a file of the package's data with every ``{{name}}`` replaced once; the parts are not searched."""
     text = (files("lobewise") / "data" / template).read_text(encoding="utf-8")
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], text)
 
@@ -154,19 +154,24 @@ def _make_style(name: str, png: bytes) -> str:
     return f".{name}{{background-image:url(data:image/png;base64,{base64.b64encode(png).decode('ascii')})}}"
 
 
-def _choose_spot(left: FloatArray | None, right: FloatArray | None, height: int, width: int) -> list[int]:
-    """Return the centre (x, y) of the square where the two pictures differ most in error."""
-    if left is None or right is None or height < SPOT or width < SPOT:
+def _find_largest_gain(left: FloatArray | None, right: FloatArray | None, height: int, width: int) -> list[int]:
+    """Return the centre (x, y) of the square where the errors of two pictures differ most."""
+    if left is None or right is None or height < MAGNIFIER_PIXELS or width < MAGNIFIER_PIXELS:
         return [width // 2, height // 2]
     gain = np.minimum(left, 1.0) - np.minimum(right, 1.0)
     sums = np.pad(gain.astype(np.float64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
-    box = sums[SPOT:, SPOT:] - sums[:-SPOT, SPOT:] - sums[SPOT:, :-SPOT] + sums[:-SPOT, :-SPOT]
+    box = (
+        sums[MAGNIFIER_PIXELS:, MAGNIFIER_PIXELS:]
+        - sums[:-MAGNIFIER_PIXELS, MAGNIFIER_PIXELS:]
+        - sums[MAGNIFIER_PIXELS:, :-MAGNIFIER_PIXELS]
+        + sums[:-MAGNIFIER_PIXELS, :-MAGNIFIER_PIXELS]
+    )
     y, x = np.unravel_index(int(np.abs(box).argmax()), box.shape)
-    return [int(x) + SPOT // 2, int(y) + SPOT // 2]
+    return [int(x) + MAGNIFIER_PIXELS // 2, int(y) + MAGNIFIER_PIXELS // 2]
 
 
 def _make_tables(report: Report, progress: Callable[[int, int], None]) -> tuple[list[str], str]:
-    """Return the metrics that could be taken, and the tables."""
+    """Return the metrics that could be measured, and the HTML of the tables."""
     metrics = list(ORDER)
     masks: list[tuple[str, NDArray[np.bool_] | None]] = [("Whole image", None)]
     if report.mask is not None:
@@ -177,17 +182,17 @@ def _make_tables(report: Report, progress: Callable[[int, int], None]) -> tuple[
     rows: list[dict[str, dict[str, float]]] = [{} for _ in masks]
     for done, picture in enumerate(report.pictures):
         progress(done, len(report.pictures))
-        # FLIP is slow, and one map serves every mask.
-        seen: FloatArray | None = None
+        # FLIP is slow: compute its map once for all masks.
+        flip_map: FloatArray | None = None
         if "flip" in metrics:
             try:
-                seen = make_error_map(picture.image, target, "flip")
+                flip_map = make_error_map(picture.image, target, "flip")
             except MissingDependencyError:
                 metrics.remove("flip")
         for row, (_, mask) in zip(rows, masks, strict=True):
             row[picture.key] = evaluate(picture.image, target, mask, metrics=plain)
-            if seen is not None:
-                row[picture.key]["flip"] = float(seen.mean() if mask is None else seen[mask].mean())
+            if flip_map is not None:
+                row[picture.key]["flip"] = float(flip_map.mean() if mask is None else flip_map[mask].mean())
     progress(len(report.pictures), len(report.pictures))
     tables = [_make_table(caption, report, metrics, row) for (caption, _), row in zip(masks, rows, strict=True)]
     return metrics, "\n".join(tables)
@@ -201,7 +206,7 @@ def _make_table(caption: str, report: Report, metrics: Sequence[str], rows: Mapp
         cells = []
         for name in metrics:
             value, base = rows[picture.key][name], rows[report.baseline][name]
-            # Decibels are a logarithm already: their comparison is a difference.
+            # Decibels are logarithms: compare them by their difference.
             if name == "psnr":
                 ratio = f"{value - base:+.2f}".replace("-", "\u2212")
             else:

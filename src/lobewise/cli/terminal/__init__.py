@@ -1,1 +1,1 @@
-"""What a person reads on a terminal, in words that need no knowledge of how lobewise works."""
+"""Help, progress and summaries on a terminal, in words that need no knowledge of how lobewise works."""

@@ -1,13 +1,15 @@
 """The help of every verb: options in groups with titles, examples that are never cut, and rare options on request.
 
-An option names its group by ``rich_help_panel``, one of the titles below; without it stands under `OPTIONS`. ``--help``
-leaves out the groups of `RARE` and shows the first sentence of each option; ``--help-all`` shows everything.
+An option names its group by ``rich_help_panel``, one of the titles below, or is made by the function of its group; any
+other option belongs to `OPTIONS`.
+``--help`` leaves out the groups of `RARE` and shows the first sentence of each option; ``--help-all`` shows everything.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeVar
@@ -21,12 +23,21 @@ FILTER_DETAILS, SEQUENCE_DETAILS = "Details of the filter", "Details of sequence
 FILE_DETAILS, SHADING = "Details of files and machine", "Shading pixels again"
 SCENE_DETAILS = "Details of the scene"
 RARE = (FILTER_DETAILS, SEQUENCE_DETAILS, FILE_DETAILS, SHADING, SCENE_DETAILS)
-"""Groups that ``--help`` leaves out, in the order in which ``--help-all`` shows them behind the others."""
+"""Groups that ``--help`` leaves out. ``--help-all`` shows them after all others."""
+file_option = partial(typer.Option, rich_help_panel=FILES)
+file_detail = partial(typer.Option, rich_help_panel=FILE_DETAILS)
+page_option = partial(typer.Option, rich_help_panel=PAGE)
+result_option = partial(typer.Option, rich_help_panel=RESULT)
+scene_detail = partial(typer.Option, rich_help_panel=SCENE_DETAILS)
+sequence_detail = partial(typer.Option, rich_help_panel=SEQUENCE_DETAILS)
+sequence_option = partial(typer.Option, rich_help_panel=SEQUENCES)
+shading_option = partial(typer.Option, rich_help_panel=SHADING)
 Verb = TypeVar("Verb", bound=Callable[..., Any])
 HELP_NAMES = ("-h", "--help", "--help-all")
 MAX_COLUMNS = 100
+"""Widest help, in letters, also on a wider terminal."""
 NAME_COLUMNS = 26
-"""Columns of an option's names; longer ones have a line of their own."""
+"""Width of the column of names, in letters. Longer names have a line of their own."""
 INDENT = "  "
 EXAMPLES = {
     "demo": "lobewise demo -o page",
@@ -43,19 +54,19 @@ EXAMPLES = {
     "export": "lobewise export -o filter --similarity ggx\nlobewise export -o weights --target wgsl",
     "inspect": "lobewise inspect frame.exr\nlobewise inspect --all frame.exr",
 }
-"""What to type, by verb, one command a line."""
+"""Example commands of each verb, one per line."""
 
 
 def asks_for_all(arguments: Sequence[str]) -> bool:
-    """Return whether a command line asks for the rare options as well."""
+    """Return whether a command line asks for the help with the rare options."""
     return "--help-all" in arguments
 
 
 class _Helpful:
-    """What groups and commands share: their help, in place of typer's."""
+    """A command whose help is made here instead of by typer."""
 
     def format_help(self: Any, ctx: Any, formatter: Any) -> None:
-        """Write the help; ``ctx.obj`` is true where rare options are wanted."""
+        """Write the help; ``ctx.obj`` is true where it includes the rare options."""
         width = min(shutil.get_terminal_size((80, 24)).columns, MAX_COLUMNS) - 1
         formatter.write("\n".join(_list_lines(self, ctx, width, everything=bool(ctx.obj))) + "\n")
 
@@ -69,7 +80,7 @@ class Group(_Helpful, TyperGroup):
 
 
 class App(typer.Typer):
-    """Typer's program, all of whose help is made here."""
+    """A program of typer whose help is made here."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(cls=Group, rich_markup_mode=None, **settings)
@@ -80,7 +91,7 @@ class App(typer.Typer):
 
 
 def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iterator[str]:
-    """Yield the lines of a help: usage, what it is for, examples, arguments, options by group, verbs."""
+    """Yield the lines of a help: usage, purpose, examples, arguments, verbs, options by group."""
     options = [one for one in command.params if one.param_type_name == "option" and not one.hidden]
     arguments = [one for one in command.params if one.param_type_name == "argument"]
     verbs = getattr(command, "commands", {})
@@ -103,7 +114,7 @@ def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iter
         groups.setdefault(one.rich_help_panel or OPTIONS, []).append(one)
     left_out = 0 if everything else sum(len(groups.pop(title, [])) for title in RARE)
     for title in sorted(groups, key=lambda title: (title != OPTIONS, title in RARE)):
-        rows = [(_name(one), _describe(one, everything=everything)) for one in groups[title]]
+        rows = [(_join_names(one), _describe(one, everything=everything)) for one in groups[title]]
         if title == OPTIONS:
             rows += _list_help_rows(left_out, everything=everything)
         yield from ["", _make_title(title), *_align(rows, width)]
@@ -111,7 +122,7 @@ def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iter
 
 def _list_help_rows(left_out: int, *, everything: bool) -> list[tuple[str, str]]:
     more = f" and {left_out} rare option{'s' if left_out > 1 else ''}" if left_out else ""
-    told = "Show every option and all that there is to say." if everything else f"Show longer explanations{more}."
+    told = "Show every option with its whole explanation." if everything else f"Show longer explanations{more}."
     return [("-h, --help", "Show the usual options."), ("--help-all", told)]
 
 
@@ -123,15 +134,15 @@ def _get_metavar(one: Any) -> str:
     return str(one.metavar or one.name.upper())
 
 
-def _name(one: Any) -> str:
-    """Return the names of an option and what stands for its value."""
+def _join_names(one: Any) -> str:
+    """Return the names of an option and the placeholder of its value."""
     names = sorted(one.opts, key=len)
     text = ", ".join(names) + (f" / {', '.join(one.secondary_opts)}" if one.secondary_opts else "")
     return text if one.is_flag else f"{text} {_get_metavar(one)}"
 
 
 def _describe(one: Any, *, everything: bool) -> str:
-    """Return what is said of an option: in short its first sentence, and always its default."""
+    """Return the explanation of an option with its default; unless ``everything``, only the first sentence."""
     text = " ".join((one.help or "").split())
     more = [f"environment: {one.envvar}"] if getattr(one, "envvar", None) else []
     if one.required and one.param_type_name == "option":
@@ -157,7 +168,7 @@ def _shorten(text: str) -> str:
 
 
 def _align(rows: Sequence[tuple[str, str]], width: int) -> Iterator[str]:
-    """Yield rows of names and texts in two columns; no word is cut."""
+    """Yield the lines of rows of names and texts, in two columns without broken words."""
     indent = " " * (NAME_COLUMNS + len(INDENT))
     for name, text in rows:
         fits = len(name) + len(INDENT) <= NAME_COLUMNS

@@ -1,4 +1,4 @@
-"""What is said of a result: in one line what was done, remarks, and on request the settings."""
+"""What a verb prints about a result: remarks, the name of the picture, and on request the settings."""
 
 from __future__ import annotations
 
@@ -6,38 +6,33 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lobewise.cli.reading import FileInBands
-
 if TYPE_CHECKING:
     from lobewise.frame import Result
     from lobewise.reporting.picture import Pictures
+    from lobewise.streaming import DenoisedFile
 
 
 class Remarks:
-    """What is said of results beside their figures, each sentence once; of its own figures those of the first frame."""
+    """Prints remarks, each once: a sequence has the same remarks for every frame."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()
 
-    def tell(self, result: Result | FileInBands) -> None:
-        """Print what made the image, what is wrong with the guides, and which images of the frame were not used."""
+    def tell(self, note: str, key: str = "") -> None:
+        """Print a note, unless a note with its key was printed before; by default the note is its own key."""
         from lobewise.cli.output import print_note
 
-        done = result.done if isinstance(result, FileInBands) else result
-        unused = f"Not used with these settings: {', '.join(done.unused)}."
-        used = [f"Used: {done.method}."] if done.method else []
-        for note in (*used, *done.notes, *([unused] if done.unused else [])):
-            key = re.sub(r"\d+(\.\d+)?", "#", note)
-            if key not in self._told:
-                print_note(note)
-            self._told.add(key)
+        if (key or note) not in self._told:
+            print_note(note)
+        self._told.add(key or note)
 
-
-def describe(result: Result | FileInBands) -> str:
-    """Return in one line what was done."""
-    from lobewise.cli.output import describe_result
-
-    return result.describe() if isinstance(result, FileInBands) else describe_result(result)
+    def tell_result(self, result: Result | DenoisedFile) -> None:
+        """Print the method, what is wrong with the guides, and which images of the frame were not used."""
+        unused = f"Not used with these settings: {', '.join(result.unused)}."
+        used = [f"Used: {result.method}."] if result.method else []
+        for note in (*used, *result.notes, *([unused] if result.unused else [])):
+            # Numbers differ from frame to frame: of a sequence only the first frame's are printed.
+            self.tell(note, re.sub(r"\d+(\.\d+)?", "#", note))
 
 
 def tell_picture(output: Path, pictures: Pictures | None) -> None:
@@ -48,10 +43,9 @@ def tell_picture(output: Path, pictures: Pictures | None) -> None:
         print_line(f"Wrote {pictures.name(output)}.")
 
 
-def tell_settings(result: Result | FileInBands | None, verbose: bool) -> None:
-    """Print the settings of the filter by their names, if that is asked for."""
+def tell_settings(result: Result | DenoisedFile | None, verbose: bool) -> None:
+    """Print the settings of the filter by their names, if ``verbose`` asks for them."""
     from lobewise.cli.output import describe_settings, print_note
 
     if verbose and result is not None:
-        done = result.done if isinstance(result, FileInBands) else result
-        print_note(f"Settings: {describe_settings(done)}.")
+        print_note(f"Settings: {describe_settings(result)}.")

@@ -1,4 +1,4 @@
-"""What runs just now, on a terminal: one line on standard error that is gone when the work is done."""
+"""Progress on a terminal: one line on standard error that disappears when the work is done."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 _shown: list[Progress] = []
-"""The display of this process, if there is one."""
+"""Displays that are shown now, one at most."""
 COMPILING = "Compiling kernels, which is done once on a machine"
 
 
 class Steps:
-    """Steps of work, shown one after the other, with a bar where it is known how much of one is done.
+    """Shows the current step of the work, with a bar where it is known how much is done.
 
-    While kernels are compiled that is shown instead. Nothing is shown where standard error is no terminal that can take
-    a line back, or if ``quiet`` is true.
+    While kernels are compiled, the line says so instead. Nothing is shown if ``quiet`` is true, or where standard error
+    is not a terminal that can erase a line.
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
@@ -52,7 +52,7 @@ class Steps:
         self._display = self._task = self._told = None
 
     def tell(self, what: str, done: int = 0, total: int | None = None) -> None:
-        """Show a step in place of the one before, and how much of it is done, if that is known."""
+        """Show a step in place of the step before; ``total`` is None where it is unknown how much is done."""
         is_new, self._told = self._told is None or self._told[0] != what, (what, done, total)
         self._show(what, done, total, is_new=is_new)
 
@@ -75,7 +75,7 @@ class Steps:
 
 @contextmanager
 def pause_steps() -> Iterator[None]:
-    """Take the line away while something else is printed."""
+    """Erase the line of progress while something else is printed."""
     for display in _shown:
         display.stop()
     yield
@@ -91,7 +91,7 @@ def _make_display() -> Progress | None:
     from rich.text import Text
 
     class Amount(ProgressColumn):
-        """How much is done and the time that is left; the time that went by where that is unknown."""
+        """Share that is done and time left; the time since the start where the total is unknown."""
 
         def render(self, task: Task) -> Text:
             if task.total is None:

@@ -1,4 +1,4 @@
-"""The summary of a file: what denoising will do with it, what is missing, and the command to type next."""
+"""The summary of a file: how denoising will treat it, what is missing, and the command to type next."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
 from lobewise.settings import DenoiseSettings
 
 MAX_NOTES = 6
-"""Notes in the summary; `inspect --all` prints all of them."""
+"""Most notes in the summary; `inspect --all` prints all of them."""
 MAX_NAMED_PASSES = 6
-"""Passes that are only copied and named in the summary; `inspect --all` names all of them."""
+"""Most names of passes that are only copied; `inspect --all` prints all of them."""
 SURFACES = {"normal": "which way surfaces face", "camera": "where they are", "roughness": "how rough they are"}
 NAMES = {
     "normal": "normals",
@@ -30,7 +30,7 @@ NAMES = {
     "layers": "split light",
     "albedo": "surface colors",
 }
-"""What a frame can lack, as renderers' menus call it."""
+"""Names, as in the menus of renderers, of the images and facts that a frame can lack."""
 COSTS = {
     "normal": "edges and bumps must be guessed from the picture",
     "roughness": "mirrors and rough surfaces are treated alike",
@@ -38,18 +38,18 @@ COSTS = {
     "layers": "diffuse light and reflections are filtered together, which blurs reflections",
     "albedo": "textures are blurred with the noise",
 }
-"""What an artist sees where something is missing."""
+"""Visible effect of each lack."""
 
 
 def print_summary(found: FileDescription, options: Sequence[str]) -> None:
-    """Print what denoising makes of a file.
+    """Print how denoising will treat a file.
 
     Parameters
     ----------
     found : FileDescription
         The file.
     options : sequence of str
-        Words of the command line that `inspect` was given and `denoise` takes as well.
+        Options that the user gave to `inspect` and that `denoise` takes as well, as words of a command line.
     """
     console = open_console()
     console.print(make_text(_describe_origin(found), style="bold"), soft_wrap=True)
@@ -63,13 +63,13 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
         ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
         ("Unusable", found.unusable),
-        # Of an image alone the expected quality says what to switch on.
+        # For a file with nothing but an image, the line of the expected quality says what to switch on.
         ("Missing", [] if found.alone else [_describe_lack(lack) for lack in found.lacks]),
         ("Noted", _shorten([note for note in found.notes if note not in told])),
         ("Result", [_describe_result(found)] if found.outputs else []),
     ]
     if found.refusals:
-        # Nothing is used of such a file.
+        # A refused file is not denoised at all.
         rows = [("Refused", found.refusals), ("Unusable", found.unusable)]
     for label, texts in rows:
         for number, text in enumerate(texts):
@@ -79,7 +79,7 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
 
 
 def foretell_method(found: FileDescription) -> str:
-    """Return what `lobewise denoise` makes the image of a file by where nothing else is asked for, in a sentence."""
+    """Return how `lobewise denoise` without options makes the image of a file, in a sentence."""
     settings = DenoiseSettings()
     return describe_method(
         ask(settings, {}), found.oidn_guides, mixes="layers" in found.uses, why_ours=explain_ours(settings)
@@ -87,7 +87,7 @@ def foretell_method(found: FileDescription) -> str:
 
 
 def describe_quality(found: FileDescription) -> str:
-    """Return which quality to expect of a file, and what that hangs on, in a sentence."""
+    """Return which quality to expect of a file, and why, in a sentence."""
     lacks = [lack.role for lack in found.lacks]
     if not _can_be_denoised(found):
         return f"none. {_say_obstacle(found)}"
@@ -104,7 +104,7 @@ def describe_quality(found: FileDescription) -> str:
 
 
 def _can_be_denoised(found: FileDescription) -> bool:
-    # A frame of another renderer gets normals from its surfaces, or of none.
+    # Files of other renderers have roles, and need no normals.
     return bool(found.roles or (found.similarities and found.outputs)) and not found.refusals
 
 
@@ -115,7 +115,7 @@ def _say_obstacle(found: FileDescription) -> str:
 
 
 def _describe_origin(found: FileDescription) -> str:
-    """Return whose file it is and how large."""
+    """Return renderer, size in pixels, samples per pixel and size of the file."""
     titles = {"lobewise": "lobewise's own names", "an unknown renderer": "unknown renderer"}
     renderer = titles.get(found.preset, found.preset)
     if found.version:
@@ -131,7 +131,7 @@ def _describe_origin(found: FileDescription) -> str:
 
 
 def _describe_surfaces(found: FileDescription) -> str:
-    """Return what two pixels must share to be averaged."""
+    """Return the properties of surfaces that the filter compares."""
     known = [text for use, text in SURFACES.items() if use in found.uses]
     if not known:
         return "the picture alone"
@@ -139,7 +139,7 @@ def _describe_surfaces(found: FileDescription) -> str:
 
 
 def _describe_light(found: FileDescription) -> Iterator[str]:
-    """Yield what becomes of the light: its layers, its textures, its noise."""
+    """Yield how layers, textures and noise of the light are treated."""
     if "layers" in found.uses and found.layers:
         told = f"{list_names(found.layers)} {'is' if len(found.layers) == 1 else 'are each'} filtered by itself"
         if found.exact:
@@ -158,7 +158,7 @@ def _shorten(notes: Sequence[str]) -> list[str]:
 
 
 def _describe_lack(lack: Lack) -> str:
-    """Return what follows where something is missing, and how to have it."""
+    """Return the effect of a lack, and how to have the renderer write what is missing."""
     told = f"{NAMES[lack.role]}: {COSTS[lack.role]}"
     if lack.remedy:
         return f"{told}. To have it: {lack.remedy}"
@@ -166,7 +166,7 @@ def _describe_lack(lack: Lack) -> str:
 
 
 def _describe_result(found: FileDescription) -> str:
-    """Return where the result goes, and what is only copied."""
+    """Return the passes that hold the result, and the passes that are only copied."""
     layer = _find_view_layer(found)
     first, *others = found.outputs
     told = first.rpartition(".")[0].removeprefix(layer) or first
@@ -179,7 +179,7 @@ def _describe_result(found: FileDescription) -> str:
 
 
 def list_copied(found: FileDescription) -> list[str]:
-    """Return the passes of which nothing is used, without the numbers of Cryptomatte's ranks."""
+    """Return the passes that are not used, without the numbers of Cryptomatte's ranks."""
     used: dict[str, bool] = {}
     for part in found.parts:
         for channel in part.channels:
@@ -195,14 +195,14 @@ def _name_pass(part: PartDescription, channel: ChannelDescription) -> str:
 
 
 def _find_view_layer(found: FileDescription) -> str:
-    """Return what the names of all passes begin with, with its dot; empty where they do not."""
+    """Return the common beginning of the names of all passes, such as ``ViewLayer.``; empty where there is none."""
     heads = [_name_pass(part, channel).split(".")[:-1] for part in found.parts for channel in part.channels]
     shared = takewhile(lambda words: len(set(words)) == 1, zip(*heads, strict=False))
     return "".join(f"{words[0]}." for words in shared)
 
 
 def _print_commands(console: Console, found: FileDescription, options: Sequence[str]) -> None:
-    """Print what to type next, each command in one line to be copied."""
+    """Print the commands to type next, each on one line, to be copied."""
     path = Path(found.path)
     again = ["lobewise", "inspect", found.path, *options, "--all"]
     console.print()

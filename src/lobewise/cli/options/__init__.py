@@ -1,0 +1,1 @@
+"""The options of the verbs, in groups that several verbs share."""

@@ -1,0 +1,127 @@
+"""The option ``--bands``: a large file is denoised some rows at a time, from file to file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from lobewise.cli.options.reading import refuse_results
+from lobewise.cli.terminal.help import file_detail
+from lobewise.errors import InputError, LobewiseError
+
+if TYPE_CHECKING:
+    from lobewise.lobe_table import LobeTable
+    from lobewise.streaming import DenoisedFile
+
+Bands = Annotated[
+    str,
+    file_detail(
+        metavar="auto|off|ROWS",
+        help="Filter this many rows at a time: less memory, the same bits. auto does so with a file that would take "
+        "more than 4 GiB.",
+    ),
+]
+
+
+def parse_bands(text: str) -> str | int:
+    """Return the number of rows of a band, or ``auto`` or ``off`` unchanged."""
+    if text in ("auto", "off"):
+        return text
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    raise InputError("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
+
+
+def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
+    """Return whether to denoise a file in bands.
+
+    ``whole`` names the first option on the command line that needs the whole frame, empty for none.
+
+    Raises
+    ------
+    InputError
+        If the user gives a number of rows for a file that must be read whole, or a file in bands is a result of
+        lobewise.
+    """
+    from lobewise.interchange.checks import check_own_mark
+    from lobewise.io.exr.parsing import read_container
+
+    bands = parse_bands(text)
+    is_asked = isinstance(bands, int)
+    if is_asked and whole:
+        raise InputError(
+            "--bands",
+            expected=f"auto or off with {whole}, which takes whole frames",
+            got=text,
+            action="drop one of them",
+        )
+    if bands == "off" or whole:
+        return False
+    if not _is_own(source):
+        if is_asked:
+            raise InputError(
+                "--bands",
+                expected="auto or off for files of other renderers, which are read as a whole",
+                got=text,
+                action="leave it out",
+            )
+        return False
+    if is_asked or _is_large(source, settings):
+        refuse_results(source, check_own_mark(read_container(source)))
+        return True
+    return False
+
+
+def _is_own(source: Path) -> bool:
+    """Return whether a file has lobewise's own channel names; also true where it cannot be read."""
+    from lobewise.interchange.reading import is_own
+    from lobewise.io.exr.parsing import read_container
+
+    try:
+        return is_own(read_container(source))
+    except LobewiseError:
+        # Reading the frame raises the error again.
+        return True
+
+
+def _is_large(source: Path, settings: dict[str, Any]) -> bool:
+    from lobewise.denoising.automatic import ask
+    from lobewise.io.exr.bands import BandReader
+    from lobewise.streaming import list_images, needs_bands
+
+    asked = ask(None, settings, whole=False)
+    try:
+        return needs_bands(BandReader(source, wanted=list_images(asked)), asked)
+    except LobewiseError:
+        # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
+        return False
+
+
+@dataclass(frozen=True)
+class FileInBands:
+    """A file that will be denoised in bands, and where its result goes."""
+
+    source: Path
+    target: Path
+    bands: str
+    """See `parse_bands`."""
+    tables: Sequence[LobeTable] | None
+    """Fitted materials that replace the materials in the file."""
+    settings: dict[str, Any]
+    """Settings of `lobewise.denoise`."""
+
+    def denoise(self, progress: Callable[[str, int, int], None] | None = None) -> DenoisedFile:
+        """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
+        from lobewise.streaming import denoise_file
+
+        bands = parse_bands(self.bands)
+        return denoise_file(
+            self.source,
+            self.target,
+            lobe_tables=self.tables,
+            rows=bands if isinstance(bands, int) else None,
+            progress=progress,
+            **self.settings,
+        )

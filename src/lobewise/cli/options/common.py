@@ -1,0 +1,81 @@
+"""Arguments and options of several verbs, and the parsers of numbers on the command line."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from lobewise.cli.terminal.help import sequence_detail, sequence_option
+from lobewise.errors import InputError
+from lobewise.settings import TemporalSettings, list_knobs
+
+MIN_SIDE, MAX_SIDE = 8, 8192
+"""Fewest and most pixels of a side of ``--size``."""
+
+Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
+Source = Annotated[
+    Path,
+    typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
+]
+
+
+@dataclass(frozen=True)
+class OverTime:
+    """Options that let a frame of a sequence use the frames before it."""
+
+    temporal: Annotated[
+        bool,
+        sequence_option("--temporal", help="With a sequence: let every frame use the frames before it (quality fast)."),
+    ] = False
+    memory: Annotated[
+        float, sequence_detail(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
+    ] = TemporalSettings.memory
+
+    def extend(self, settings: dict[str, Any]) -> dict[str, Any] | None:
+        """Return the settings of the filter over time, None where every frame is filtered by itself."""
+        return {**settings, "memory": self.memory} if self.temporal else None
+
+    def require_sequence(self, source: Path) -> None:
+        """Raise InputError if frames are to be filtered over time and ``source`` is a single file."""
+        from lobewise.io.sequence import is_pattern
+
+        if self.temporal and not is_pattern(source):
+            raise InputError(
+                "--temporal",
+                expected="a sequence such as 'in.####.exr'",
+                got=repr(str(source)),
+                action="put # in place of the digits of the number, and quote the name",
+            )
+
+
+@dataclass(frozen=True)
+class Telling:
+    """Options that tell how much to print."""
+
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print the settings of the filter.")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False
+
+
+def parse_place(text: str) -> tuple[int, int]:
+    """Return row and column of ``ROW,COLUMN``."""
+    words = text.split(",")
+    if len(words) == 2 and all(word.strip().isdecimal() for word in words):
+        return int(words[0]), int(words[1])
+    raise InputError("--place", expected="ROW,COLUMN, such as 1,2", got=repr(text), action="write two numbers")
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of ``WxH``, each from `MIN_SIDE` to `MAX_SIDE`."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if found and min(map(int, found.groups())) >= MIN_SIDE and max(map(int, found.groups())) <= MAX_SIDE:
+        return int(found[1]), int(found[2])
+    raise InputError(
+        "--size",
+        expected=f"columns x rows from {MIN_SIDE} to {MAX_SIDE}, such as 512x512",
+        got=repr(text),
+        action="write two numbers",
+    )

@@ -1,0 +1,200 @@
+"""Options of verbs that read files of any renderer: what a file holds, where the file does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from lobewise.cli.terminal.help import file_option
+from lobewise.errors import InputError
+
+if TYPE_CHECKING:
+    from lobewise.cli.terminal.outcome import Remarks
+    from lobewise.interchange import Imported
+    from lobewise.interchange.checks import Finding
+    from lobewise.lobe_table import LobeTable
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Options that tell what a file holds where the file does not."""
+
+    preset: Annotated[
+        str | None,
+        file_option(
+            metavar="NAME|FILE.toml",
+            help="Conventions of the file: cycles, arnold, vray, renderman, karma, redshift, corona, pbrt, luxcore, "
+            "mitsuba, unreal, generic, or a file of them.",
+            show_default="what the file tells",
+        ),
+    ] = None
+    maps: Annotated[
+        list[str] | None,
+        file_option(
+            "--map",
+            metavar="ROLE=CHANNELS",
+            help="Channels of an image, such as normal=N.X,N.Y,N.Z or roughness=rough.R:square; again for more.",
+            show_default=False,
+        ),
+    ] = None
+    camera: Annotated[
+        Path | None,
+        file_option(
+            metavar="FILE",
+            help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
+            show_default="what the file tells",
+        ),
+    ] = None
+    half: Annotated[
+        Path | None,
+        file_option(
+            metavar="FILE",
+            help="The same frame rendered with another seed: both are halves of the samples.",
+            show_default=False,
+        ),
+    ] = None
+
+    def list_words(self) -> list[str]:
+        """Return the options that the user gave, as words of a command line."""
+        given = {"--preset": [self.preset], "--map": self.maps, "--camera": [self.camera], "--half": [self.half]}
+        return _list_words(given)
+
+    @property
+    def option(self) -> str:
+        """Name of the first option that the user gave, empty for none."""
+        return next(iter(self.list_words()), "")
+
+    def parse(self) -> dict[str, Any]:
+        """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`."""
+        from lobewise.interchange.cameras.files import read_camera_file
+
+        return {
+            "preset": self.preset,
+            "mapping": parse_maps(self.maps or []),
+            "camera": None if self.camera is None else read_camera_file(self.camera),
+        }
+
+
+@dataclass(frozen=True)
+class PassReading(Reading):
+    """Options that tell what a file holds, further noisy passes included."""
+
+    also: Annotated[
+        list[str] | None,
+        file_option(
+            metavar="PATTERN",
+            help="Further noisy passes, such as 'Combined_*', filtered like the passes they belong to; again for more.",
+            show_default=False,
+        ),
+    ] = None
+
+    def list_words(self) -> list[str]:
+        """Return the options that the user gave, as words of a command line."""
+        return super().list_words() + _list_words({"--also": self.also})
+
+    def read(
+        self,
+        path: Path,
+        source: Path,
+        remarks: Remarks,
+        *,
+        tables: Sequence[LobeTable] | None = None,
+        light_passes: bool = False,
+    ) -> Imported:
+        """Return the frame of a file.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        source : Path
+            The file again, or the pattern of its sequence.
+        remarks : Remarks
+            Prints how the file was understood.
+        tables : sequence of LobeTable, optional
+            Fitted materials that replace the materials in the file.
+        light_passes : bool
+            Whether to read the light by its passes as well.
+        """
+        from lobewise.interchange import import_file
+        from lobewise.interchange.replacing import require_target
+
+        given = self.parse()
+        found = import_file(
+            path,
+            **given,
+            half=None if self.half is None else self._find_half(path, source),
+            lobe_tables=tables,
+            also=self.also or (),
+            light_passes=light_passes,
+        )
+        if "color" not in given["mapping"]:
+            refuse_results(path, found.findings)
+        require_target(found)
+        # A finding holds figures of one frame: of a sequence only the first frame's are printed.
+        known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
+        for note in found.remarks:
+            remarks.tell(note, known.get(note, note))
+        return found
+
+    def _find_half(self, path: Path, source: Path) -> Path:
+        """Return the file of the second render that belongs to a file of the first."""
+        from lobewise.io.sequence import is_pattern
+
+        assert self.half is not None
+        if is_pattern(self.half) != is_pattern(source):
+            raise InputError(
+                "--half",
+                expected="a sequence for a sequence, and a file for a file",
+                got=f"{str(self.half)!r} for {str(source)!r}",
+                action="name both alike",
+            )
+        return find_counterpart(path, source, self.half)
+
+
+def _list_words(given: Mapping[str, Iterable[object] | None]) -> list[str]:
+    return [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
+
+
+def find_counterpart(path: Path, source: Path, other: Path) -> Path:
+    """Return the file of ``other`` that has the number of ``path`` in the sequence ``source``.
+
+    Where ``source`` is a single file, ``other`` is returned.
+    """
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    if not is_pattern(source):
+        return other
+    number = {found: number for number, found in FramePattern.parse(source).find()}[path]
+    return FramePattern.parse(other).name(number)
+
+
+def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
+    """Raise InputError if the image of a file is a result of lobewise: it has no noise left to measure."""
+    from lobewise.interchange.checks import MARKED
+
+    if any(one.what == MARKED and not one.mended for one in findings):
+        raise InputError(
+            f"input {str(path)!r}",
+            expected="a noisy render",
+            got="a result of lobewise, as its attribute 'lobewise/denoised' says",
+            action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
+        )
+
+
+def parse_maps(given: list[str]) -> Mapping[str, str]:
+    """Return channels by role from words ``role=channels``."""
+    found: dict[str, Any] = {}
+    for text in given:
+        role, equals, channels = text.partition("=")
+        if not equals or not channels or role.strip() in found:
+            raise InputError(
+                "--map",
+                expected="ROLE=CHANNELS, each role once",
+                got=repr(text),
+                action="write, for example, --map normal=N.X,N.Y,N.Z",
+            )
+        found[role.strip()] = channels.strip()
+    return found

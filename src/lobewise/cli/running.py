@@ -1,0 +1,146 @@
+"""How a verb filters one file, or every file of a sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from lobewise.cli.options.bands import FileInBands
+from lobewise.cli.options.common import Telling
+from lobewise.cli.options.writing import Picture, find_first
+from lobewise.cli.terminal.outcome import Remarks, tell_picture, tell_settings
+from lobewise.cli.terminal.steps import Steps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lobewise.frame import Result
+    from lobewise.reporting.picture import Pictures
+    from lobewise.sequence import SequenceFilter, SequenceReport, State
+    from lobewise.streaming import DenoisedFile
+
+FileT = TypeVar("FileT")
+ResultT = TypeVar("ResultT", bound="Result | DenoisedFile")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """The files that a verb filters, and how much it prints."""
+
+    source: Path
+    output: Path
+    """Two files, or two patterns."""
+    pictures: Pictures | None
+    """Writes a picture beside each output, where pictures are asked for."""
+    steps: Steps
+    """Shows the progress."""
+    verbose: bool
+    """Whether to print the settings of the filter."""
+    remarks: Remarks = field(default_factory=Remarks)
+
+    @classmethod
+    def plan(cls, source: Path, output: Path, picture: Picture, telling: Telling) -> Job:
+        """Return the job that the options ask for; see `lobewise.cli.options.writing.Picture.plan` for the errors."""
+        return cls(
+            source=source,
+            output=output,
+            pictures=picture.plan(find_first(source, output)),
+            steps=Steps(quiet=telling.quiet),
+            verbose=telling.verbose,
+        )
+
+
+class FileFilter(Protocol[FileT, ResultT]):
+    """How a verb reads, filters and writes a file."""
+
+    def read(self, path: Path) -> FileT:
+        """Return the content of a file."""
+
+    def make_filter(self) -> SequenceFilter[FileT, ResultT]:
+        """Return a new filter."""
+
+    def write(self, target: Path, result: ResultT, found: FileT) -> None:
+        """Write the result of ``found`` to ``target``, and its picture."""
+
+
+class FilterAlone(Generic[FileT, ResultT]):
+    """A sequence filter that filters every frame by itself."""
+
+    def __init__(self, filter_one: Callable[[FileT], ResultT]) -> None:
+        self._filter_one = filter_one
+
+    def add(self, frame: FileT, *, cut: bool = False) -> ResultT:
+        """Return the result of a frame."""
+        return self._filter_one(frame)
+
+    def get_state(self) -> State:
+        """Return nothing: the filter remembers nothing."""
+        return {}
+
+    def set_state(self, state: State) -> None:
+        """Do nothing."""
+
+
+def run_filter(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: Any) -> None:
+    """Filter one file, or every file of a pattern, and print what was done.
+
+    ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
+    """
+    from lobewise.cli.output import describe_result, print_line
+    from lobewise.io.files import require_exr_name
+    from lobewise.io.sequence import is_pattern
+
+    require_exr_name(job.output)
+    last: ResultT | None
+    if is_pattern(job.source):
+        report = _filter_sequence(job, verb, repr(fingerprint))
+        last = report.last
+        told = f"{report.written} of {report.frames} frames"
+        told += "" if last is None else f"; the last: {describe_result(last)}"
+    else:
+        last = result = _filter_file(job, verb)
+        told = describe_result(result)
+    print_line(f"Wrote {job.output}: {told}.")
+    tell_picture(job.output, job.pictures)
+    tell_settings(last, job.verbose)
+
+
+def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
+    from lobewise.io.exr.layout import name_file
+    from lobewise.io.files import require_writable
+
+    require_writable(job.output)
+    with job.steps as steps:
+        steps.tell(f"Reading {job.source.name}")
+        found = verb.read(job.source)
+        steps.tell("Filtering")
+        with name_file(job.source):
+            result = verb.make_filter().add(found)
+        if not isinstance(found, FileInBands):
+            # A file in bands is written while it is filtered.
+            steps.tell(f"Writing {job.output.name}")
+        verb.write(job.output, result, found)
+    job.remarks.tell_result(result)
+    return result
+
+
+def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: str) -> SequenceReport[ResultT]:
+    from lobewise.cli.output import print_note
+    from lobewise.sequence import filter_sequence
+
+    def write(target: Path, result: ResultT, found: FileT, path: Path) -> None:
+        verb.write(target, result, found)
+        job.remarks.tell_result(result)
+
+    with job.steps as steps:
+        return filter_sequence(
+            job.source,
+            job.output,
+            verb.make_filter,
+            read=verb.read,
+            write=write,
+            fingerprint=fingerprint,
+            progress=lambda what, done, total: steps.tell(f"Filtering {job.source.name}", done, total),
+            remark=print_note,
+        )
