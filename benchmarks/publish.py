@@ -1,84 +1,79 @@
-"""Write the figures of README.md and docs/results.md from the committed JSON; nothing else puts numbers there.
+"""Fill the marked places of README.md and docs with the figures of the committed JSON files.
 
 python -m benchmarks.publish
+
+People write the pages. This program changes nothing outside the marks (see `benchmarks.pages.marks`). It also draws the
+plots of docs/bench.md.
 """
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from typing import NamedTuple
 
 from benchmarks.common import RESULTS, ROOT
-from benchmarks.pages.ablation import make_ablation_page
-from benchmarks.pages.bench import load_machines, make_bench_page, write_pictures
-from benchmarks.pages.foreign import make_foreign_page
-from benchmarks.pages.gallery import make_gallery_page
-from benchmarks.pages.interactive import make_interactive_page
-from benchmarks.pages.mitsuba import make_mitsuba_figures
-from benchmarks.pages.performance import make_performance_page
-from benchmarks.pages.quality import make_quality_page
-from benchmarks.pages.results import (
-    make_readme_figures,
-    make_results_page,
+from benchmarks.pages import (
+    ablation,
+    bench,
+    foreign,
+    gallery,
+    interactive,
+    materials,
+    mitsuba,
+    performance,
+    quality,
+    results,
+    streaming,
+    trials,
+    users,
+    virtual_lights,
 )
-from benchmarks.pages.streaming import make_streaming_page
-from benchmarks.pages.trials import make_trials_page
-from benchmarks.pages.users import make_users_page
-
-INTERACTIVE = ("interactive_quality", "interactive", "viewer")
-"""What docs/interactive.md is made of."""
-PERFORMANCE = ("filters", "roofline", "scaling", "kernel_trials", "taps")
-"""What docs/performance.md is made of."""
-TRIALS = ("quality_trials", "training", "shares")
-"""What docs/quality.md is made of."""
-START, END = "<!-- figures:start -->", "<!-- figures:end -->"
+from benchmarks.pages.marks import fill_places
 
 
-def load_startup() -> dict[str, Any] | None:
-    """Return what ``startup.py`` has measured, None before it has."""
-    path = RESULTS / "startup.json"
-    return json.loads(path.read_text()) if path.exists() else None
+class Source(NamedTuple):
+    """What fills a page: a function that returns figures by place, and the JSON files that it takes."""
+
+    make_figures: Callable[..., dict[str, str]]
+    files: tuple[str, ...]
 
 
-def put_figures(page: Path, figures: str) -> None:
-    """Put figures between the marks of a page."""
-    head, rest = page.read_text().split(START)
-    tail = rest.split(END)[1]
-    page.write_text(f"{head}{START}\n{figures}\n{END}{tail}")
+PAGES = {
+    "README.md": Source(users.make_readme_figures, ("users",)),
+    "docs/bench.md": Source(bench.make_figures, ("startup",)),
+    "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
+    "docs/interactive.md": Source(interactive.make_figures, ("interactive_quality", "interactive", "viewer")),
+    "docs/materials.md": Source(materials.make_figures, ("fit_materials",)),
+    "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),
+    "docs/performance.md": Source(performance.make_figures, ("filters", "roofline", "scaling")),
+    "docs/quality.md": Source(trials.make_figures, ("shares",)),
+    "docs/quality_results.md": Source(quality.make_figures, ("quality",)),
+    "docs/renderers_results.md": Source(foreign.make_figures, ("foreign", "foreign_speed")),
+    "docs/research/affinity_ablation.md": Source(ablation.make_figures, ("affinity_ablation",)),
+    "docs/research/hit_distance.md": Source(results.make_hit_figures, ("similarities", "hit_distance")),
+    "docs/research/kernel_trials.md": Source(performance.make_trial_figures, ("kernel_trials", "taps")),
+    "docs/research/quality_trials.md": Source(trials.make_trial_figures, ("quality_trials", "training")),
+    "docs/results.md": Source(results.make_figures, ("similarities", "filters", "paper_table", "upsampling")),
+    "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
+    "docs/users_results.md": Source(users.make_figures, ("users",)),
+    "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights",)),
+}
+"""The pages that have marked places."""
+
+
+def fill_page(name: str) -> str:
+    """Return the text of a page with the figures of the committed JSON files."""
+    source = PAGES[name]
+    measured = (json.loads((RESULTS / f"{file}.json").read_text()) for file in source.files)
+    return fill_places((ROOT / name).read_text(), source.make_figures(*measured))
 
 
 def main() -> None:
-    """Write the pages."""
-    similarities = json.loads((RESULTS / "similarities.json").read_text())
-    filters = json.loads((RESULTS / "filters.json").read_text())
-    upsampling = json.loads((RESULTS / "upsampling.json").read_text())
-    quality = json.loads((RESULTS / "quality.json").read_text())
-    users = json.loads((RESULTS / "users.json").read_text())
-    put_figures(ROOT / "README.md", make_readme_figures(quality, upsampling, users))
-    paper = json.loads((RESULTS / "paper_table.json").read_text())
-    hits = json.loads((RESULTS / "hit_distance.json").read_text())
-    gallery = json.loads((RESULTS / "gallery.json").read_text())
-    (ROOT / "docs" / "results.md").write_text(make_results_page(similarities, filters, paper, hits, upsampling))
-    (ROOT / "docs" / "gallery.md").write_text(make_gallery_page(gallery))
-    measured = (json.loads((RESULTS / f"{name}.json").read_text()) for name in INTERACTIVE)
-    (ROOT / "docs" / "interactive.md").write_text(make_interactive_page(*measured))
-    trials = (json.loads((RESULTS / f"{name}.json").read_text()) for name in TRIALS)
-    (ROOT / "docs" / "quality.md").write_text(make_trials_page(*trials))
-    (ROOT / "docs" / "quality_results.md").write_text(make_quality_page(quality))
-    foreign, speed = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
-    (ROOT / "docs" / "renderers_results.md").write_text(make_foreign_page(foreign, speed))
-    ablation = json.loads((RESULTS / "affinity_ablation.json").read_text())
-    (ROOT / "docs" / "research" / "affinity_ablation.md").write_text(make_ablation_page(ablation))
-    (ROOT / "docs" / "users_results.md").write_text(make_users_page(users))
-    put_figures(ROOT / "docs" / "mitsuba.md", make_mitsuba_figures(json.loads((RESULTS / "mitsuba.json").read_text())))
-    streamed = json.loads((RESULTS / "streaming.json").read_text())
-    (ROOT / "docs" / "streaming.md").write_text(make_streaming_page(streamed))
-    performance = (json.loads((RESULTS / f"{name}.json").read_text()) for name in PERFORMANCE)
-    (ROOT / "docs" / "performance.md").write_text(make_performance_page(*performance))
-    machines = load_machines()
-    write_pictures(machines)
-    (ROOT / "docs" / "bench.md").write_text(make_bench_page(load_startup(), machines))
+    """Fill every page and draw the plots."""
+    for name in PAGES:
+        (ROOT / name).write_text(fill_page(name))
+    bench.write_pictures(bench.load_machines())
 
 
 if __name__ == "__main__":

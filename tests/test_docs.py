@@ -1,4 +1,4 @@
-"""The documentation is true: its code runs, its commands exist, its figures are those of the JSON files."""
+"""The documentation is true: its code runs, its commands exist, its figures come from the committed JSON files."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ import lobewise
 
 ROOT = Path(__file__).parents[1]
 BUNDLED = ROOT / "src" / "lobewise" / "data" / "showroom-4spp.exr"
+
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def load_publisher() -> ModuleType:
@@ -105,50 +108,6 @@ def test_temporal_page_runs() -> None:
     np.testing.assert_allclose(names["result"].image.mean(), 0.5, rtol=0.05)
 
 
-def test_interactive_page_says_what_was_measured() -> None:
-    publisher = load_publisher()
-    results = ROOT / "benchmarks" / "results"
-    measured = (json.loads((results / f"{name}.json").read_text()) for name in publisher.INTERACTIVE)
-    assert (ROOT / "docs" / "interactive.md").read_text() == publisher.make_interactive_page(*measured)
-
-
-def test_performance_page_says_what_was_measured() -> None:
-    from lobewise.backend.devices import DEVICES
-
-    publisher = load_publisher()
-    results = ROOT / "benchmarks" / "results"
-    measured = (json.loads((results / f"{name}.json").read_text()) for name in publisher.PERFORMANCE)
-    text = (ROOT / "docs" / "performance.md").read_text()
-    assert text == publisher.make_performance_page(*measured)
-    for name in DEVICES:
-        assert f"`{name}`" in text
-
-
-def test_bench_page_says_what_was_measured() -> None:
-    publisher = load_publisher()
-    machines = publisher.load_machines()
-    assert (ROOT / "docs" / "bench.md").read_text() == publisher.make_bench_page(publisher.load_startup(), machines)
-
-
-def test_quality_page_says_what_was_measured() -> None:
-    publisher = load_publisher()
-    measured, page = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "docs" / "quality_results.md"
-    assert page.read_text() == publisher.make_quality_page(json.loads(measured.read_text()))
-
-
-def test_page_of_users_frames_says_what_was_measured() -> None:
-    publisher = load_publisher()
-    measured, page = ROOT / "benchmarks" / "results" / "users.json", ROOT / "docs" / "users_results.md"
-    assert page.read_text() == publisher.make_users_page(json.loads(measured.read_text()))
-
-
-def test_page_for_mitsubas_users_says_what_was_measured() -> None:
-    publisher = load_publisher()
-    measured = json.loads((ROOT / "benchmarks" / "results" / "mitsuba.json").read_text())
-    block = (ROOT / "docs" / "mitsuba.md").read_text().split(publisher.START)[1].split(publisher.END)[0]
-    assert block.strip() == publisher.make_mitsuba_figures(measured).strip()
-
-
 @pytest.mark.mitsuba
 def test_page_for_mitsubas_users_runs(mi: Any) -> None:
     names: dict[str, Any] = {}
@@ -169,41 +128,54 @@ def test_interactive_page_runs(mi: Any) -> None:
     assert [image.shape for image in names["images"]] == [(128, 128, 3)] * 3
 
 
-def test_readme_commands_exist() -> None:
+@pytest.mark.parametrize("name", ["README.md", "docs/command_line.md"])
+def test_commands_exist(name: str) -> None:
     from typer.main import get_command
 
     from lobewise.cli.commands import app
 
     verbs = set(get_command(app).commands)  # type: ignore[attr-defined]
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / name).read_text()
     used = set(re.findall(r"^(?:.*/)?lobewise (\w+)", text, flags=re.M)) | set(re.findall(r"`lobewise (\w+)", text))
     assert used
     assert used <= verbs
 
 
-def test_readme_pictures_and_links_exist() -> None:
-    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "CONTRIBUTING.md"]:
+def test_pictures_and_links_exist() -> None:
+    for path in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text()):
             assert (path.parent / target).exists(), f"{path.name} points to {target}"
 
 
-def test_published_figures_come_from_the_results() -> None:
-    publisher = load_publisher()
-    results = ROOT / "benchmarks" / "results"
-    similarities = json.loads((results / "similarities.json").read_text())
-    filters = json.loads((results / "filters.json").read_text())
-    upsampling = json.loads((results / "upsampling.json").read_text())
-    readme = (ROOT / "README.md").read_text()
-    block = readme.split(publisher.START)[1].split(publisher.END)[0].strip()
-    quality = json.loads((results / "quality.json").read_text())
-    users = json.loads((results / "users.json").read_text())
-    assert block == publisher.make_readme_figures(quality, upsampling, users).strip()
-    paper = json.loads((results / "paper_table.json").read_text())
-    hits = json.loads((results / "hit_distance.json").read_text())
-    gallery = json.loads((results / "gallery.json").read_text())
-    page = publisher.make_results_page(similarities, filters, paper, hits, upsampling)
-    assert (ROOT / "docs" / "results.md").read_text() == page
-    assert (ROOT / "docs" / "gallery.md").read_text() == publisher.make_gallery_page(gallery)
+@pytest.mark.parametrize("name", load_publisher().PAGES)
+def test_figures_are_those_of_the_results(name: str) -> None:
+    text = load_publisher().fill_page(name)
+    assert (ROOT / name).read_text() == text, f"{name} is out of date: run python -m benchmarks.publish"
+
+
+def test_every_page_with_marks_is_filled() -> None:
+    marked = {str(path.relative_to(ROOT)) for path in PAGES if re.search("^<!-- figures:", path.read_text(), re.M)}
+    assert marked == set(load_publisher().PAGES)
+
+
+@pytest.mark.parametrize("figures", [{}, {"times": "1", "errors": "2"}])
+def test_places_and_figures_must_agree(figures: dict[str, str]) -> None:
+    from benchmarks.pages.marks import fill_places
+
+    page = "before\n<!-- figures:times -->\n<!-- figures:end -->\nafter\n"
+    filled = fill_places(page, {"times": "| 3 |"})
+    assert filled == "before\n<!-- figures:times -->\n\n| 3 |\n\n<!-- figures:end -->\nafter\n"
+    assert fill_places(filled, {"times": "| 3 |"}) == filled
+    with pytest.raises(ValueError, match="times"):
+        fill_places(page, figures)
+
+
+def test_performance_page_names_every_device() -> None:
+    from lobewise.backend.devices import DEVICES
+
+    text = (ROOT / "docs" / "performance.md").read_text()
+    for name in DEVICES:
+        assert f"`{name}`" in text
 
 
 def test_default_similarity_is_the_winner_of_the_comparison() -> None:
@@ -216,11 +188,3 @@ def test_default_similarity_is_the_winner_of_the_comparison() -> None:
             for name in logs:
                 logs[name] += float(np.log(row[name]["rel_mse"]))
     assert min(logs, key=lambda name: logs[name]) == DEFAULT_SIMILARITY
-
-
-def test_page_of_qualities_is_that_of_the_trials() -> None:
-    results = ROOT / "benchmarks" / "results"
-    publisher = load_publisher()
-    given = (json.loads((results / f"{name}.json").read_text()) for name in publisher.TRIALS)
-    page = publisher.make_trials_page(*given)
-    assert (ROOT / "docs" / "quality.md").read_text() == page

@@ -1,10 +1,10 @@
-"""Virtual lights and the filter: what lobe-aware weights make of light that is not sampled by the BRDF, and the mend.
+"""Measure what lobe-aware weights make of light that is not sampled by the BRDF, and how a band-limit helps.
 
 Tokuyoshi 2015, slide "Limitations (2)": without importance sampling by the BRDF, as with instant radiosity, sharp lobes
-do not have detailed pictures but spikes, and the narrow kernels of sharp lobes keep them. Frames of indirect light by
-virtual lights are denoised with the default band-limit of the lobes and with the one that the number of lights asks
-for, against paths and against the sum over all lights of the same set. Writes a JSON, the tables of
-docs/virtual_lights.md, and its pictures.
+show spikes instead of detail, and the narrow kernels of sharp lobes keep the spikes. This program renders indirect
+light by virtual lights and denoises it with two band-limits of the lobes: the default, and the one that follows from
+the number of lights. It compares both with paths and with the sum over all lights of the same set. It writes a JSON
+file and the pictures of docs/virtual_lights.md.
 
     python -m benchmarks.interactive.virtual_lights --cache ~/.cache/lobewise-quality \\
         -o benchmarks/results/virtual_lights.json
@@ -30,16 +30,13 @@ from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
 from lobewise.reporting.display import choose_exposure, map_tones
 
-PAGE = ROOT / "docs" / "virtual_lights.md"
-START, END = "<!-- {}: written by benchmarks/interactive/virtual_lights.py -->", "<!-- end of {} -->"
-
 SIZE = 512
 PATHS = 1024
 REFERENCE_SPP = 256
-"""Samples of each of the two halves of a reference by paths, which tell its own error."""
+"""Samples of each of the two halves of a reference by paths. The halves tell the error of the reference."""
 
 FILTER = {"form": "atrous"}
-"""Spikes lie further apart than a window of the usual radius is wide: within it they are smeared to blocks."""
+"""Spikes lie further apart than the usual radius, so that a window of this radius smears each to a block."""
 
 GUIDE_SPP = 16
 SHARP = 0.1
@@ -50,7 +47,7 @@ CROPS = {"showroom": (slice(190, 446), slice(60, 316)), "brushed": (slice(150, 4
 GAP = 4
 
 PANELS = ("one sample", "sg, default", "sg, limited", "all lights", "paths")
-"""What the pictures show, from left to right."""
+"""Images in the pictures, from left to right."""
 
 BOX_COUNTS = (64, 256, 1024, 4096)
 BOX_SIZE = 64
@@ -152,7 +149,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
         "tau": tau,
         "default_tau": denoise(frame, quality="fast", similarity="sg").settings["tau"],
         "reference_spp": 2 * REFERENCE_SPP,
-        # A half is as far from the mean of both as the mean is from the truth.
+        # The distance of a half from the mean of both estimates the distance of the mean from the truth.
         "reference_errors": find_errors(halves[0], frame, {"paths": truth}),
         "errors": {key: find_errors(image, frame, references) for key, image in images.items() if key != "paths"},
         "sweep": {
@@ -238,73 +235,6 @@ def write_picture(name: str, images: Mapping[str, FloatArray]) -> None:
     print(f"{target}: {row.shape[1]}x{row.shape[0]}, {target.stat().st_size / 1e3:.0f} kB")
 
 
-def make_tables(results: Mapping[str, Any]) -> dict[str, str]:
-    """Return the page's tables by the name of their place."""
-    scenes = results["scenes"]
-    lines = [
-        "| | " + " | ".join(f"{name}, all | {name}, sharp | {name}, sharp, own lights" for name in scenes) + " |",
-        "| --- |" + " --- |" * (3 * len(scenes)),
-    ]
-    labels = {
-        "one sample": "one sample, not filtered",
-        "normal-aware": "normal-aware",
-        "sg, default": "`sg`, default tau",
-        "sg, limited": "`sg`, tau by the lights",
-        "ggx, default": "`ggx`, default tau",
-        "ggx, limited": "`ggx`, tau by the lights",
-        "sg, default, radius 8": "`sg`, default tau, full form of radius 8",
-        "sg, limited, radius 8": "`sg`, tau by the lights, full form of radius 8",
-        "all lights": "all lights, not filtered",
-    }
-    for key, label in labels.items():
-        cells = []
-        for row in scenes.values():
-            errors = row["errors"][key]
-            cells += [f"{errors[what]:.3f}" for what in ("paths, all", "paths, sharp", "all lights, sharp")]
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    noise = [
-        f"{row['reference_errors'][what]:.3f}" if what in row["reference_errors"] else ""
-        for row in scenes.values()
-        for what in ("paths, all", "paths, sharp", "all lights, sharp")
-    ]
-    lines.append("| what the noise of the reference adds to each | " + " | ".join(noise) + " |")
-
-    sweep = ["| tau | " + " | ".join(f"{name}, `{s}`" for name in scenes for s in ("sg", "ggx")) + " |"]
-    sweep.append("| --- |" + " --- |" * (2 * len(scenes)))
-    for tau in next(iter(scenes.values()))["sweep"]["sg"]:
-        cells = [f"{row['sweep'][s][tau]['paths, sharp']:.3f}" for row in scenes.values() for s in ("sg", "ggx")]
-        sweep.append(f"| {tau} | " + " | ".join(cells) + " |")
-
-    limits = ["| | lights | a pixel takes | worth | tau by the lights | default tau |", "| --- |" + " --- |" * 5]
-    for name, row in scenes.items():
-        limits.append(
-            f"| {name} | {row['lights']} | {row['lights_per_pixel']} | {row['lights_seen']:.1f} | {row['tau']:.2f} | "
-            f"{row['default_tau']:.2f} |"
-        )
-
-    counts = results["box"]["counts"]
-    kinds = list(next(iter(counts.values())))
-    box = ["| light paths | " + " | ".join(kinds) + " |", "| --- |" + " --- |" * len(kinds)]
-    for count, row in counts.items():
-        cells = [f"{row[kind]['rel_mse']:.4f} ({100 * (row[kind]['mean'] - 1):+.1f} %)" for kind in kinds]
-        box.append(f"| {count} | " + " | ".join(cells) + " |")
-
-    speed = ["| | tracing the lights | shading | of all threads together |", "| --- |" + " --- |" * 3]
-    for name, row in results["speed"].items():
-        speed.append(f"| {name} | {row['update']} ms | {row['shade']} ms | {row['shade_cpu']} ms |")
-    tables = {"errors": lines, "sweep": sweep, "limits": limits, "box": box, "speed": speed}
-    return {name: "\n".join(table) for name, table in tables.items()}
-
-
-def fill_page(page: str, results: Mapping[str, Any]) -> str:
-    """Return the page with its tables replaced."""
-    for name, table in make_tables(results).items():
-        start, end = START.format(name), END.format(name)
-        before, rest = page.split(start)
-        page = f"{before}{start}\n\n{table}\n\n{end}{rest.split(end)[1]}"
-    return page
-
-
 def main() -> None:
     """Run and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -332,8 +262,6 @@ def main() -> None:
     if "speed" in chosen:
         results["speed"] = run_speed()
     write_json(arguments.output, results)
-    if PAGE.exists() and {"scenes", "box", "speed"} <= set(results):
-        PAGE.write_text(fill_page(PAGE.read_text(), results))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The text of docs/bench.md, from what ``performance/startup.py`` has measured and ``lobewise bench`` on several machines."""
+"""The figures of docs/bench.md, measured by `performance/startup.py` and by `lobewise bench` on several machines."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.common import ROOT
-from benchmarks.pages.tables import make_table
+from benchmarks.pages.tables import describe_run, judge, list_facts, make_table
 from lobewise.bench.plots import PLOTS, draw_plots
 from lobewise.bench.summary import Section, describe_machine_in_words, make_sections
 
 MACHINES = ROOT / "benchmarks" / "results" / "machines"
 IMAGES = ROOT / "docs" / "images"
-LIMIT = 300.0
-"""Milliseconds that help may take: longer feels like waiting."""
+MAX_MILLISECONDS_OF_HELP = 300.0
+"""Goal: longest time of `lobewise --help`. Users notice longer waits."""
 
 
 def load_machines() -> dict[str, dict[str, Any]]:
@@ -40,44 +40,14 @@ def write_pictures(machines: Mapping[str, Any]) -> None:
             (IMAGES / name_picture(name, plot)).write_bytes(png)
 
 
-def make_bench_page(startup: Mapping[str, Any] | None, machines: Mapping[str, Any]) -> str:
-    """Return docs/bench.md."""
-    shown = "\n".join(make_machine(name, data) for name, data in machines.items())
-    starts = "" if startup is None else make_startup(startup)
-    return f"""# How fast is it here?
+def make_figures(startup: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/bench.md by place."""
+    return {**make_startup(startup), "machines": make_machines(load_machines())}
 
-Written by `benchmarks/publish.py`; no figure is typed by hand.
 
-```bash
-lobewise bench                    # up to ten minutes, of which nothing else should run
-lobewise bench --quick            # about a minute, on small images
-lobewise bench --device cuda -o there
-```
-
-times the filters on this machine and writes a folder, `lobewise-bench` unless `-o` names another: `index.html` with all tables and
-plots, `bench.json` with every time, and the plots as PNG (these need `lobewise[fit]`, Open Image Denoise needs `lobewise[compare]`; what is
-missing is left out and said). Without `--device` every device is measured that `lobewise devices` lists and that is no software.
-`lobewise bench interactive` measures the chain of the viewer instead: [docs/interactive.md](interactive.md).
-
-## How to read it
-
-- All candidates of a table run in turn, again and again, and the best time of each counts: a disturbance of the machine meets all of
-  them, and ratios within a table hold better than times between tables.
-- The first run of each, in which kernels are compiled, is not counted.
-- *Kernel* times are those of one image of three channels. *Whole frames* are `lobewise.denoise`: diffuse and specular light, each with
-  its own lobes, and all that surrounds the filter.
-- Everything is measured on a plane of patches made of formulas, so that machines compare. Times on a rendered frame stand in
-  [docs/quality_results.md](quality_results.md).
-- Open Image Denoise is given colour, albedo and normal, declared clean: one network. Filtering its guides first takes two more. It
-  chooses its device itself: a graphics card where it finds one, which the figures do not tell.
-- On a graphics card a time has the way there and back in it.
-- In `bench.json` a row of `rows` is one time: `part`, `device`, `name`, `milliseconds`, and what the part varies (`width`, `height`, `form`,
-  `radius`, `lobes`, `scale`, `threads`).
-
-To have a machine stand here: put its `bench.json` into `benchmarks/results/machines/`, with a short name, and run
-`benchmarks/publish.py`.
-
-{starts}{shown}"""
+def make_machines(machines: Mapping[str, Any]) -> str:
+    """Return a chapter for each machine."""
+    return "\n\n".join(make_machine(name, data) for name, data in machines.items())
 
 
 def make_machine(name: str, data: Mapping[str, Any]) -> str:
@@ -101,9 +71,8 @@ def _make_section(section: Section, machine: str, pictures: list[str]) -> str:
     return f"### {section.title}\n\n{section.note}\n\n{make_table(section.header, section.rows)}\n{picture}"
 
 
-def make_startup(startup: Mapping[str, Any]) -> str:
-    """Return the chapter on whole processes."""
-    machine = startup["machine"]
+def make_startup(startup: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of whole processes by place."""
     helps = [
         [f"`{name}`", f"{row['milliseconds']:.0f} ms", f"{row['ratio_to_python']:.1f}"]
         for name, row in startup["help"].items()
@@ -119,25 +88,23 @@ def make_startup(startup: Mapping[str, Any]) -> str:
         for name, row in startup["denoise"].items()
     ]
     slowest = startup["help"]["lobewise --help"]["milliseconds"]
-    verdict = "within" if slowest <= LIMIT else "over"
     header = ["what", "whole process", "of which `denoise`", *(f"times faster than `{peer}`" for peer in peers)]
-    files = {
-        name: f"{file['megabytes']:.0f} MB with {file['channels']} channels" for name, file in startup["files"].items()
+    whole, lean = (
+        f"{file['megabytes']:.0f} MB, {file['channels']} channels"
+        for file in map(startup["files"].get, ("whole", "lean"))
+    )
+    goal = (
+        f"at most {MAX_MILLISECONDS_OF_HELP:.0f} ms for `lobewise --help`, {judge(slowest <= MAX_MILLISECONDS_OF_HELP)}"
+    )
+    return {
+        "processes-run": list_facts({"Machine": describe_run(startup), "Goal": goal}),
+        "help": make_table(["program", "time", "over a Python that does nothing"], helps),
+        "files": list_facts(
+            {
+                "Frame": f"`showroom`, {startup['width']}x{startup['height']}, 1 sample per pixel",
+                "Whole file": whole,
+                "Lean file": lean,
+            }
+        ),
+        "processes": make_table(header, runs),
     }
-    return f"""## From the command line
-
-`benchmarks/performance/startup.py`, {machine["processor"]}, {machine["threads"]} threads, commit {machine["commit"]}. Whole processes, in turn, the best of each.
-
-{make_table(["program", "time", "over a Python that does nothing"], helps)}
-
-`lobewise --help` is {verdict} the {LIMIT:.0f} ms that were set for it. It imports neither NumPy nor Halide; what is left is the parser of the
-command line and the frame about the text.
-
-`lobewise denoise` of `showroom`, {startup["width"]}x{startup["height"]}, 1 sample per pixel, beside `oidnDenoise` on the same pixels. "first run": no kernel
-has been compiled before; "again": the run after it. The file is what `lobewise render` writes, {files["whole"]}, all of
-which are read and written again; "lean file" holds only what `fast` looks at, {files["lean"]}. `oidnDenoise` reads colour, albedo and normal
-as three uncompressed PFM files and writes one.
-
-{make_table(header, runs)}
-
-"""

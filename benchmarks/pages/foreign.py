@@ -1,11 +1,11 @@
-"""The text of docs/renderers_results.md, from what `benchmarks/foreign` has measured."""
+"""The figures of docs/renderers_results.md, measured by `benchmarks/foreign`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from benchmarks.pages.tables import make_table
+from benchmarks.pages.tables import list_facts, make_table
 
 RENDERERS = {
     "blender": "Blender 4.5, Cycles, all passes in one part",
@@ -27,42 +27,31 @@ METHODS = {
 KINDS = {"rel_mse": "", "without the worst": ", the worst 0.1 % of pixels left out"}
 
 
-def make_foreign_page(measured: Mapping[str, Any], speed: Mapping[str, Any]) -> str:
-    """Return docs/renderers_results.md, from errors and from the times of whole commands."""
-    machine = measured["machine"]
-    sections = [make_section(name, measured["renderers"][name]) for name in RENDERERS if name in measured["renderers"]]
-    return f"""# Results on frames of other renderers
-
-Written by `benchmarks/publish.py` from `benchmarks/results/foreign.json`; no figure is typed by hand. {machine["processor"]}.
-
-Scenes made in code (`benchmarks/foreign/render_*.py`): metals and plastics on a chequered floor; textures; glass; a room with a lamp, a window and a mirror; and shots as artists make them:
-a product shot with lamps out of focus, lacquer, flakes and glass, an interior lit through a window, things that move or lie out of focus, small lamps between mirrors. Filters and
-settings are the renderer's defaults, but Blender's adaptive sampling is off; nothing is denoised before. Each file is read as it comes. The error is `rel_mse` with the noise
-of the reference taken out (`benchmarks/foreign/judging.py`): a reference is two renders of different seeds. Few pixels can be most of it, fireflies and lamps seen in mirrors;
-so it also stands without the 0.1 % of an image's pixels that are furthest off.
-
-"Color, albedo and normal alone" is a file of which the other passes are taken away. "Normal-aware" was tuned on each scene and sample count against its reference, all
-others run with their defaults. Open Image Denoise gets what the renderer itself hands to it (Blender: `Denoising Albedo` and `Denoising Normal`), prefiltered, at its best
-quality. "Of both renders" is `--half`: both seeds as halves of twice the samples, so these columns compare with each other alone.
-
-{chr(10).join(sections)}
-{make_speed(speed)}"""
+def make_figures(measured: Mapping[str, Any], speed: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/renderers_results.md by place: errors, and times of whole commands."""
+    found = measured["renderers"]
+    sections = [make_section(name, found[name]) for name in RENDERERS if name in found]
+    return {
+        "renderers": "\n".join(sections),
+        "machine": list_facts({"Machine": measured["machine"]["processor"]}),
+    } | make_speed(speed)
 
 
-def make_speed(speed: Mapping[str, Any]) -> str:
+def make_speed(speed: Mapping[str, Any]) -> dict[str, str]:
     """Return the times of the command on a large file, and of its steps."""
     file = speed["file"]
-    size = "x".join(map(str, file["size"]))
     steps = ("command", "filter", "read", "write", "command over filter")
     rows = [[f"`{name}`", *(f"{times[step]:.2f}" for step in steps)] for name, times in speed["qualities"].items()]
-    return f"""## The whole command
-
-`lobewise denoise room.exr -o out.exr`, a process of its own, on the room at {size} with {file["channels"]} channels ({file["bytes"] / 1e6:.0f} MB, {file["compression"]}), kernels compiled before;
-beside it the same filter, reading and writing alone, warm, in turn, seconds, medians of {speed["rounds"]} rounds (`benchmarks/foreign/speed.py`, {speed["machine"]["threads"]} threads). Direct and indirect
-light of every layer are filtered each, so that they can be written back.
-
-{make_table(["quality", "command", "filter alone", "reading", "writing", "command over filter"], rows)}
-"""
+    run = {
+        "File": (
+            f"the room at {'x'.join(map(str, file['size']))}, {file['channels']} channels, "
+            f"{file['bytes'] / 1e6:.0f} MB, {file['compression']}"
+        ),
+        "Rounds": f"{speed['rounds']}, of which the median is shown",
+        "Threads": speed["machine"]["threads"],
+    }
+    header = ["quality", "command", "filter alone", "reading", "writing", "command over filter"]
+    return {"speed-run": list_facts(run), "speed": make_table(header, rows)}
 
 
 def make_section(name: str, measured: Mapping[str, Any]) -> str:

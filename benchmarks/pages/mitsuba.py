@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.pages.tables import describe_run, make_table
+from benchmarks.pages.tables import describe_run, list_facts, make_table
 
 METHODS = {
     "noisy": "`mi.render`, noisy",
@@ -21,19 +21,18 @@ METHODS = {
 }
 
 
-def make_mitsuba_figures(measured: Mapping[str, Any]) -> str:
-    """Return the section of figures."""
-    settings, scenes = measured["settings"], measured["scenes"]
-    rows = []
-    for name, scene in scenes.items():
-        for spp, errors in scene["samples"].items():
-            rows.append([f"{name}, {spp} spp", *(f"{np.mean(errors[method]):.4f}" for method in METHODS)])
-    size = settings["size"]
-    return f"""## How good it is
-
-Error (`rel_mse`, epsilon 0.01, with the noise of the reference taken out; lower is better) at {size}x{size}, mean of {settings["seeds"]} seeds, {settings["reference_spp"]} samples per pixel of
-reference. `cornell box` is Mitsuba's, `showroom` and `kitchen` (glossy) are built in, `fog` has participating media. Open Image Denoise is given the same image, albedo and normals, as they come.
-Written by `benchmarks/publish.py` from `benchmarks/results/mitsuba.json`; {describe_run(dict(measured))}.
-
-{make_table(["scene", *METHODS.values()], rows)}
-"""
+def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/mitsuba.md by place."""
+    settings, size = measured["settings"], measured["settings"]["size"]
+    rows = [
+        [f"{name}, {spp} spp", *(f"{np.mean(errors[method]):.4f}" for method in METHODS)]
+        for name, scene in measured["scenes"].items()
+        for spp, errors in scene["samples"].items()
+    ]
+    run = {
+        "Size": f"{size}x{size}",
+        "Seeds": f"{settings['seeds']}, of which the mean is shown",
+        "Samples per pixel of the reference": settings["reference_spp"],
+        "Machine": describe_run(measured),
+    }
+    return {"errors": make_table(["scene", *METHODS.values()], rows), "errors-run": list_facts(run)}

@@ -1,4 +1,4 @@
-"""The text of docs/performance.md, from what the programs in ``benchmarks/performance`` have measured."""
+"""The figures of docs/performance.md and docs/research/kernel_trials.md, measured by `benchmarks/performance`."""
 
 from __future__ import annotations
 
@@ -7,113 +7,58 @@ from collections.abc import Mapping, Sequence
 from statistics import mean
 from typing import Any
 
-from benchmarks.pages.tables import make_table
+from benchmarks.pages.tables import judge, list_facts, make_table
 
 GOALS = {"sg": 1.20, "ggx": 1.80}
 """Times of `normal` that a similarity may take."""
 PEER_GOALS = {"sg": (8.0, 4.0), "ggx": (5.0, 2.5)}
 """How many times faster than Open Image Denoise, by default and with its `fast` quality."""
-LEAST_SHARE, FLATNESS, GAIN = 0.5, 1.15, 1.8
-
-
-def judge(met: bool) -> str:
-    """Return whether a goal is met."""
-    return "met" if met else "missed"
-
-
+MIN_SHARE_OF_ROOFLINE = 0.5
+"""Goal: smallest share of the roofline that a kernel reaches."""
+MAX_LARGEST_OVER_SMALLEST = 1.15
+"""Goal: largest time per pixel of one image size over that of another."""
+MIN_GAIN_OF_THREADS = 1.8
+"""Goal: how many times faster two threads are than one."""
 USUAL = "separable, radius 8"
-"""The way to take taps that others are compared with."""
+"""The way to take taps that the other ways are compared with."""
 
 
-def make_performance_page(
-    filters: Mapping[str, Any],
-    roofline: Mapping[str, Any],
-    scaling: Mapping[str, Any],
-    trials: Mapping[str, Any],
-    taps: Mapping[str, Any],
-) -> str:
-    """Return docs/performance.md."""
-    machine = roofline["machine"]
-    peaks = roofline["peaks"]
-    return f"""# Performance
+def make_figures(filters: Mapping[str, Any], roofline: Mapping[str, Any], scaling: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/performance.md by place."""
+    machine, peaks = roofline["machine"], roofline["peaks"]
+    share = min(each["share_of_roofline"] for each in roofline["kernels"].values())
+    run = {
+        "Machine": f"{machine['processor']}, {machine['cores']} cores, vectors of {roofline['lanes']} floats",
+        "Ratios and Open Image Denoise": f"commit {filters['machine']['commit']}",
+        "Roofline": f"commit {machine['commit']}",
+        "Sizes and threads": f"commit {scaling['machine']['commit']}, {scaling['threads']} threads",
+    }
+    limits = {
+        "Pixels in a vector": roofline["lanes"],
+        "Fused multiplications, 10^9 a second": f"{peaks['fused']:.2f}",
+        "Fused multiplications and additions together, 10^9 a second": f"{peaks['both']:.2f}",
+        "Loads of whole vectors, 10^9 a second": f"{peaks['loads']:.2f}",
+        "Goal": f"{MIN_SHARE_OF_ROOFLINE:.0%} of the roofline, {judge(share >= MIN_SHARE_OF_ROOFLINE)}",
+    }
+    return {
+        "run": list_facts(run),
+        "peaks": list_facts(limits),
+        "roofline": make_roofline_rows(roofline),
+        "ratios": make_ratio_rows(filters),
+        "peer": make_peer_rows(filters),
+        "sizes": make_scaling_rows(scaling),
+        "sizes-goals": make_scaling_goals(scaling),
+    }
 
-Written by `benchmarks/publish.py`; no figure is typed by hand. {machine["processor"]}, {machine["cores"]} cores, vectors of {roofline["lanes"]} floats. How fast your machine is: `lobewise bench`
-([bench.md](bench.md)). What the qualities cost beside Open Image Denoise: [quality_results.md](quality_results.md). Measured with the sources of
-commits {filters["machine"]["commit"]} (ratios, Open Image Denoise), {roofline["machine"]["commit"]} (roofline) and {scaling["machine"]["commit"]} (sizes and threads); what changed since stands in the last tables.
 
-## Devices
-
-`lobewise devices` lists where filters run, or why not there. `--device auto` takes a graphics card where there is one.
-
-| device | what | tested |
-| --- | --- | --- |
-| `cpu` | processor, all threads, widest vectors it has | every test |
-| `vulkan` | Vulkan 1.3 | the kernels' tests, on Mesa's software device; never chosen by `auto` where the device is software |
-| `cuda` | NVIDIA, compute capability 3.0 and above | compiled; not run yet |
-| `metal` | macOS | compiled ([export.md](export.md)); not run yet |
-
-Filters, upsampling, histories, fireflies, guides of noise and the networks of `high` run there; guides and lobes are made by the processor, once a frame. Images go
-up once, and what one kernel writes for the next stays there. The same inputs give the same result as on the processor to a relative 0.001 for filtered radiance of every form
-(`full`, `separable`, `atrous`), because every float operation is rounded once, but not in the same order; on the software device the difference is below 0.0001.
-
-Direct3D 12, WebGPU and others are targets of [`lobewise export`](export.md).
-
-## Kernels on disk
-
-A kernel is compiled the first time that a machine needs it and then lies in the user's cache folder (Linux: `~/.cache/lobewise`), from which the next process loads it in
-milliseconds. `LOBEWISE_CACHE` names another folder, or is `off`. Nothing in it is needed: delete it whenever you like. A file that is not whole is made again.
-
-A compiled kernel is code that runs as you. Folder and files are made for you alone (0700, 0600); what others can write or own is not used, as ssh does with keys, and
-one line on standard error (a warning of Python's logger `lobewise.backend.disk`) says which path and why. The same line comes where there is no home folder or nothing can be written: kernels are then compiled in every process.
-Windows has no such modes, and nothing is checked there.
-
-## One core: how near to its limits
-
-A tap of a vector of {roofline["lanes"]} pixels, full form. Operations and bytes are counted in the machine code of the loops over taps; the peaks are measured by loops of nothing else: {peaks["fused"]:.2f}
-thousand million fused multiplications a second, as many additions beside them ({peaks["both"]:.2f} together), and {peaks["loads"]:.2f} loads of whole vectors. Of operations the higher peak
-is taken, which only a kernel with as many additions as multiplications could reach. `python -m benchmarks.performance.roofline`.
-
-{make_roofline_rows(roofline)}
-
-Goal: {LEAST_SHARE:.0%} of the roofline: {judge(min(each["share_of_roofline"] for each in roofline["kernels"].values()) >= LEAST_SHARE)}. What is missing: loads that begin anywhere cross cache lines, which takes two cycles instead of one.
-
-## Beside geometry-aware filtering
-
-Times of `normal`, which compares positions and normals alone, same run. `python -m benchmarks.performance.filters`.
-
-{make_ratio_rows(filters)}
-
-## Beside Open Image Denoise
-
-One image filtered, and the whole recipe (diffuse and specular apart, guides made, separable, radius 8), beside Open Image Denoise on the same image with its guides, same run.
-It removes more noise than these (docs/quality_results.md); this is what their speed is.
-
-{make_peer_rows(filters)}
-
-## Sizes and threads
-
-Separable, radius 8, {scaling["threads"]} threads; nanoseconds per pixel. `python -m benchmarks.performance.scaling`.
-
-{make_scaling_rows(scaling)}
-
-{make_scaling_goals(scaling)}
-
-## Other ways to take taps
-
-Time and error over those of `separable` with radius 8: both layers of the recipe `fast` with `ggx`, {taps["size"]}x{taps["size"]}; times are means over all frames of the run, errors (relative
-mean squared, against 512 samples per pixel) geometric means over frames of 4 and 16 samples per pixel. `python -m benchmarks.performance.taps`.
-
-{make_tap_rows(taps)}
-
-*Sparse* takes its taps on a spiral that turns from row to row; *two levels* filters averages of two by two pixels and brings them to every pixel by what it has in common
-with them (without the time that averaging takes); *adaptive* is the full square as far as it holds 99 % of the weight of any pixel in a tile. {make_tap_verdict(taps)}
-
-## What was tried
-
-{make_trials(trials["groups"])}
-
-What one tap costs is set by the number of vector operations: `normal` has fewest of them. Whatever makes the part faster that all have in common therefore raises the ratios above.
-"""
+def make_trial_figures(trials: Mapping[str, Any], taps: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/research/kernel_trials.md by place."""
+    return {
+        "taps-run": list_facts({"Size": f"{taps['size']}x{taps['size']}"}),
+        "taps": make_tap_rows(taps),
+        "taps-verdict": make_tap_verdict(taps),
+        "trials": make_trials(trials["groups"]),
+    }
 
 
 def compare_taps(taps: Mapping[str, Any]) -> dict[str, tuple[float, dict[str, float]]]:
@@ -157,7 +102,7 @@ def make_tap_verdict(taps: Mapping[str, Any]) -> str:
     winners = [way for way in found if way not in forms and wins(way)]
     if winners:
         return f"Better than every form that takes no longer, in all scenes: {', '.join(winners)}."
-    return "For each of them there is a form that takes no longer and has no more error in one of the scenes: none is kept."
+    return "For each way, some form takes no longer and has no more error in one of the scenes. None is kept."
 
 
 def make_roofline_rows(roofline: Mapping[str, Any]) -> str:
@@ -239,12 +184,18 @@ def make_scaling_rows(scaling: Mapping[str, Any]) -> str:
 
 
 def make_scaling_goals(scaling: Mapping[str, Any]) -> str:
-    """Return the two goals and whether they are met."""
+    """Return the two goals of sizes and threads, and whether they are met."""
     flat = max(scaling["largest_over_smallest"].values())
     gain = min(min(row.values()) for row in scaling["gain_of_threads"].values())
-    return (
-        f"Goals: no size takes more than {FLATNESS:.2f} times the time per pixel of another: {flat:.2f}, {judge(flat <= FLATNESS)}; "
-        f"{scaling['threads']} threads give at least {GAIN:g} times one at every size: {gain:.2f}, {judge(gain >= GAIN)}."
+    return list_facts(
+        {
+            f"Largest time per pixel over the smallest, among sizes (goal: at most {MAX_LARGEST_OVER_SMALLEST:.2f})": (
+                f"{flat:.2f}, {judge(flat <= MAX_LARGEST_OVER_SMALLEST)}"
+            ),
+            f"Smallest gain of {scaling['threads']} threads over one (goal: at least {MIN_GAIN_OF_THREADS:g})": (
+                f"{gain:.2f}, {judge(gain >= MIN_GAIN_OF_THREADS)}"
+            ),
+        }
     )
 
 

@@ -1,13 +1,11 @@
-"""The text of docs/results.md and of the figures in README.md."""
+"""The figures of docs/results.md and docs/research/hit_distance.md."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.pages.quality import make_readme_quality
-from benchmarks.pages.tables import describe_run, make_table
-from benchmarks.pages.upsampling import make_upsampling_section
-from benchmarks.pages.users import make_readme_users
+from benchmarks.pages.tables import describe_run, list_facts, make_table
+from benchmarks.pages.upsampling import make_upsampling_figures
 
 COLUMNS = ("noisy", "normal", "band-limited", "sg", "sg_mixture", "asg", "ggx", "oidn")
 TITLES = {
@@ -53,7 +51,14 @@ def make_ratio_table(similarities: dict[str, Any]) -> str:
                 f"{row['default']['rel_mse'] / row['oidn']['rel_mse']:.2f}" if "oidn" in row else "",
             ]
             rows.append([scene, spp, *cells])
-    header = ["scene", "spp", "over normal-aware", "the same, specular pixels", "over band-limited", "over OIDN"]
+    header = [
+        "scene",
+        "spp",
+        "over normal-aware",
+        "over normal-aware, specular pixels",
+        "over band-limited",
+        "over OIDN",
+    ]
     return make_table(header, rows)
 
 
@@ -105,8 +110,8 @@ def make_paper_table(paper: dict[str, Any]) -> str:
     return make_table(["form", "radius", "similarity", "time", "ratio to normal", "the paper's ratio"], rows)
 
 
-def make_time_tables(filters: dict[str, Any]) -> str:
-    """Return the kernel times and those beside Open Image Denoise."""
+def make_time_tables(filters: dict[str, Any]) -> dict[str, str]:
+    """Return the times of kernels, and the times beside Open Image Denoise."""
     rows = []
     for row in filters["kernels"]:
         cells = [f"{row['width']}x{row['height']}", row["form"], str(row["radius"])]
@@ -120,94 +125,48 @@ def make_time_tables(filters: dict[str, Any]) -> str:
         for size, cells in filters["oidn"].items()
         for name, cell in cells.items()
     ]
-    return kernels + "\n\n" + make_table(["size", "what", "time", "times faster than OIDN"], rows)
+    peer = make_table(["size", "what", "time", "times faster than OIDN"], rows)
+    return {"kernels": kernels, "peer": peer, "kernels-run": list_facts({"Machine": describe_run(filters)})}
 
 
-def make_readme_figures(quality: dict[str, Any], upsampling: dict[str, Any], users: dict[str, Any]) -> str:
-    """Return the block of the README."""
-    cells = upsampling["parts"]["orbit"]["all"]["default"]
-    alone, over_time = cells["spatial"], cells["temporal"]
-    flicker = upsampling["parts"]["flicker"]["whole frames"]
-    return f"""{make_readme_users(users)}
-
-{make_readme_quality(quality)}
-
-With one of 4x4 pixels shaded (4 samples each), upsampling leaves an error of {alone["rel_mse"]:.4f} in `showroom`; with the fifteen frames before it, on a
-slow orbit, {over_time["rel_mse"]:.4f}. Over {upsampling["parts"]["flicker"]["frames"]} denoised frames the flicker falls to {flicker["ratio"]:.2f} of that of frames denoised one by one. All
-similarities, other sample counts and how they were made: [docs/results.md](docs/results.md)."""
-
-
-def make_results_page(
-    similarities: dict[str, Any],
-    filters: dict[str, Any],
-    paper: dict[str, Any],
-    hits: dict[str, Any],
-    upsampling: dict[str, Any],
-) -> str:
-    """Return docs/results.md."""
-    every = list(next(iter(similarities["scenes"].values())))
+def make_hit_figures(similarities: dict[str, Any], hits: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/research/hit_distance.md by place."""
     scenes, contacts = make_hit_tables(similarities, hits)
-    return f"""# Results
+    run = {
+        "Size": f"{hits['size']}x{hits['size']}",
+        "Samples per pixel of the reference": hits["reference_spp"],
+        "Settings of beta and screen sigma that were tried": len(hits["factors"]) ** 2,
+        "Machine": describe_run(hits),
+    }
+    return {"scenes": scenes, "contacts-run": list_facts(run), "contacts": contacts}
 
-Written by `benchmarks/publish.py` from `benchmarks/results/*.json`; do not edit.
 
-## Error
-
-`benchmarks/quality/similarities.py`, {describe_run(similarities)}. {similarities["size"]}x{similarities["size"]} pixels, full form, radius 8, references of
-{similarities["reference_spp"]} samples per pixel, one noise realisation per cell. `rel_mse` is the mean of (a - r)^2 / (r^2 + 0.01). The normal-aware
-baselines were tuned on each frame against its reference ({len(similarities["grid"]["normal_exponent"])} exponents times
-{len(similarities["grid"]["screen_sigma"])} screen sigmas; band-limited: {len(similarities["grid"]["band_limited_normal_exponent"])} times {len(similarities["grid"]["band_limited_screen_sigma"])} times {len(similarities["grid"]["band_limit"])} band-limits); ours and Open Image Denoise
-(default quality, noise-free albedo and normal) ran with their defaults, ours as `quality="fast"`.
-
-{make_error_table(similarities, "rel_mse", every)}
-
-On the specular pixels alone (baselines tuned for these):
-
-{make_error_table(similarities, "rel_mse_specular", every)}
-
-The default similarity's error over that of others, below 1 is better:
-
-{make_ratio_table(similarities)}
-
-### Anisotropic lobes
-
-On the pixels whose two alphas differ by more than a third:
-
-{make_anisotropic_table(similarities)}
-
-### The hit-distance term
-
-Error with the term over the error without it, all by default, on the four scenes:
-
-{scenes}
-
-It is above 1 nearly everywhere: the term narrows the kernel where the reflected thing is near, and the noise that it lets through
-outweighs the blur that it saves. So it is off unless asked for. Tried besides, each on three or four scenes at 4 to 64 samples:
-beta and screen sigma from a quarter to four times, the hit distance filtered by the lobes first, the largest distance of a 5x5
-neighbourhood, and half of the inverse distance. None was below the error without the term on all four scenes.
-
-On a scene made for it, thin posts that stand on satin metal (`benchmarks/quality/hit_distance.py`, {describe_run(hits)};
-{hits["size"]}x{hits["size"]}, reference of {hits["reference_spp"]} samples per pixel; contacts are specular pixels whose hit is nearer than a tenth
-of their depth; tuned is the best of {len(hits["factors"]) ** 2} settings of beta and screen sigma for that column), error without the term and with it:
-
-{contacts}
-
-It pays from some hundred samples per pixel on, where little noise is left.
-
-{make_upsampling_section(upsampling)}
-## Time
-
-### The paper's table
-
-`benchmarks/performance/paper_table.py`, {describe_run(paper)}. 1024x1024 pixels; the paper's ratios are those of its slide "Denoising
-Performance" (Radeon HD 6990). Its times grow by less than two from radius 8 to 16, so its filter was separable. "3 lobes" have an axis
-each, as fitted materials do; "3 coaxial" are the mixture that stands for GGX.
-
-{make_paper_table(paper)}
-
-### Every size
-
-`benchmarks/performance/filters.py`, {describe_run(filters)}. Best of many runs, in turn within one process; in brackets the ratio to `normal`.
-
-{make_time_tables(filters)}
-"""
+def make_figures(
+    similarities: dict[str, Any], filters: dict[str, Any], paper: dict[str, Any], upsampling: dict[str, Any]
+) -> dict[str, str]:
+    """Return the figures of docs/results.md by place."""
+    every = list(next(iter(similarities["scenes"].values())))
+    grid = {name: len(values) for name, values in similarities["grid"].items()}
+    run = {
+        "Size": f"{similarities['size']}x{similarities['size']}",
+        "Samples per pixel of the references": similarities["reference_spp"],
+        "Settings tried for the normal-aware baseline": (
+            f"{grid['normal_exponent']} exponents times {grid['screen_sigma']} screen sigmas"
+        ),
+        "Settings tried for the band-limited baseline": (
+            f"{grid['band_limited_normal_exponent']} exponents times {grid['band_limited_screen_sigma']} screen sigmas "
+            f"times {grid['band_limit']} band-limits"
+        ),
+        "Machine": describe_run(similarities),
+    }
+    return {
+        "run": list_facts(run),
+        "errors": make_error_table(similarities, "rel_mse", every),
+        "specular": make_error_table(similarities, "rel_mse_specular", every),
+        "ratios": make_ratio_table(similarities),
+        "anisotropic": make_anisotropic_table(similarities),
+        **make_upsampling_figures(upsampling),
+        "paper-run": list_facts({"Machine": describe_run(paper)}),
+        "paper": make_paper_table(paper),
+        **make_time_tables(filters),
+    }

@@ -1,17 +1,28 @@
-"""What the pages share: tables in Markdown, and on what a result was measured."""
+"""Markdown that all pages share: tables, lists of facts, and the machine that measured a result."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
-def make_table(header: list[str], rows: list[list[str]]) -> str:
-    """Return a Markdown table."""
+def make_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table. Its first column is aligned to the left, the others to the right."""
     lines = [header, ["---"] + ["---:"] * (len(header) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def describe_run(data: dict[str, Any]) -> str:
+def list_facts(facts: Mapping[str, object]) -> str:
+    """Return a Markdown list with one fact in each line."""
+    return "\n".join(f"- {name}: {value}" for name, value in facts.items())
+
+
+def describe_run(data: Mapping[str, Any]) -> str:
     """Return machine, threads and commit of a result."""
     machine = data["machine"]
     return f"{machine['processor']}, {machine['threads']} threads, commit {machine['commit']}"
+
+
+def judge(is_met: bool) -> str:
+    """Return whether a goal is met, in a word."""
+    return "met" if is_met else "missed"

@@ -1,9 +1,6 @@
-"""How near fitted lobes are to GGX tabulated as MERL, what the table itself loses, and how long a whole file takes.
+"""Measure how near fitted lobes are to GGX tabulated as MERL, what the table itself loses, and how long a file takes.
 
-    python -m benchmarks.quality.fit_materials -o benchmarks/results/fit_materials.json
-    python -m benchmarks.quality.fit_materials --publish
-
-The second form writes the figures of that file into docs/materials.md.
+python -m benchmarks.quality.fit_materials -o benchmarks/results/fit_materials.json
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT, describe_machine, write_json
+from benchmarks.common import describe_machine, write_json
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import make_merl
@@ -32,13 +29,9 @@ from lobewise.io.materials import write_merl
 ALPHAS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.3, 0.5, 0.8)
 KINDS = ("sg", "asg")
 LOBES = (1, 2, 3)
-SHOWN = (0.01, 0.1, 0.3, 0.5)
-"""The roughnesses that the documentation has room for."""
 VIEWS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
-"""n.v at which fits are judged; none but the last is a view of the table."""
+"""Cosines n.v at which fits are measured. Only the last one is a view of the table."""
 RUNS = 3
-RESULTS, PAGE = ROOT / "benchmarks" / "results" / "fit_materials.json", ROOT / "docs" / "materials.md"
-START, END = "<!-- figures -->\n", "<!-- end -->\n"
 UP = np.asarray([0.0, 0.0, 1.0])
 
 
@@ -96,40 +89,11 @@ def measure_seconds(folder: Path) -> dict[str, Any]:
     }
 
 
-def fill_page(page: str, results: dict[str, Any]) -> str:
-    """Return the text of docs/materials.md with the figures of ``results``."""
-    before, rest = page.split(START)
-    whole, machine = results["whole file"], results["machine"]
-    closing = (
-        f"\nOn {machine['processor']} with {machine['cores']} cores a whole file takes {min(whole['seconds']):.1f} s,"
-        f" the start of the program and the plot included; the lobe file has {whole['lobe file bytes']:,} bytes.\n"
-    )
-    return before + START + make_table(results) + closing + END + rest.split(END, 1)[1]
-
-
-def make_table(results: dict[str, Any]) -> str:
-    """Return a Markdown table of the L2 cosines."""
-    lines = ["| GGX alpha | what | " + " | ".join(f"n.v {cosine:g}" for cosine in results["views"]) + " |"]
-    lines.append("| ---: | --- |" + " ---: |" * len(results["views"]))
-    names = {"tabulated": "the MERL table itself"}
-    for kind in KINDS:
-        names |= {f"{kind} {n}": f"{n} `{kind}` lobe{'s' if n > 1 else ''}" for n in LOBES}
-    for fit in (fit for fit in results["fits"] if fit["alpha"] in SHOWN):
-        for key, name in names.items():
-            cells = " | ".join(f"{nearness:.4f}" for nearness in fit[key])
-            lines.append(f"| {fit['alpha']:g} | {name} | {cells} |")
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
-    """Measure and write, or publish."""
+    """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--publish", action="store_true")
     chosen = parser.parse_args()
-    if chosen.publish:
-        PAGE.write_text(fill_page(PAGE.read_text(), json.loads(RESULTS.read_text())))
-        return
     with tempfile.TemporaryDirectory() as folder:
         whole = measure_seconds(Path(folder))
     results = {

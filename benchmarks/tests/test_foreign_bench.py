@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import re
 import subprocess
@@ -122,13 +121,6 @@ def test_ratios_are_geometric_means() -> None:
     scenes["b"]["samples"]["32"] = make_row(balanced=8.0, oidn=2.0)
     row = foreign.summarise(scenes)["rel_mse"]["balanced / oidn"]
     assert row == {"8": 1.0, "32": 4.0, "all": pytest.approx(4.0 ** (1.0 / 3.0), rel=1e-3)}
-
-
-def test_the_page_says_what_was_measured() -> None:
-    results = ROOT / "benchmarks" / "results"
-    measured, speed = (json.loads((results / f"{name}.json").read_text()) for name in ("foreign", "foreign_speed"))
-    page = import_module("benchmarks.pages.foreign").make_foreign_page(measured, speed)
-    assert (ROOT / "docs" / "renderers_results.md").read_text() == page
 
 
 def test_blender_still_writes_what_is_kept(tmp_path: Path) -> None:

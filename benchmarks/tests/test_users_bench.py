@@ -247,7 +247,7 @@ def test_the_page_has_held_out_scenes_first_and_the_noisy_input_everywhere(measu
     machine = {"processor": "a processor", "threads": 2, "commit": "abc"}
     tuning = {"64": {"normal_exponent": 16.0, "screen_sigma": 0.75}}
     data = {"scenes": measured, "summary": summary.summarise(measured), "tuning": tuning, "machine": machine}
-    text = page.make_users_page(data)
+    text = "\n".join(page.make_figures(data).values())
     assert (
         text.index("| interiors/room | 64 | 0.2 |")
         < text.index("| own/street | 64 | 0.1 |")
