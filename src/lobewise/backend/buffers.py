@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lobewise.backend.devices import VULKAN_MULTIPLE
 from lobewise.backend.runtime import get_runtime
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
+from lobewise.images import FloatArray
 
 transfers: Counter[str] = Counter()
 """How many images went "up" to devices and came "down" in this process."""

@@ -1,9 +1,9 @@
 """Compiled kernels: made once on a machine, kept on disk, loaded and called by name.
 
 Halide compiles a kernel to an object file, which takes a second or more; llvmlite loads that file, which takes some
-milliseconds. What it was made from is part of its name: the code of the modules that define it, Halide's version, the
-target and the kernel's key. Kernels of features that were written elsewhere are compiled in every process, since their
-sources are not known.
+milliseconds. The name of a kernel's file tells what it was made from: the definitions that its maker refers to
+(`lobewise.backend.sources`), Halide's version, the target and the kernel's key. Kernels of features that other packages
+define are compiled in every process, because their code is not known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
-from lobewise.backend.sources import PACKAGE, describe_modules
+from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
 from lobewise.chunks import make_fork_lock
 
@@ -174,50 +174,60 @@ def _load(
 ) -> Kernel:
     runtime = get_runtime(device)
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
-
-    def compile_kernel() -> tuple[bytes, dict[str, Any]]:
-        with tell_compiling():
-            funcs = make(target)
-            pipeline = hl.Pipeline(funcs.out)
-            bare = target.with_feature(hl.TargetFeature.NoRuntime)
-            arguments = funcs.signature.arguments
-            content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
-        return content, {
-            "name": funcs.signature.name,
-            "parameters": [astuple(each) for each in funcs.signature.parameters],
-        }
-
-    content, head = fetch_object(known, compile_kernel, symbol=f"{symbol}_argv")
+    content, head = fetch_object(known, lambda: _compile(make, target, symbol), symbol=f"{symbol}_argv")
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))
 
 
+def _compile(make: Callable[[hl.Target], Scheduled], target: hl.Target, symbol: str) -> tuple[bytes, dict[str, Any]]:
+    """Return a kernel's object file, and its name and parameters as JSON keeps them."""
+    with tell_compiling():
+        funcs = make(target)
+        pipeline = hl.Pipeline(funcs.out)
+        bare = target.with_feature(hl.TargetFeature.NoRuntime)
+        arguments = funcs.signature.arguments
+        content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
+    return content, {
+        "name": funcs.signature.name,
+        "parameters": [astuple(each) for each in funcs.signature.parameters],
+    }
+
+
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
-    """Return what a kernel is made from, the same in every process; None where a part of it is not of this package."""
+    """Return what a kernel is made from, the same in every process; None if any part of it is not of this package."""
     told = describe_key(key)
-    modules = {_get_module(make), *_list_modules(key)}
-    if told is None or not all(name.startswith(f"{PACKAGE}.") for name in modules):
+    names = list_definitions(key, make)
+    if told is None or not all(name.startswith(f"{PACKAGE}.") for name in names):
         return None
-    return f"{version('halide')} {_describe_modules(frozenset(modules))} {told}"
+    return f"{version('halide')} {_describe_definitions(names)} {told}"
 
 
-_describe_modules = cache(describe_modules)
+_describe_definitions = cache(describe_definitions)
 
 
-def _get_module(make: Callable[..., Any]) -> str:
-    return _get_module(make.func) if isinstance(make, partial) else str(make.__module__)
+def list_definitions(key: Hashable, make: Callable[..., Any]) -> frozenset[str]:
+    """Return the full names of the definitions that a kernel is made from, other than those that these refer to."""
+    while isinstance(make, partial):
+        make = make.func
+    return frozenset({_name_definition(_compile), _name_definition(make), *_list_definitions(key)})
 
 
-def _list_modules(key: Any) -> Iterator[str]:
-    """Yield the modules of all classes and functions in a key."""
+def _name_definition(definition: Any) -> str:
+    """Return the full name of the statement of a module that holds a class or function."""
+    first = definition.__qualname__.partition(".")[0]
+    return str(definition.__module__) if "<" in first else f"{definition.__module__}.{first}"
+
+
+def _list_definitions(key: Any) -> Iterator[str]:
+    """Yield the full names of all classes and functions in a key."""
     if isinstance(key, (type, FunctionType)):
-        yield key.__module__
+        yield _name_definition(key)
     elif isinstance(key, (tuple, list)):
         for part in key:
-            yield from _list_modules(part)
+            yield from _list_definitions(part)
     elif isinstance(key, Enum):
-        yield type(key).__module__
+        yield _name_definition(type(key))
     elif is_dataclass(key):
-        yield from _list_modules((type(key), *(getattr(key, each.name) for each in fields(key))))
+        yield from _list_definitions((type(key), *(getattr(key, each.name) for each in fields(key))))
 
 
 def describe_key(key: Any) -> str | None:

@@ -107,7 +107,7 @@ def bound_fireflies(
         images["albedo"] = take_image("albedo", albedo, shape)
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, (bound_fireflies, tinted), partial(_make_fireflies, tinted))
+    kernel = get_kernel(device, ("fireflies", tinted), partial(_make_fireflies, tinted))
     a, b, *sums = run_kernel(kernel, device, images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)

@@ -126,7 +126,7 @@ def split_highlights(
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
     kinds = Kinds(shared, single, paired)
-    kernel = get_kernel(device, (split_highlights, tinted, kinds), partial(_make_highlights, tinted, kinds))
+    kernel = get_kernel(device, ("highlights", tinted, kinds), partial(_make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
 
 

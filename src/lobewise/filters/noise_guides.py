@@ -136,7 +136,7 @@ def measure_light(
         images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, (measure_light, tinted), partial(_make_light_sums, tinted))
+    kernel = get_kernel(device, ("light sums", tinted), partial(_make_light_sums, tinted))
     sums = download(run_kernel(kernel, device, images)["sums"])
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
@@ -168,7 +168,7 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
-    kernel = get_kernel(device, (make_noise_guide,), _make_noise_guide)
+    kernel = get_kernel(device, ("noise guide",), _make_noise_guide)
     return run_kernel(kernel, device, images, offset=find_dark(level), floor=floor)["guide"]
 
 

@@ -65,7 +65,7 @@ def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str
     if not (object_share < MAX_MIXED_SHARE).any():
         return np.ones(object_share.shape, np.float32)
     with device_scope():
-        kernel = get_kernel(device, (share_out_specks,), _make_specks)
+        kernel = get_kernel(device, ("specks",), _make_specks)
         return download(run_kernel(kernel, device, images)["gain"])
 
 

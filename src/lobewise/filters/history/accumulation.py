@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import halide as hl
@@ -275,15 +276,16 @@ class SampleGrid:
         strict: bool = False,
     ) -> FloatArray:
         """Return what a pass writes, (rows, columns, planes); ``make`` and its options are what it is."""
-
-        def make_scheduled(target: hl.Target) -> Scheduled:
-            funcs = make(*options)
-            schedule_accumulation(funcs, target)
-            return Scheduled([funcs.out], funcs.signature)
-
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
-        kernel = get_kernel(self._device, (make, *told), make_scheduled, strict=strict)
+        kernel = get_kernel(self._device, (make, *told), partial(_make_scheduled, make, options), strict=strict)
         return run_planes(kernel, self._device, images, numbers, size)
+
+
+def _make_scheduled(make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target) -> Scheduled:
+    """Return a pass, ready to be compiled."""
+    funcs = make(*options)
+    schedule_accumulation(funcs, target)
+    return Scheduled([funcs.out], funcs.signature)
 
 
 def _split_output(accumulated: FloatArray) -> AccumulatedOutput:

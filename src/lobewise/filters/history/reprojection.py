@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import halide as hl
@@ -289,12 +290,6 @@ def run_reprojection(
     """
     height, width = size = (masks[1].shape[0], masks[1].shape[1])
     virtual_from = None if virtual is None else virtual[1]
-
-    def make(target: hl.Target) -> Scheduled:
-        funcs = make_reprojection(features[1], virtual_from)
-        schedule_reprojection(funcs, target)
-        return Scheduled([funcs.out], funcs.signature)
-
     before: dict[str, HostImage] = {"mask_before": take_mask(masks[0]), **_take("before", features[0], size)}
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
     now: dict[str, HostImage] = {name: take_image(name, way, (*size, 2)) for name, way in ways.items()}
@@ -302,8 +297,16 @@ def run_reprojection(
     images = {name: image.reshape(height * width, *image.shape[2:]) for name, image in before.items()}
     images |= {"past": _flatten_history(past, size), **{name: widen(image) for name, image in now.items()}}
     numbers = {"memory": memory, "width_before": width, "height_before": height, **give_scalars(features[1])}
-    kernel = get_kernel(device, ("reprojection", virtual_from, *map(describe_structure, features[1])), make)
+    key = "reprojection", virtual_from, *map(describe_structure, features[1])
+    kernel = get_kernel(device, key, partial(_make_scheduled, features[1], virtual_from))
     return run_planes(kernel, device, images, numbers, size)
+
+
+def _make_scheduled(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
+    """Return a reprojection, ready to be compiled."""
+    funcs = make_reprojection(features, virtual_from)
+    schedule_reprojection(funcs, target)
+    return Scheduled([funcs.out], funcs.signature)
 
 
 def _take(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:
