@@ -25,7 +25,8 @@ from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from lobewise.denoising.guided import finish_layer, resolve_guided
 from lobewise.denoising.high import MIDDLE, WEIGHTS, find_candidates, pack_network
 from lobewise.denoising.noisy import make_noisy_layers
-from lobewise.filters.mixing import LEAK, Network, find_features
+from lobewise.filters.mixing import Network, find_features
+from lobewise.filters.mixing_pass import LEAK
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image
 from lobewise.metrics import EPSILON

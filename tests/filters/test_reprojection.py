@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.filters.history.reprojection import AGREEMENT, SNAP, run_reprojection
+from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from tests.features.frames import SIZES, make_feature, make_mask

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
-from lobewise.filters.history.reprojection import SNAP
+from lobewise.filters.history.reprojection_pass import SNAP
 from lobewise.frame import FloatArray
 from lobewise.guides.places import find_surface_places
 from lobewise.motion import compute_motion

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-EXIT_INTERRUPTED = 130
-INTERRUPTED = "interrupted; every output is whole, or as it was."
+from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -50,10 +49,6 @@ def _set_handler(handler: object) -> None:
     # Only the main thread may: in any other Ctrl-C does not arrive either.
     with suppress(ValueError):
         signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
-
-
-interrupts: list[int] = []
-"""Signals of Ctrl-C that this process got: a library may turn the exception of one into another."""
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:

@@ -25,7 +25,7 @@ from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y, clamp_likely
-from lobewise.filters.schedules.affinity import schedule_affinity
+from lobewise.filters.schedules.affinity import AffinityFuncs, schedule_affinity
 
 RADIUS = 2
 """Taps to each side of the centre."""
@@ -71,18 +71,6 @@ class Distance(NamedTuple):
     """``|f_i - f_j|^2``"""
     lobes: hl.Expr
     """``|L_i - L_j|^2``"""
-
-
-class AffinityFuncs(NamedTuple):
-    """The functions of a kernel over the neighbours of a pixel, for its schedule."""
-
-    pixels: hl.Func
-    """Everything that is read of a pixel, 0 left and right of the image, where vectors and taps reach."""
-    pixel_channels: int
-    sums: hl.Func
-    window: hl.RDom
-    out: hl.Func
-    out_channels: int
 
 
 def measure_distance(here: Pixel, there: Pixel) -> Distance:

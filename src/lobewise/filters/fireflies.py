@@ -24,7 +24,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.fireflies import schedule_fireflies
+from lobewise.filters.schedules.fireflies import FireflyFuncs, schedule_fireflies
 from lobewise.frame import FloatArray
 
 REACH = 6
@@ -152,25 +152,6 @@ class Light(NamedTuple):
     raw_first: hl.Expr
     raw_second: hl.Expr
     """Luminance of the radiance itself."""
-
-
-class FireflyFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    light: hl.Func
-    both: hl.Func
-    """What a pixel is to its neighbours: the mean of its halves, or the one that it has."""
-    crowds: list[hl.Func]
-    """Of 1, 2, 4 ... pixels of a row."""
-    row: hl.Func
-    """What a row of the window holds, with the pixel in its middle and without."""
-    factor: hl.Func
-    """Of both halves."""
-    energy: hl.Func
-    sums: hl.Func
-    lane: hl.Var
-    out: hl.Func
-    tally: hl.Func
 
 
 def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:

@@ -26,7 +26,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.fireflies import define_both, define_light, read_light
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.highlights import schedule_highlights
+from lobewise.filters.schedules.highlights import HighlightFuncs, schedule_highlights
 
 RING_RADIUS, SPOT_RADIUS = 6, 2
 """The surroundings of a pixel are the square of the first radius without that of the second, pixels."""
@@ -128,29 +128,6 @@ def split_highlights(
     kinds = Kinds(shared, single, paired)
     kernel = get_kernel(device, ("highlights", tinted, kinds), partial(_make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
-
-
-class HighlightFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    light: hl.Func
-    both: hl.Func
-    """What a pixel is to its surroundings: the mean of its halves, or the one that it has."""
-    least: hl.Func
-    """What a pixel is to its block: the darker of its halves, or the one that it has."""
-    rows: hl.Func
-    """Sum and count of a row of the surroundings: of all its pixels, and of those beside the spot."""
-    level: hl.Func
-    """Mean of the surroundings."""
-    agreed: hl.Func
-    """The darker half of a pixel if both agree, else 0."""
-    blocks: hl.Func
-    """Of the block whose first corner is a pixel: the least value, and the least but one."""
-    core: hl.Func
-    """Whether a block around a pixel is a highlight: 1 or 0."""
-    share: hl.Func
-    """Which share of a pixel's light is split off, in [0, 1)."""
-    out: hl.Func
 
 
 def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import halide as hl
 import numpy as np
@@ -18,7 +17,12 @@ from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.noise_guides import schedule_light_sums, schedule_noise_guide
+from lobewise.filters.schedules.noise_guides import (
+    LightSumFuncs,
+    NoiseGuideFuncs,
+    schedule_light_sums,
+    schedule_noise_guide,
+)
 from lobewise.frame import FloatArray
 
 BLUR_RADIUS = 3
@@ -31,18 +35,6 @@ LONE_FLOOR = 1e-4
 """The same for an image without halves, whose noise is known from more pixels than a difference of halves."""
 DARKEST = 0.04
 """What is added under the logarithm, as a share of the whole image's mean light."""
-
-
-class NoiseGuideFuncs(NamedTuple):
-    """The functions of the guide's kernel, for its schedule."""
-
-    logs: hl.Func
-    """Of (x, c, y): logarithms of the three colours of one half, and then of the other."""
-    spread: hl.Func
-    """A quarter of their squared difference."""
-    rows: hl.Func
-    """The same, averaged along rows."""
-    out: hl.Func
 
 
 def _make_noise_guide(target: hl.Target) -> Scheduled:
@@ -70,15 +62,6 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     out[C, X, Y] = hl.mux(C, [*means, variance])
     schedule_noise_guide(NoiseGuideFuncs(logs, spread, rows, out), target)
     return Scheduled([out], signature)
-
-
-class LightSumFuncs(NamedTuple):
-    """The function of the kernel of `measure_light`, for its schedule."""
-
-    out: hl.Func
-    """Of (lane, y): each row in as many parts as a vector has."""
-    lane: hl.Var
-    steps: hl.RDom
 
 
 def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:

@@ -9,8 +9,6 @@ proportion to what they have, so that none is lost and none reaches dark pixels.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import halide as hl
 import numpy as np
 
@@ -20,7 +18,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT, is_finite
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import find_luminance
 from lobewise.filters.planes import X, Y
-from lobewise.filters.schedules.specks import schedule_specks
+from lobewise.filters.schedules.specks import SpeckFuncs, schedule_specks
 from lobewise.frame import FloatArray
 
 MAX_MIXED_SHARE = 0.97
@@ -67,25 +65,6 @@ def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str
     with device_scope():
         kernel = get_kernel(device, ("specks",), _make_specks)
         return download(run_kernel(kernel, device, images)["gain"])
-
-
-class SpeckFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    bright: hl.Func
-    """Luminance; 0 outside the image."""
-    mixed: hl.Func
-    """Whether a pixel shows several objects, 1 or 0, and 1 for being inside the image."""
-    rows: hl.Func
-    """Sums of `mixed` along rows of the window."""
-    blurred: hl.Func
-    near: hl.Func
-    """Whether a blurred pixel is near, by rows."""
-    low: hl.Func
-    """Luminance up to the bound, the light above it, and what takes part in sharing."""
-    quotient: hl.Func
-    """Light above the bound over the sum of what takes it."""
-    out: hl.Func
 
 
 def _make_specks(target: hl.Target) -> Scheduled:

@@ -9,7 +9,8 @@ import numpy as np
 
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
-from lobewise.filters.mixing import Network, define_network
+from lobewise.filters.mixing import Network
+from lobewise.filters.mixing_pass import define_network
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.mixing import schedule_network
 from lobewise.frame import FloatArray

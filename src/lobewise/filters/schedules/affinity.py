@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 
-if TYPE_CHECKING:
-    from lobewise.filters.affinity import AffinityFuncs
-
 STRIP_ROWS = 16
 """Rows of an image that a thread of the processor takes at a time: crops of training have only 128."""
+
+
+class AffinityFuncs(NamedTuple):
+    """The functions of a kernel over the neighbours of a pixel, for its schedule."""
+
+    pixels: hl.Func
+    """Everything that is read of a pixel, 0 left and right of the image, where vectors and taps reach."""
+    pixel_channels: int
+    sums: hl.Func
+    window: hl.RDom
+    out: hl.Func
+    out_channels: int
 
 
 def schedule_affinity(funcs: AffinityFuncs, target: hl.Target) -> None:

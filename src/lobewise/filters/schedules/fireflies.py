@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
@@ -10,8 +10,24 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.fireflies import FireflyFuncs
+
+class FireflyFuncs(NamedTuple):
+    """The functions of the kernel, for its schedule."""
+
+    light: hl.Func
+    both: hl.Func
+    """What a pixel is to its neighbours: the mean of its halves, or the one that it has."""
+    crowds: list[hl.Func]
+    """Of 1, 2, 4 ... pixels of a row."""
+    row: hl.Func
+    """What a row of the window holds, with the pixel in its middle and without."""
+    factor: hl.Func
+    """Of both halves."""
+    energy: hl.Func
+    sums: hl.Func
+    lane: hl.Var
+    out: hl.Func
+    tally: hl.Func
 
 
 def schedule_fireflies(funcs: FireflyFuncs, lanes: int, target: hl.Target) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
@@ -10,8 +10,28 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.highlights import HighlightFuncs
+
+class HighlightFuncs(NamedTuple):
+    """The functions of the kernel, for its schedule."""
+
+    light: hl.Func
+    both: hl.Func
+    """What a pixel is to its surroundings: the mean of its halves, or the one that it has."""
+    least: hl.Func
+    """What a pixel is to its block: the darker of its halves, or the one that it has."""
+    rows: hl.Func
+    """Sum and count of a row of the surroundings: of all its pixels, and of those beside the spot."""
+    level: hl.Func
+    """Mean of the surroundings."""
+    agreed: hl.Func
+    """The darker half of a pixel if both agree, else 0."""
+    blocks: hl.Func
+    """Of the block whose first corner is a pixel: the least value, and the least but one."""
+    core: hl.Func
+    """Whether a block around a pixel is a highlight: 1 or 0."""
+    share: hl.Func
+    """Which share of a pixel's light is split off, in [0, 1)."""
+    out: hl.Func
 
 
 def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:

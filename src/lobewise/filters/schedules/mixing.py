@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import halide as hl
 
 from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.mixing_pass import MixingFuncs, Stage
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from lobewise.filters.mixing import MixingFuncs, Stage
 
 STRIP_ROWS = 16
 """Rows of an image that a thread takes at a time: fewer than elsewhere, for many planes of a strip lie in cache."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
@@ -12,8 +12,26 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.noise_guides import LightSumFuncs, NoiseGuideFuncs
+
+class NoiseGuideFuncs(NamedTuple):
+    """The functions of the guide's kernel, for its schedule."""
+
+    logs: hl.Func
+    """Of (x, c, y): logarithms of the three colours of one half, and then of the other."""
+    spread: hl.Func
+    """A quarter of their squared difference."""
+    rows: hl.Func
+    """The same, averaged along rows."""
+    out: hl.Func
+
+
+class LightSumFuncs(NamedTuple):
+    """The function of the kernel of `measure_light`, for its schedule."""
+
+    out: hl.Func
+    """Of (lane, y): each row in as many parts as a vector has."""
+    lane: hl.Var
+    steps: hl.RDom
 
 
 def schedule_noise_guide(funcs: NoiseGuideFuncs, target: hl.Target) -> None:

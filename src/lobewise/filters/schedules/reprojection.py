@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import halide as hl
 
+from lobewise.filters.history.reprojection_pass import ReprojectionFuncs
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.blocks import spread_pixels
 from lobewise.filters.schedules.rows import keep_rows
-
-if TYPE_CHECKING:
-    from lobewise.filters.history.reprojection import ReprojectionFuncs
 
 
 def schedule_reprojection(funcs: ReprojectionFuncs, target: hl.Target) -> None:

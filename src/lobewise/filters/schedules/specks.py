@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
@@ -10,8 +10,24 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.specks import SpeckFuncs
+
+class SpeckFuncs(NamedTuple):
+    """The functions of the kernel, for its schedule."""
+
+    bright: hl.Func
+    """Luminance; 0 outside the image."""
+    mixed: hl.Func
+    """Whether a pixel shows several objects, 1 or 0, and 1 for being inside the image."""
+    rows: hl.Func
+    """Sums of `mixed` along rows of the window."""
+    blurred: hl.Func
+    near: hl.Func
+    """Whether a blurred pixel is near, by rows."""
+    low: hl.Func
+    """Luminance up to the bound, the light above it, and what takes part in sharing."""
+    quotient: hl.Func
+    """Light above the bound over the sum of what takes it."""
+    out: hl.Func
 
 
 def schedule_specks(funcs: SpeckFuncs, target: hl.Target) -> None:
