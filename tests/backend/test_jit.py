@@ -114,7 +114,7 @@ class TestFolder:
 
     def test_files_not_used_for_longest_go(self, tmp_path, monkeypatch):
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))
-        monkeypatch.setattr(disk, "OLD_FILES", 4)
+        monkeypatch.setattr(disk, "MAX_KERNEL_FILES", 4)
         for number in range(4):
             path = tmp_path / f"{number}.kernel"
             path.write_text("")
@@ -209,7 +209,7 @@ class TestSources:
             (settings, "Band-limit of the lobes", "Limit of the lobes"),
             (errors, "expected", "wanted"),
             (trust, "belongs to another user", "is foreign"),
-            (cross_filter, "LARGEST_SCRATCH = 1 << 29", "LARGEST_SCRATCH = 1 << 28"),
+            (cross_filter, "MAX_SCRATCH_BYTES = 1 << 29", "MAX_SCRATCH_BYTES = 1 << 28"),
             (frame, "class LobeKind", "# A comment.\nclass LobeKind"),
         ],
         ids=lambda value: getattr(value, "__name__", ""),

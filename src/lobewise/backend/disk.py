@@ -23,7 +23,7 @@ import platformdirs
 from lobewise.backend.objects import is_object
 from lobewise.backend.trust import find_folder_problem, read_trusted
 
-OLD_FILES = 4000
+MAX_KERNEL_FILES = 4000
 """Files in the folder above which those that were not used for longest go."""
 MAX_FILE_BYTES = 2**26
 MAX_TEMPORARY_SECONDS = 3600.0
@@ -154,8 +154,8 @@ def _remove_old(folder: Path) -> None:
                 path.unlink()
             elif path.suffix == ".kernel":
                 files.append((changed, path))
-    if len(files) > OLD_FILES:
-        for _, path in sorted(files)[: len(files) - OLD_FILES // 2]:
+    if len(files) > MAX_KERNEL_FILES:
+        for _, path in sorted(files)[: len(files) - MAX_KERNEL_FILES // 2]:
             path.unlink(missing_ok=True)
 
 

@@ -1,9 +1,10 @@
-"""Several filtered images mixed pixel by pixel, in proportions that a small network reads off them.
+"""Mix several filtered images pixel by pixel, in shares that a small network predicts.
 
-Each candidate is a local average of its own; how noisy it is (its two halves differ), how far it is from the others
-(one of them is biased) and what surface it shows tells which of them to trust. The proportions are a softmax, so the
-mixture is a convex average again. Source of the idea: Kalantari, Bako and Sen 2015, "A Machine Learning Approach for
-Filtering Monte Carlo Noise". Departs: what is predicted are shares of candidates, not parameters of one filter.
+The filtered images are called candidates. The difference of a candidate's two halves shows its noise; the differences
+between candidates show that some are biased; the guides show the surface. From these features the network predicts how
+far to trust each candidate. The shares are a softmax, so the mixture is a convex average. Source of the idea:
+Kalantari, Bako and Sen 2015, "A Machine Learning Approach for Filtering Monte Carlo Noise". Departs: the network
+predicts shares of candidates, not the parameters of one filter.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
 
 LAYERS = 3
-"""Of the network, two of them hidden."""
-DARKEST = 0.05
-"""Squares are relative to that of the local mean, and to this share of the whole mean."""
+"""Layers of a network: two hidden ones and the output."""
+MIN_LIGHT_SHARE = 0.05
+"""Squared differences are divided by the squared local mean plus the square of this share of the image's mean."""
 
 
 class Network(NamedTuple):
@@ -36,7 +37,7 @@ class Network(NamedTuple):
     Parameters
     ----------
     mean, scale : (inputs,)
-        What is subtracted from the inputs, and what they are multiplied by then.
+        Inputs become ``(input - mean) * scale``.
     weights : three arrays, (inputs, units), (units, units), (units, candidates)
     biases : three arrays, (units,), (units,), (candidates,)
     """
@@ -47,13 +48,13 @@ class Network(NamedTuple):
     biases: tuple[FloatArray, FloatArray, FloatArray]
 
     def name_arrays(self) -> dict[str, FloatArray]:
-        """Return its arrays by the names that the kernel knows them by."""
+        """Return the arrays by their names in the kernel's signature."""
         named = {"centre": self.mean, "scale": self.scale}
         named |= {f"weights{number}": each for number, each in enumerate(self.weights)}
         return named | {f"biases{number}": each for number, each in enumerate(self.biases)}
 
     def require_fit(self, inputs: int, candidates: int) -> None:
-        """Raise InputError unless the arrays fit each other: kernels read and write where shapes tell them."""
+        """Raise InputError unless the shapes of all arrays fit each other: kernels do not check them."""
         sizes = [inputs, *(bias.size for bias in self.biases[:-1]), candidates]
         expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
         arrays = self.name_arrays().values()
@@ -67,7 +68,7 @@ class Network(NamedTuple):
 
 
 def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
-    """Raise InputError unless there is a middle candidate and something else is known of every pixel."""
+    """Raise InputError unless ``middle`` is a candidate and there is at least one extra."""
     if not 0 <= middle < candidates:
         raise InputError(
             "middle",
@@ -108,7 +109,7 @@ def _run(
         images |= {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in network.name_arrays().items()}
     level = max(level, 1e-30)
     kernel = get_kernel(device, key, partial(_make_scheduled, key))
-    return run_kernel(kernel, device, images, floor=max((DARKEST * level) ** 2, 1e-37), level=level)["mixed"]
+    return run_kernel(kernel, device, images, floor=max((MIN_LIGHT_SHARE * level) ** 2, 1e-37), level=level)["mixed"]
 
 
 def _make_scheduled(key: MixingKey, target: hl.Target) -> Scheduled:
@@ -125,30 +126,31 @@ def find_features(
     level: float,
     device: str = "cpu",
 ) -> Image:
-    """Return what a network sees of every pixel, shape (height, width, `count_features`).
+    """Return the inputs of a network at every pixel, shape (height, width, `count_features`).
 
-    In this order, all base-2 logarithms: variance of each candidate (a quarter of the squared difference of its
-    halves), squared difference of each other candidate to the middle one, squared slope of the middle one, all
-    averaged over `BLUR` and relative to the squared local mean; that mean over ``level``; the same of all that averaged
-    once more, over weights further apart (`STEPS`); the extras as they are.
+    In this order, all base-2 logarithms but the extras: the variance of each candidate, a quarter of the squared
+    difference of its halves; the squared difference of each other candidate to the middle one; the squared slope of the
+    middle one, all three averaged over `BLUR` and relative to the squared local mean of the middle one; the local mean
+    over ``level``; then all of these again from averages that are averaged once more, over taps further apart
+    (`STEPS`); last the extras, unchanged.
 
     Parameters
     ----------
     candidates : sequence of pairs of arrays, shape (height, width, 3)
-        Both halves of each, over their albedo, finite, >= 0.
+        Both halves of each candidate, radiance over albedo, finite, >= 0.
     middle : int
-        Which candidate the others are compared with.
+        Index of the candidate that the others are compared with.
     extras : array, shape (height, width, count)
-        What else is known, at least one number.
+        Further inputs of the network, at least one.
     level : float
-        How bright the whole image is, of which this may be a part: about the mean luminance of a candidate.
+        About the mean luminance of a candidate over the whole image, of which the candidates may be a part.
     device : str
         A name from `list_devices`.
 
     Raises
     ------
     InputError
-        If an array has none of these shapes, or ``middle`` is no candidate.
+        If an array has another shape, or ``middle`` is no candidate's index.
     """
     return _run(candidates, middle, extras, level, None, device)
 
@@ -161,7 +163,7 @@ def mix_candidates(
     network: Network,
     device: str = "cpu",
 ) -> Image:
-    """Return the mixture of the candidates, shape (height, width, 3), its shares the network's softmax.
+    """Return the mixture of the candidates, shape (height, width, 3), in shares that the network predicts.
 
     Parameters
     ----------
@@ -173,6 +175,6 @@ def mix_candidates(
     Raises
     ------
     InputError
-        If an array has none of these shapes, or ``middle`` is no candidate.
+        If an array has another shape, ``middle`` is no candidate's index, or the network does not fit.
     """
     return _run(candidates, middle, extras, level, network, device)

@@ -1,4 +1,7 @@
-"""The kernel of a mixing: what its network sees of every pixel, and the mixture; see `lobewise.filters.mixing`."""
+"""The kernel that mixes candidates: the features of every pixel, the network, the mixture.
+
+`lobewise.filters.mixing` describes them.
+"""
 
 from __future__ import annotations
 
@@ -15,45 +18,47 @@ from lobewise.filters.cross_pass import COLORS, find_luminance
 from lobewise.filters.planes import C, X, Y
 
 BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
-"""Binomial weights over which squares are averaged, in rows and in columns."""
+"""Binomial weights of five taps, applied along rows and then along columns."""
 STEPS = (1, 3)
-"""Pixels from weight to weight of the averages, and of the averages of these: one is local, the other steady."""
+"""Pixels between the taps of the first average, and of the second, which averages the first: less local, less noisy."""
 REACH = len(BLUR) // 2 * sum(STEPS) + 1
-"""Pixels to each side from which a pixel's proportions are read: the averages of averages of a slope."""
-LEAST_SQUARE = 1e-8
-LEAST_LIGHT = 1e-3
+"""Distance of the farthest pixel that affects a pixel: both averages, and the difference that a slope takes."""
+MIN_RELATIVE_SQUARE = 1e-8
+"""Smallest squared difference over the squared local mean that a logarithm distinguishes."""
+MIN_RELATIVE_LIGHT = 1e-3
+"""Smallest local mean over the image's mean that a logarithm distinguishes."""
 LEAK = 0.01
-"""Slope of the network's units below 0."""
+"""Slope of the activation of hidden units below 0 (leaky ReLU)."""
 
 
 def count_features(candidates: int, extras: int) -> int:
-    """Return how many inputs a network has for so many candidates and extras."""
+    """Return the number of a network's inputs."""
     return len(STEPS) * (2 * candidates + 1) + extras
 
 
 @dataclass(frozen=True)
 class MixingKey:
-    """Everything that changes the code of a mixing."""
+    """Everything that changes the kernel's code."""
 
     candidates: int
     middle: int
     extras: int
     units: tuple[int, ...]
-    """Of the hidden layers; none where features alone are asked for."""
+    """Sizes of the hidden layers; empty if the kernel writes the features themselves."""
 
     @property
     def squares(self) -> int:
-        """Channels that are averaged: squares, and last the middle candidate's luminance."""
+        """Channels that are averaged: squared differences, and last the luminance of the middle candidate."""
         return 2 * self.candidates + 1
 
     @property
     def features(self) -> int:
-        """Inputs of the network."""
+        """Number of the network's inputs."""
         return count_features(self.candidates, self.extras)
 
     @property
     def channels(self) -> int:
-        """Of the output."""
+        """Channels of the output."""
         return COLORS if self.units else self.features
 
 
@@ -62,29 +67,29 @@ Pair = tuple[Sequence[hl.Expr], Sequence[hl.Expr]]
 
 
 class Blur(NamedTuple):
-    """An average: along rows, and of these along columns."""
+    """An average along rows, and its average along columns."""
 
     rows: hl.Func
     soft: hl.Func
 
 
 class Stage(NamedTuple):
-    """A step of the network at one pixel."""
+    """A step of the network."""
 
     func: hl.Func
     channels: int
     inputs: hl.RDom | None = None
-    """What it sums over, if it does."""
+    """Domain of the step's sum, if it sums."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MixingFuncs:
-    """The functions of the kernel, for its schedule."""
+    """The functions of the kernel."""
 
     key: MixingKey
     signature: Signature
     copies: list[hl.Func]
-    """Both halves of each candidate put together, for graphics cards."""
+    """Both halves of each candidate in one function, on graphics cards."""
     light: hl.Func
     spread: hl.Func
     sharp: hl.Func
@@ -149,7 +154,7 @@ def _read_copy(copied: hl.Func) -> Pair:
 
 
 def _define_light(pairs: Sequence[Pair]) -> tuple[hl.Func, hl.Func]:
-    """Return the luminance of every candidate's mean, and the squared difference of its halves, a quarter."""
+    """Return the luminance of each candidate's mean, and a quarter of the squared difference of its halves."""
     light, spread = hl.Func("light"), hl.Func("spread")
     sums = [[p + q for p, q in zip(a, b, strict=True)] for a, b in pairs]
     squares = [[(p - q) * (p - q) for p, q in zip(a, b, strict=True)] for a, b in pairs]
@@ -159,7 +164,7 @@ def _define_light(pairs: Sequence[Pair]) -> tuple[hl.Func, hl.Func]:
 
 
 def _define_squares(key: MixingKey, light: hl.Func, spread: hl.Func) -> hl.Func:
-    """Return what is averaged: variances, squares of differences and of the slope, and the middle's luminance."""
+    """Return the channels to average: variances, squared differences and slope, luminance of the middle candidate."""
     middle, half = key.middle, hl.f32(0.5)
     steps = [light[X, k, Y] - light[X, middle, Y] for k in range(key.candidates) if k != middle]
     across = half * (light[X + 1, middle, Y] - light[X - 1, middle, Y])
@@ -173,7 +178,7 @@ def _define_squares(key: MixingKey, light: hl.Func, spread: hl.Func) -> hl.Func:
 
 
 def _define_blurs(source: hl.Func) -> list[Blur]:
-    """Return averages, and averages of averages."""
+    """Return the averages of the source, and their averages."""
     blurs: list[Blur] = []
     for step in STEPS:
         taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
@@ -188,16 +193,16 @@ def _define_blurs(source: hl.Func) -> list[Blur]:
 def _define_features(
     key: MixingKey, extras: hl.ImageParam, light: tuple[hl.Expr, hl.Expr], averages: Sequence[hl.Func]
 ) -> hl.Func:
-    """Return what the network sees (see `find_features`); ``light`` is the least squared mean, and the level."""
+    """Return the features (see `mixing.find_features`); ``light`` is the smallest squared mean, and the level."""
     floor, level = light
     values: list[hl.Expr] = []
     for soft in averages:
         mean = soft[X, key.squares - 1, Y]
         unit = hl.f32(1.0) / (mean * mean + floor)
         relative = [soft[X, k, Y] * unit for k in range(key.squares - 1)]
-        values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
-        values.append(expressions.log2(hl.max(mean / level, hl.f32(LEAST_LIGHT))))
-    # Vectors are moved inwards at the end of a row, and begin before it where it is narrower than they are.
+        values += [expressions.log2(hl.max(each, hl.f32(MIN_RELATIVE_SQUARE))) for each in relative]
+        values.append(expressions.log2(hl.max(mean / level, hl.f32(MIN_RELATIVE_LIGHT))))
+    # The last vector of a row is moved inwards. In a row narrower than a vector it begins left of the image.
     values += [extras[k, hl.max(X, 0), Y] for k in range(key.extras)]
     features = hl.Func("features")
     features[X, C, Y] = hl.mux(C, values)
@@ -205,16 +210,16 @@ def _define_features(
 
 
 def define_network(signature: Signature, features: hl.Func, sizes: Sequence[int]) -> list[Stage]:
-    """Return the steps of a network, the last of which gives shares, not yet divided by their sum.
+    """Return the steps of a network. The last one gives shares, not yet divided by their sum.
 
     Parameters
     ----------
     signature : Signature
-        Of the kernel, which reads the network's arrays by the names of `Network.name_arrays`.
+        Of the kernel; declares the arrays of `Network.name_arrays`.
     features : halide.Func
-        Of (x, c, y).
+        Inputs, a function of (x, c, y).
     sizes : sequence of int
-        Inputs, units of every hidden layer, outputs.
+        Number of inputs, of units of each hidden layer, of outputs.
     """
     inputs, *units, outputs = sizes
     centre, scale = (signature.image(name, inputs) for name in ("centre", "scale"))
@@ -241,7 +246,7 @@ def define_network(signature: Signature, features: hl.Func, sizes: Sequence[int]
 
 
 def _mix(share: hl.Func, pairs: Sequence[Pair]) -> list[hl.Expr]:
-    """Return the colours of the mixture."""
+    """Return the colour of the mixture: the candidates' means in their shares."""
     total = sum((share[X, k, Y] for k in range(len(pairs))), hl.f32(0.0))
     mixed = []
     for i in range(COLORS):

@@ -23,7 +23,7 @@ GGX_LIMIT = 0.35
 """Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
 BECKMANN_LIMIT = 0.5
 """The same for Beckmann."""
-MIN_COSINE = 0.03
+MIN_VIEW_COSINE = 0.03
 """Floor of v.m in the Jacobian: below it the lobe would have no width across the plane of incidence."""
 GGX_SHARPNESS = GGX_MIXTURES[1][0][0]
 """Of the Gaussian nearest in L2 to ``(1 + q)^-2``, over that with its curvature at 0 (one lobe of the mixtures)."""
@@ -153,7 +153,7 @@ def _make_isotropic_lobe(
     twice = 2.0 * view_cosine * inverse
     axis = combine((twice * a - 1.0, view), (twice * b, normal))
 
-    floored = xp.maximum(view_cosine, xp.number(MIN_COSINE))
+    floored = xp.maximum(view_cosine, xp.number(MIN_VIEW_COSINE))
     floored_square = floored * floored
     across_part, along_part = 4.0 * square * floored_square, 4.0 * square * normal_cosine
     # alpha 0 has variance 0 even where both terms of its scale are 0, which they never are: the deficit is 1 there
@@ -193,7 +193,7 @@ def _make_anisotropic_lobe(
     view_cosine = mu * cosine_u + mv * cosine_v + mn * cosine
     axis = combine((2.0 * view_cosine, m), (-1.0, view))
 
-    floored = xp.maximum(view_cosine, xp.number(MIN_COSINE))
+    floored = xp.maximum(view_cosine, xp.number(MIN_VIEW_COSINE))
     lift = floored - view_cosine
     product = 16.0 * floored * floored * squares[0] * squares[1]
     covariance = find_round_covariance(limit * product, axis)

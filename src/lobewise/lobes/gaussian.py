@@ -13,7 +13,7 @@ from lobewise.lobes.vectors import Vector
 
 MIN_WARP_COSINE = 0.1
 """Floor of n.v in the warp of a single lobe; below it the lobe would become sharper than any that a surface has."""
-LAMBERT_SHARPNESS = 2.0
+LAMBERT_SIMILARITY_SHARPNESS = 2.0
 """The similarity of two Lambert lobes falls as 1 - d^2 / 2 for small angles d, as that of two SGs of this sharpness."""
 _SHARP = 40.0
 """Beyond this nothing is left of an exponential beside 1, in double precision too."""

@@ -27,7 +27,7 @@ LAMBERT_SHARPNESS = 2.1438
 LAMBERT_AMPLITUDE = 1.1766
 """The least-squares spherical Gaussian of ``max(n.w, 0)`` over the sphere; relative L2 error 0.177."""
 
-SMALLEST_AREA = 1e-12
+MIN_AREA = 1e-12
 """Below this a lobe is a mirror's, of which nothing is missing on the sphere."""
 
 
@@ -70,7 +70,7 @@ def spread_ggx_mixture(
         steepness = xp.maximum(exponent * deficit, MIN_SHARPNESS * area)
         sharpness.append(steepness / (area + noise * steepness))
         # the integrals of the lobes before the band-limit, over the area, which is 0 for a mirror
-        inside = find_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(SMALLEST_AREA)))
+        inside = find_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(MIN_AREA)))
         shares.append(weight * inside / steepness)
     total, reached = sum(shares), sum(weight / exponent for exponent, weight in rows)
     amplitude = [

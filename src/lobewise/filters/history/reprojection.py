@@ -1,4 +1,4 @@
-"""What a pixel brings along from the frame before, computed for a frame; `reprojection_pass` says what it is."""
+"""Reproject the history of a frame; `reprojection_pass` describes the algorithm."""
 
 from __future__ import annotations
 
@@ -31,29 +31,30 @@ def run_reprojection(
     memory: float = 1.0,
     device: str = "cpu",
 ) -> FloatArray:
-    """Gather the history of every pixel from where it was in the frame before.
+    """Gather the history of every pixel from its place in the frame before.
 
     Parameters
     ----------
     past : array, shape (height, width, 7)
         Sums of the frame before; see `lobewise.filters.history.sums`.
     places : array, shape (height, width, 2)
-        Column and row where each pixel was, pixel centres at whole numbers; NaN or outside where it was nowhere.
+        Column and row of each pixel in the frame before, pixel centres at whole numbers; NaN or outside the image if it
+        was not visible.
     masks : pair of bool arrays, shape (height, width)
-        Where a pixel has meaning, before and now.
+        Where a pixel has meaning, in the frame before and in this frame.
     features : pair of sequences of Feature
-        Of the frame before and of this one, of one structure; a pixel's history counts by their similarities.
+        Features of the frame before and of this frame, of one structure; their similarities weight the history.
     virtual : (array, int), optional
-        Second places, where each pixel's reflection was, and the first of the features that are compared there.
+        Second places, those of each pixel's reflection, and the index of the first feature that is compared there.
     memory : float
-        What the weights found are scaled by, 0 to 1.
+        Factor of all weights, 0 to 1.
     device : str
         A name from `list_devices`.
 
     Returns
     -------
     array, shape (height, width, 8)
-        The sums here, and how much of each place agrees, 0 to 1 (and what `exp2` errs).
+        The sums, and the agreement, 0 to 1 (up to the error of `exp2`).
     """
     height, width = size = (masks[1].shape[0], masks[1].shape[1])
     virtual_from = None if virtual is None else virtual[1]
@@ -81,7 +82,7 @@ def _take(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> di
 
 
 def _flatten_history(past: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return sums (height * width, 7) whose channels lie one after the other; copied only where they do not yet."""
+    """Return sums (height * width, 7) that lie channel by channel in memory, without a copy if they do already."""
     planes = np.moveaxis(past, -1, 0)
     if past.shape != (*size, HISTORY_CHANNELS) or past.dtype != np.float32 or not planes[0].flags.c_contiguous:
         planes = np.ascontiguousarray(np.moveaxis(take_image("past", past, (*size, HISTORY_CHANNELS)), -1, 0))

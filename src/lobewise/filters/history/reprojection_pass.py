@@ -1,14 +1,14 @@
-"""What a pixel brings along from the frame before: its sums, found, judged and gathered.
+"""The kernel that reprojects a history: finds a pixel's place in the frame before, and gathers the sums there.
 
 ``out_i = sum_k b_k v(i, k) past_k`` (``v^2`` for squared weights) over the four pixels k of the frame before around the
-place that pixel i came from: b the bilinear weights, v the product of the features' similarities between i as it is and
-k as it was. The features are those of the filter; only the two pixels of a pair belong to two frames.
+place that pixel i came from. b are the bilinear weights, v is the product of the features' similarities between pixel i
+of this frame and pixel k of the frame before.
 
-Channels of the sums, in and out: see `lobewise.filters.history.sums`. Out has one more, ``a = sum_k b_k v(i, k)``: how
-much of the place agrees, 0 to 1 (and what `exp2` errs).
+The sums are described in `lobewise.filters.history.sums`. The output has one more channel, ``a = sum_k b_k v(i, k)``,
+the agreement of the place, 0 to 1 (up to the error of `exp2`).
 
-Where a pixel may have come from two places, its surface's and its reflection's, what agrees better counts more: both
-are mixed by ``a^2``. Then all weights are scaled by the memory.
+A pixel may come from two places, that of its surface and that of its reflection. Their sums are mixed by ``a^2``, so
+that the place with more agreement counts more. Then all weights are multiplied by the memory.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.planes import C, GuidePlanes, X, Y, count_inputs, make_guide_planes, neutralize, prepare_planes
 
 AGREEMENT = HISTORY_CHANNELS
-"""Channel behind the sums."""
+"""Channel of the agreement, after the sums."""
 REPROJECTED = (*Sums._fields, "agreement")
-"""The planes that a reprojection writes."""
+"""The output planes of a reprojection."""
 
-SNAP = 2e-3
-"""Places within this many pixels of a pixel's centre are that pixel: rounding in a projection must not blur."""
+SNAP_PIXELS = 2e-3
+"""Distance from a pixel's centre within which a place is moved to the centre, pixels: rounding must not blur."""
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """What is read at four pixels."""
+    """An image read at the four pixels around a place."""
 
     func: hl.Func
     channels: int
     shared: bool
-    """Whether it is read at the first place alone."""
+    """Whether it is read only at the first place."""
 
 
 @dataclass
 class ReprojectionFuncs:
-    """The Halide functions of a reprojection, for the schedules."""
+    """The Halide functions of a reprojection, for its schedules."""
 
     out: hl.Func
     signature: Signature
@@ -60,31 +60,30 @@ class ReprojectionFuncs:
 
 @dataclass
 class PastPixels:
-    """The four pixels of the frame before around each place, and what is computed of them.
+    """The four pixels of the frame before around each place, and the functions computed from them.
 
-    Images of that frame have one axis for all pixels, row after row, so that one index serves all of them.
+    Images of the frame before have one axis for all pixels, row after row, so that one index serves all images.
     """
 
     width: hl.Param
     height: hl.Param
     way_count: int
     way: hl.Var = field(default_factory=lambda: hl.Var("w"))
-    """The place that a sum is gathered at."""
+    """Index of the place: 0 for the surface, 1 for the reflection."""
     u: hl.Var = field(default_factory=lambda: hl.Var("u"))
     v: hl.Var = field(default_factory=lambda: hl.Var("v"))
     spots: hl.Func = field(default_factory=lambda: hl.Func("spots"))
     near: hl.Func = field(default_factory=lambda: hl.Func("near"))
     stages: list[hl.Func] = field(default_factory=list)
-    """What is computed for each of the four pixels, in the order in which it is needed."""
+    """Functions of each of the four pixels, each after those that it reads."""
     surface_stages: list[hl.Func] = field(default_factory=list)
-    """As ``stages``, of what counts at the first place alone."""
+    """Like ``stages``, but only for the first place."""
     gathered: list[Gathered] = field(default_factory=list)
-    """What is read at each of them."""
 
     def find(self, places: Sequence[hl.ImageParam]) -> tuple[hl.Expr, hl.Expr]:
-        """Define the pixels around places, the column and row where each pixel was; return the part of a step beyond.
+        """Define the four pixels around each place; return the fractions of the place's column and row.
 
-        A place far outside, or none at all (NaN), must not become an index.
+        Places far outside the image, and NaN, must not become an index.
         """
 
         def place(axis: int, length: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
@@ -94,7 +93,7 @@ class PastPixels:
             near = (raw > hl.f32(-1.0)) & (raw < hl.f32(length))
             value = hl.select(near, raw, hl.f32(-2.0))
             whole = hl.floor(value + hl.f32(0.5))
-            value = hl.select(hl.abs(value - whole) < hl.f32(SNAP), whole, value)
+            value = hl.select(hl.abs(value - whole) < hl.f32(SNAP_PIXELS), whole, value)
             first = hl.floor(value)
             return hl.i32(first), value - first
 
@@ -108,11 +107,11 @@ class PastPixels:
         return right, down
 
     def stage(self, *values: hl.Expr) -> Any:
-        """Compute values of a pixel in a loop of their own."""
+        """Compute values of each of the four pixels in a separate loop."""
         return self._keep("stage", self.stages, (X, Y, self.way, self.u, self.v), values)
 
     def surface_stage(self, *values: hl.Expr) -> Any:
-        """As `stage`, of what counts at the first place alone."""
+        """Like `stage`, but only for the first place."""
         return self._keep("surface", self.surface_stages, (X, Y, self.u, self.v), values)
 
     def _keep(self, name: str, stages: list[hl.Func], axes: Sequence[hl.Var], values: Sequence[hl.Expr]) -> Any:
@@ -122,11 +121,11 @@ class PastPixels:
         return func[tuple(axes)]
 
     def is_inside(self, first_only: bool) -> hl.Expr:
-        """Return whether there is such a pixel."""
+        """Return whether the pixel lies inside the frame before."""
         return self.near[X, Y, self._get_way(first_only), self.u, self.v][0] != 0
 
     def read(self, image: hl.ImageParam, count: int, first_only: bool = False) -> list[hl.Expr]:
-        """Return the channels of an image at a pixel, which are copied at once: they lie together."""
+        """Return the channels of an image at a pixel; they lie together in memory and are copied at once."""
         func = hl.Func(f"gathered{len(self.gathered)}")
         axes = [X, Y, self.u, self.v] if first_only else [X, Y, self.way, self.u, self.v]
         index = self.near[X, Y, self._get_way(first_only), self.u, self.v][1]
@@ -140,13 +139,13 @@ class PastPixels:
 
 
 def make_reprojection(features: Sequence[Feature], virtual_from: int | None = None) -> ReprojectionFuncs:
-    """Return the algorithm; ``virtual_from`` is the first feature that counts at a second place, if there is one.
+    """Return the algorithm; ``virtual_from`` is the first feature compared at a second place, if there is one.
 
-    Places are columns and rows where each pixel was, pixel centres at whole numbers; ``width`` and ``height`` those of
-    the frame before. Images of this frame are at least as wide as a vector.
+    A place is the column and row of a pixel in the frame before, pixel centres at whole numbers. Images of this frame
+    must be at least as wide as a vector.
     """
     signature = Signature("reprojection")
-    # Sums lie channel by channel.
+    # The sums lie channel by channel in memory.
     past_sums = signature.image("past", "pixels", HISTORY_CHANNELS, strides=(1, None))
     names = ("places",) if virtual_from is None else ("places", "virtual_places")
     places = [signature.image(name, "height", "width", 2) for name in names]
@@ -165,7 +164,7 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None = No
     beyond = past.find(places)
     similarity, known = _compare(past, features, scalars, now, (mask_before, arrays_before), virtual_from)
     held = past.read(past_sums, HISTORY_CHANNELS)
-    # What is no number is no history; it would spread by a pixel with every frame. 0 times it would be none either.
+    # Drop a history that is not a number: it would spread by a pixel with every frame, even with weight 0.
     usable = known & (mask_now[X, Y] != 0) & ~expressions.is_bad(sum(held[1:], held[0]))
     past.stage(*(hl.select(usable, value, hl.f32(0.0)) for value in (similarity, *held)))
     sums, taps = _gather(past, beyond)
@@ -183,14 +182,14 @@ def _compare(
     before: tuple[hl.ImageParam, Sequence[hl.ImageParam]],
     virtual_from: int | None,
 ) -> tuple[hl.Expr, hl.Expr]:
-    """Return how similar a pixel is to one of the four, and whether there is one."""
+    """Return the similarity of a pixel to one of the four, and whether the latter has meaning."""
     mask, arrays = before
     counts = count_inputs(features)
     here = [now.read(layout, X, Y) for layout in now.layouts]
     zero = hl.f32(0.0)
 
     def compare(part: slice, first_only: bool, keep: Callable[..., Any]) -> tuple[hl.Expr, hl.Expr]:
-        """Return the log-similarity of some features, and whether there is anything."""
+        """Return the log-similarity of some features, and whether the pixel before has meaning."""
         chosen, own = features[part], scalars[part]
         known = past.is_inside(first_only) & (past.read(mask, 1, first_only)[0] != 0)
         first = len(count_inputs(features[: part.start]))
@@ -210,14 +209,14 @@ def _compare(
 
     exponent, known = compare(slice(virtual_from or 0, len(features)), False, past.stage)
     if virtual_from:
-        # What counts at the surface's place alone is read there alone.
+        # These features count only at the surface's place, so they are read only there.
         surface = past.surface_stage(compare(slice(0, virtual_from), True, past.surface_stage)[0])
         exponent = exponent + hl.select(past.way == 0, surface, zero)
     return expressions.exp2(exponent), known
 
 
 def _gather(past: PastPixels, beyond: tuple[hl.Expr, hl.Expr]) -> tuple[hl.Func, hl.RDom]:
-    """Return the bilinear sums of the four pixels of each place, and how much of it agrees."""
+    """Return the weighted sums over the four pixels of each place, with the agreement; and the taps."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     taps = hl.RDom([(0, 2), (0, 2)], "taps")
     at = X, Y, past.way
@@ -235,7 +234,7 @@ def _gather(past: PastPixels, beyond: tuple[hl.Expr, hl.Expr]) -> tuple[hl.Func,
 
 
 def _mix(past: PastPixels, sums: hl.Func) -> tuple[Sums, hl.Expr]:
-    """Return what was found, of two places by how well they agree, and how much of it agrees."""
+    """Return the sums and the agreement, mixed if there are two places."""
     found = [sums[X, Y, 0][k] for k in range(len(REPROJECTED))]
     if past.way_count > 1:
         other = [sums[X, Y, 1][k] for k in range(len(REPROJECTED))]

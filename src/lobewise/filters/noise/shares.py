@@ -1,4 +1,4 @@
-"""In which proportions images are mixed: a small network that reads features pixel by pixel."""
+"""Shares of images in a mixture, predicted by a small network from features of each pixel."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
     seen : array, shape (height, width, features)
     network : Network
     count : int
-        Of its outputs, at least 2.
+        Outputs of the network, at least 2.
 
     Raises
     ------
     InputError
-        If the network reads another number of features, or has another number of outputs.
+        If the network has another number of inputs or outputs.
     """
     network.require_fit(seen.shape[-1], count)
     sizes = seen.shape[-1], *(len(bias) for bias in network.biases)
@@ -40,7 +40,7 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
 
 
 def _make_shares(sizes: tuple[int, ...], target: hl.Target) -> Scheduled:
-    """Return the network's function, scheduled by rows and vectors."""
+    """Return the kernel, scheduled by rows and vectors."""
     signature = Signature("shares")
     seen = signature.image("seen", "height", "width", sizes[0])
     signature.output("shares", "height", "width", sizes[-1])

@@ -1,8 +1,8 @@
-"""How highlights are found, on processors and on graphics cards."""
+"""Schedule of the kernel that splits highlights off, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import halide as hl
 
@@ -11,31 +11,24 @@ from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
 
-class HighlightFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
+@dataclass(frozen=True, kw_only=True)
+class HighlightFuncs:
+    """The functions of the kernel; `lobewise.filters.highlights` defines them."""
 
     light: hl.Func
     both: hl.Func
-    """What a pixel is to its surroundings: the mean of its halves, or the one that it has."""
     least: hl.Func
-    """What a pixel is to its block: the darker of its halves, or the one that it has."""
     rows: hl.Func
-    """Sum and count of a row of the surroundings: of all its pixels, and of those beside the spot."""
     level: hl.Func
-    """Mean of the surroundings."""
     agreed: hl.Func
-    """The darker half of a pixel if both agree, else 0."""
     blocks: hl.Func
-    """Of the block whose first corner is a pixel: the least value, and the least but one."""
     core: hl.Func
-    """Whether a block around a pixel is a highlight: 1 or 0."""
     share: hl.Func
-    """Which share of a pixel's light is split off, in [0, 1)."""
     out: hl.Func
 
 
 def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:
-    """Let strips of rows run in parallel, planes in cache; on cards give every pixel a thread, planes in memory."""
+    """Run strips of rows in parallel, planes in cache; on graphics cards give each pixel a thread, planes in memory."""
     (x, y, c), out = PIXEL, funcs.out
     for buffer in out.output_buffers():
         buffer.dim(1).set_stride(3)
