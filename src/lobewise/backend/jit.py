@@ -1,4 +1,4 @@
-"""Compiled kernels: made once on a machine, kept on disk, loaded and called by name.
+"""Kernels: compiled once per machine, cached on disk, loaded, and called with named arguments.
 
 Halide compiles a kernel to an object file, which takes a second or more; llvmlite loads that file, which takes some
 milliseconds. The name of a kernel's file tells what it was made from: the definitions that its maker refers to
@@ -39,7 +39,7 @@ _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
 
 @dataclass(frozen=True)
 class Scheduled:
-    """The scheduled functions of a kernel, in the order of its signature's outputs, and that signature."""
+    """The scheduled functions of a kernel, in the order of its signature's outputs, and its signature."""
 
     out: list[Any]
     signature: Signature
@@ -51,13 +51,13 @@ class Kernel:
     Parameters
     ----------
     runtime : Runtime
-        Of its device.
+        Runtime of the kernel's device.
     address : int
-        Of the function that takes one array of pointers to the arguments.
+        Address of the function, which takes one array of pointers to the arguments.
     name : str
-        For messages.
+        Name for messages.
     parameters : sequence of Parameter
-        In the order in which the function takes them.
+        Parameters in the order of the function's arguments.
     """
 
     def __init__(self, runtime: Runtime, address: int, name: str, parameters: Sequence[Parameter]) -> None:
@@ -69,31 +69,31 @@ class Kernel:
 
     @property
     def outputs(self) -> list[Parameter]:
-        """The images that it writes."""
+        """The parameters that are output images."""
         return [each for each in self.parameters if each.role == "output"]
 
     def list_shapes(self, **sizes: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of the images that it writes, by name; ``sizes`` are those of its axes."""
+        """Return the shapes of the output images by name; ``sizes`` are the lengths of named axes."""
         return {
             each.name: tuple(sizes[axis] if isinstance(axis, str) else axis for axis in each.axes)
             for each in self.outputs
         }
 
     def __call__(self, **arguments: Any) -> None:
-        """Run it with buffers (`lobewise.backend.buffers`) and numbers.
+        """Run the kernel with buffers (`lobewise.backend.buffers`) and numbers.
 
         Raises
         ------
         TypeError
             If a name is missing or unknown, or an image is not of the type, size or layout that the kernel relies on.
         DeviceError
-            If the device fails; what it wrote is then of no use.
+            If the device fails. The outputs are then undefined.
         """
         layout = describe_call(arguments)
         if layout not in self._accepted:
             check_call(self.name, self.parameters, arguments)
             self._accepted.add(layout)
-        # Held until the call has returned.
+        # Keep all arguments alive until the call has returned.
         held: list[Any] = [
             _SCALARS[each.type](arguments[each.name]) if each.role == "number" else arguments[each.name]
             for each in self.parameters
@@ -112,14 +112,14 @@ _kernels_lock = make_fork_lock()
 
 
 def count_compiled_kernels() -> int:
-    """Return how many kernels this process has loaded."""
+    """Return the number of kernels that this process has loaded."""
     return len(_kernels)
 
 
 def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> Kernel:
-    """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats.
+    """Return the kernel of a key, loaded or compiled on first use; ``strict`` forbids reordering of float operations.
 
-    Several threads may ask at once.
+    Several threads may call at once.
     """
     with _kernels_lock:
         if (device, key) not in _kernels:
@@ -132,25 +132,25 @@ def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled
 
 
 def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
-    """Run a kernel and return what it writes, in the order of its signature.
+    """Run a kernel and return its outputs, in the order of its signature.
 
     Parameters
     ----------
     kernel : Kernel
-        All sizes of its outputs are also sizes of its inputs.
+        Every named axis of its outputs must also be an axis of an input.
     device : str
-        Its device.
+        Device of the kernel.
     images : mapping of str to Image
-        What it reads, by name; see `lobewise.backend.buffers.take_image`.
+        Input images by name; see `lobewise.backend.buffers.take_image`.
     **numbers
-        Likewise.
+        Numbers by name.
 
     Raises
     ------
     TypeError
         If a name is missing or unknown, or an image is not of the type, size or layout that the kernel relies on.
     DeviceError
-        If the device fails, or has no memory.
+        If the device fails or runs out of memory.
     """
     sizes = {
         axis: length
@@ -159,7 +159,7 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
         for axis, length in zip(each.axes, images[each.name].shape, strict=False)
         if isinstance(axis, str)
     }
-    # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
+    # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
     types = {each.name: each.type for each in kernel.outputs}
     outputs = {
