@@ -100,18 +100,20 @@ def bound_fireflies(
     InputError
         If an image is not real numbers of the mask's size.
     """
-    shape = (*mask.shape, 3)
-    images: dict[str, Image] = {
-        name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)
-    }
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, shape)
-    images["mask"] = take_mask(mask)
-    tinted = albedo is not None
+    images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kernel = get_kernel(device, ("fireflies", tinted), partial(_make_fireflies, tinted))
     a, b, *sums = run_kernel(kernel, device, images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)
+
+
+def take_halves(halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]) -> dict[str, Image]:
+    """Return the images that `declare_halves` declares; raise InputError if one has another size than the mask."""
+    shape = (*mask.shape, 3)
+    images = {name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)}
+    if albedo is not None:
+        images["albedo"] = take_image("albedo", albedo, shape)
+    return {**images, "mask": take_mask(mask)}
 
 
 def find_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:
@@ -158,11 +160,7 @@ def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel. It writes the bounded halves, and for each row partial sums of `BoundedHalves.tally`."""
     signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
     size = "height", "width"
-    halves = [signature.image(name, *size, 3) for name in "ab"]
-    albedo = signature.image("albedo", *size, 3) if tinted else None
-    mask = signature.image("mask", *size, type=hl.UInt(8))
-    for image in (*halves, *([albedo] if albedo is not None else [])):
-        image.dim(0).set_bounds(0, 3)
+    halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("bounded_a", "bounded_b"):
         signature.output(name, *size, 3)
     for name in ("seen", "taken"):
@@ -188,6 +186,17 @@ def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     )
     schedule_fireflies(funcs, lanes, target)
     return Scheduled([out, tally], signature)
+
+
+def declare_halves(
+    signature: Signature, tinted: bool
+) -> tuple[list[hl.ImageParam], hl.ImageParam | None, hl.ImageParam]:
+    """Declare two halves of the samples, the albedo if ``tinted``, and the mask."""
+    size = "height", "width"
+    colors = [signature.image(name, *size, 3) for name in ("a", "b", *["albedo"] * tinted)]
+    for image in colors:
+        image.dim(0).set_bounds(0, 3)
+    return colors[:2], colors[2] if tinted else None, signature.image("mask", *size, type=hl.UInt(8))
 
 
 def define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, mask: hl.ImageParam) -> hl.Func:

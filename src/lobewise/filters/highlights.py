@@ -20,11 +20,11 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Image, returns_host_images, take_image, take_mask
+from lobewise.backend.buffers import Image, returns_host_images
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
-from lobewise.filters.fireflies import define_both, define_light, read_light
+from lobewise.filters.fireflies import declare_halves, define_both, define_light, read_light, take_halves
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.highlights import HighlightFuncs, schedule_highlights
 
@@ -118,14 +118,7 @@ def split_highlights(
     InputError
         If an image is not real numbers of the mask's size.
     """
-    shape = (*mask.shape, 3)
-    images: dict[str, Image] = {
-        name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)
-    }
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, shape)
-    images["mask"] = take_mask(mask)
-    tinted = albedo is not None
+    images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kinds = Kinds(shared, single, paired)
     kernel = get_kernel(device, ("highlights", tinted, kinds), partial(_make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
@@ -134,11 +127,7 @@ def split_highlights(
 def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
     """Return the kernel: it writes both halves without highlights, and the light of the highlights."""
     signature, size = Signature("highlights"), ("height", "width")
-    halves = [signature.image(name, *size, 3) for name in "ab"]
-    albedo = signature.image("albedo", *size, 3) if tinted else None
-    mask = signature.image("mask", *size, type=hl.UInt(8))
-    for image in (*halves, *([albedo] if albedo is not None else [])):
-        image.dim(0).set_bounds(0, 3)
+    halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("rest_a", "rest_b", "kept"):
         signature.output(name, *size, 3)
     light = define_light(halves, albedo, mask)

@@ -11,7 +11,7 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
-from lobewise.features.base import Feature
+from lobewise.features.base import Feature, Stage
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance, make_stage
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
@@ -165,13 +165,10 @@ def make_tap_grid(
     u, v = hl.Var("u"), hl.Var("v")
     offset = spacing * hl.f32(u) + hl.f32(shift[0]), spacing * hl.f32(v) + hl.f32(shift[1])
     stages: list[hl.Func] = []
-    stage = make_stage(stages, (X, Y, u, v))
-    exponent: hl.Expr = hl.f32(0.0)
-    for feature, layout, parameters in zip(features, taps.layouts, scalars, strict=True):
-        j = layout.read(lambda k: wide[X + u * factor, k, block[1] + v])
-        exponent = exponent + feature.log2_similarity(own.read(layout, X, Y), j, parameters, offset, stage)
+    tap_planes = [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count)]
+    pairs = [(own.read(layout, X, Y), layout.read(tap_planes.__getitem__)) for layout in taps.layouts]
     log_weight = hl.Func("log_weight")
-    log_weight[X, Y, u, v] = exponent
+    log_weight[X, Y, u, v] = _compare(features, pairs, scalars, offset, make_stage(stages, (X, Y, u, v)))
 
     def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
         return [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count, len(given))]
@@ -190,6 +187,20 @@ def make_tap_grid(
         block=block,
         shift=shift,
     )
+
+
+def _compare(
+    features: Sequence[Feature],
+    pairs: Sequence[tuple[Any, Any]],
+    scalars: Sequence[Sequence[hl.Expr]],
+    offset: tuple[hl.Expr, hl.Expr],
+    stage: Stage,
+) -> hl.Expr:
+    """Return the base-2 logarithm of the similarity of a pixel and a tap, given each feature's planes of both."""
+    exponent: hl.Expr = hl.f32(0.0)
+    for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True):
+        exponent = exponent + feature.log2_similarity(i, j, parameters, offset, stage)
+    return exponent
 
 
 def _sum_taps(
