@@ -380,23 +380,23 @@ class TestCheckedCalls:
     @pytest.mark.parametrize(
         ("changes", "told"),
         [
-            ({"colour": np.zeros((4, 5), np.float32)}, "colour float32"),
+            ({"colour": np.zeros((4, 5), np.float32)}, "colour: float32"),
             ({"colour": np.zeros((4, 5, 3))}, "float64"),
-            ({"mask": np.zeros((4, 5), np.float32)}, "mask uint8"),
+            ({"mask": np.zeros((4, 5), np.float32)}, "mask: uint8"),
             ({"guide": np.zeros((4, 6, 3), np.float32)}, "width is 5 in colour"),
             ({"guide": np.zeros((5, 4, 3), np.float32)}, "height is 4 in colour"),
             ({"guide": np.zeros((5, 4, 3), np.float32).swapaxes(0, 1)}, "strides"),
             ({"guide": np.zeros((4, 5, 4), np.float32)[..., :3]}, "strides"),
-            ({"image": np.zeros((4, 5, 2), np.float32)}, "image float32"),
+            ({"image": np.zeros((4, 5, 2), np.float32)}, "image: float32"),
             ({"image": np.zeros((3, 5, 3), np.float32)}, "height is 4 in colour"),
             ({"image": Buffer(np.zeros((3, 5, 3), np.float32), (2, 0))}, "height is 4 in colour"),
-            ({"radius": 0}, "radius int32 number from 1 to 8, and got 0"),
-            ({"radius": 9}, "radius int32 number from 1 to 8, and got 9"),
-            ({"radius": 2.0}, "radius int32 number from 1 to 8, and got 2.0"),
-            ({"scale": "wide"}, "scale float32 number, and got wide"),
+            ({"radius": 0}, "radius: int32 number from 1 to 8, got 0"),
+            ({"radius": 9}, "radius: int32 number from 1 to 8, got 9"),
+            ({"radius": 2.0}, "radius: int32 number from 1 to 8, got 2.0"),
+            ({"scale": "wide"}, "scale: float32 number, got wide"),
             ({"radios": 2}, "has no radios"),
-            ({"radius": np.zeros((4, 5), np.float32)}, "radius int32.*an image"),
-            ({"mask": 4}, "mask uint8.*got 4"),
+            ({"radius": np.zeros((4, 5), np.float32)}, "radius: int32.*an image"),
+            ({"mask": 4}, "mask: uint8.*got 4"),
         ],
     )
     def test_what_does_not(self, parameters, changes, told):
@@ -406,7 +406,7 @@ class TestCheckedCalls:
     def test_what_is_missing_or_swapped(self, parameters):
         given = make_call()
         given["mask"], given["guide"] = given["guide"], given["mask"]
-        with pytest.raises(TypeError, match="the kernel 'mean' takes as mask uint8"):
+        with pytest.raises(TypeError, match="the kernel 'mean' expects mask: uint8"):
             check_call("mean", parameters, given)
         del given["mask"]
         with pytest.raises(TypeError, match="a call of the kernel 'mean' lacks mask"):

@@ -104,7 +104,7 @@ class Buffer:
         """Copy the device's memory to the array if a kernel has written it since the last copy."""
         if self._raw.flags & _DEVICE_DIRTY:
             if not self.device:
-                raise TypeError("an image of a device_scope that has ended is gone: call download() inside it")
+                raise TypeError("the device_scope of an image has ended: call download() inside the scope")
             self._raw.flags = 0
             self._whole.flags = _DEVICE_DIRTY
             self._call("halide_copy_to_host")
@@ -193,11 +193,11 @@ class DeviceImage:
     def lend(self, device: str) -> Buffer:
         """Return the buffer for a kernel of ``device``; raise TypeError if the image is elsewhere or a channel."""
         if self._buffer.device != device or self._channel is not None:
-            raise TypeError(f"a kernel of {device} takes whole images that are there: call download()")
+            raise TypeError(f"a kernel on {device} reads only whole images on that device: call download()")
         return self._buffer
 
     def __array__(self, *_: Any, **__: Any) -> HostImage:
-        raise TypeError("an image on a device is no array: call download()")
+        raise TypeError("an image on a device is not an array: call download()")
 
 
 HostImage = NDArray[Any]

@@ -144,7 +144,7 @@ def write_whole(path: Path, content: bytes) -> str:
 
 
 def _remove_old(folder: Path) -> None:
-    """Remove temporary files of killed processes, and if there are too many kernels those not used for longest."""
+    """Remove temporary files of killed processes, and the kernels not used for longest if there are too many."""
     files: list[tuple[float, Path]] = []
     latest = time.time() - MAX_TEMPORARY_SECONDS
     for path in folder.iterdir():

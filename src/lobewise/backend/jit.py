@@ -193,7 +193,7 @@ def _compile(make: Callable[[hl.Target], Scheduled], target: hl.Target, symbol: 
 
 
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
-    """Return what a kernel is made from, the same in every process; None if any part of it is not of this package."""
+    """Return a text that identifies a kernel's code in all processes; None if a part is not of this package."""
     told = describe_key(key)
     names = list_definitions(key, make)
     if told is None or not all(name.startswith(f"{PACKAGE}.") for name in names):
@@ -205,7 +205,7 @@ _describe_definitions = cache(describe_definitions)
 
 
 def list_definitions(key: Hashable, make: Callable[..., Any]) -> frozenset[str]:
-    """Return the full names of the definitions that a kernel is made from, other than those that these refer to."""
+    """Return the full names of the definitions that a kernel is made from, without those that they refer to."""
     while isinstance(make, partial):
         make = make.func
     return frozenset({_name_definition(_compile), _name_definition(make), *_list_definitions(key)})
@@ -231,7 +231,7 @@ def _list_definitions(key: Any) -> Iterator[str]:
 
 
 def describe_key(key: Any) -> str | None:
-    """Return a key as a text that is the same in every process; None where a part of it is not of this package."""
+    """Return a text that identifies a key in all processes; None if a part is not of this package."""
     if isinstance(key, (type, FunctionType)):
         named = f"{key.__module__}.{key.__qualname__}"
         return named if named.startswith(f"{PACKAGE}.") and "<" not in named else None

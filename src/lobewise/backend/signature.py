@@ -221,4 +221,4 @@ def _refuse(kernel: str, parameter: Parameter, got: Any, sizes: Mapping[str, tup
     kind = f"({', '.join(map(str, parameter.axes))}), strides {parameter.strides}" if parameter.axes else "number"
     if parameter.bounds:
         kind += f" from {parameter.bounds[0]} to {parameter.bounds[1]}"
-    return TypeError(f"the kernel {kernel!r} takes as {parameter.name} {parameter.type} {kind}{beside}, and got {got}")
+    return TypeError(f"the kernel {kernel!r} expects {parameter.name}: {parameter.type} {kind}{beside}, got {got}")

@@ -1,9 +1,9 @@
-"""What a kernel is made from: a digest of the definitions that its maker refers to, directly or through others.
+"""Digests of the code that kernels are made from: of all definitions that a kernel's maker refers to.
 
-The unit is a statement at the top of a module: a function, a class, a constant. A definition counts with every
-definition of this package that its code names, in whatever module that stands. Comments, docstrings and code that no
-maker refers to (checks of arguments, messages, help texts of settings) therefore do not change the digest. Annotations
-are part of a definition's text, but what they name does not count: no kernel is made from a type.
+A definition is a statement at the top of a module: a function, a class, a constant. It counts together with all
+definitions of this package that its code names, directly or through others, in any module. Comments, docstrings and
+code that no maker refers to (checks of arguments, messages, help texts of settings) do not change the digest.
+Annotations belong to the code of a definition, but the types that they name do not count: no kernel is made from them.
 
 Taking a module apart takes some milliseconds, so the result is kept beside the compiled kernels, by the digest of the
 module's bytes.
@@ -41,7 +41,7 @@ class Source:
     definitions: dict[str, list[_Statement]]
     """By name: the statements of the module that define it or may change it."""
     imports: dict[str, list[str]]
-    """By local name: the full names of what may be imported under it, of this package only."""
+    """By local name: the full names that imports of this package bind to it."""
 
 
 def describe_definitions(names: Iterable[str]) -> str:
@@ -70,7 +70,7 @@ def find_definitions(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def _resolve(full_name: str, kept: _Kept) -> Iterator[tuple[str, str, Source]]:
-    """Yield module, name and source of the definitions that a full name stands for; none if it is not of a module."""
+    """Yield module, name and source of the definitions that a full name means; nothing for names of no module."""
     module, rest = full_name, ""
     while (path := _find_file(module)) is None:
         module, _, last = module.rpartition(".")
@@ -89,7 +89,7 @@ def _resolve(full_name: str, kept: _Kept) -> Iterator[tuple[str, str, Source]]:
 
 
 def _locate(module: str, source: Source, read: str) -> list[str]:
-    """Return the full names that a dotted name stands for in the code of a module."""
+    """Return the full names that a dotted name may mean in the code of a module."""
     first, _, beyond = read.partition(".")
     found = [f"{target}.{beyond}" if beyond else target for target in source.imports.get(first, [])]
     return [*found, f"{module}.{first}"] if first in source.definitions else found
@@ -105,7 +105,7 @@ def take_apart(text: str) -> Source:
             imports[name].append(target)
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            # Docstrings, and texts below a constant that say what it is.
+            # Drop docstrings, also those below constants.
             node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
     statements: list[tuple[list[str], str, set[str]]] = []
     for node in tree.body:
@@ -198,7 +198,7 @@ class _Kept:
         return self._known[key]
 
     def write(self) -> None:
-        """Write the file if there is anything new; without a folder, and where writing fails, do without."""
+        """Write the file if a module was taken apart. Without a folder, or if writing fails, nothing is remembered."""
         if self._changed and self._path is not None:
             newest = dict(list(self._known.items())[-_MAX_KEPT_MODULES:])
             told = {key: [source.definitions, source.imports] for key, source in newest.items()}

@@ -100,7 +100,7 @@ class MixingFuncs:
 
 
 def make_mixing(key: MixingKey, *, together: bool) -> MixingFuncs:
-    """Return the features alone, or what the network makes of them.
+    """Return the kernel that writes the features, or the mixture that the network predicts from them.
 
     ``together`` puts both halves of a candidate into one function: a graphics card lets a kernel read few images.
     """
