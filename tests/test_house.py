@@ -148,6 +148,40 @@ def test_no_file_of_the_lobes_is_for_tests_alone(path: Path) -> None:
     assert {name for name in names if not name.startswith("_")} <= used
 
 
+def find_circle(edges: dict[str, set[str]]) -> list[str]:
+    """Return the nodes of a directed graph along a circle, the first one repeated at the end; none if it has none."""
+    finished: set[str] = set()
+
+    def walk(way: list[str]) -> list[str]:
+        for following in sorted(edges[way[-1]] - finished):
+            if following in way:
+                return [*way[way.index(following) :], following]
+            if found := walk([*way, following]):
+                return found
+        finished.add(way[-1])
+        return []
+
+    return next((found for name in sorted(edges) if name not in finished and (found := walk([name]))), [])
+
+
+def test_no_import_closes_a_circle() -> None:
+    """No module of the package imports itself by way of others, not even for types or inside functions."""
+    modules = {
+        ".".join(["lobewise", *path.relative_to(SOURCE).with_suffix("").parts]).removesuffix(".__init__"): path
+        for path in list_modules()
+    }
+    edges: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        imported = list_imports(path)
+        # Of "from package import module" the package is no import of its own.
+        packages = {name.rpartition(".")[0] for name in imported if name in modules}
+        names = {name for name in imported if name not in packages}
+        parents = {name.rpartition(".")[0] for name in names - set(modules)}
+        edges[module] = {name for name in names | parents if name in modules} - {module}
+    assert find_circle({"a": {"b", "c"}, "b": {"c"}, "c": {"d"}, "d": {"b"}}) == ["b", "c", "d", "b"]
+    assert find_circle(edges) == []
+
+
 MAX_FILES_IN_FOLDER, MAX_LINES_OF_FILE, MAX_CODE_LINES_OF_FUNCTION = 15, 400, 80
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
-from lobewise.filters.mixing import Network, count_features, find_features, mix_candidates
+from lobewise.filters.mixing import Network, find_features, mix_candidates
+from lobewise.filters.mixing_pass import count_features
 from lobewise.frame import Frame
 from lobewise.metrics import EPSILON
 from tests.filters.test_mixing import CANDIDATES, EXTRAS, make_inputs

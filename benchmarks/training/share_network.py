@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.filters.mixing import LEAK, Network
+from lobewise.filters.mixing import Network
+from lobewise.filters.mixing_pass import LEAK
 from lobewise.metrics import EPSILON
 
 PIXELS = 8192

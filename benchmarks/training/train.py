@@ -27,7 +27,8 @@ from lobewise.denoising.networks import WEIGHTS, pack_network
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.denoising.planning.layer_plans import MIDDLE
 from lobewise.denoising.running import find_candidates, finish_layer
-from lobewise.filters.mixing import LEAK, Network, find_features
+from lobewise.filters.mixing import Network, find_features
+from lobewise.filters.mixing_pass import LEAK
 from lobewise.frame import Frame
 from lobewise.io.exr import read_frame, read_image
 from lobewise.metrics import EPSILON

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
+from types import CodeType, ModuleType
 from typing import Any
 
 import halide as hl
@@ -13,21 +16,26 @@ import numpy as np
 import platformdirs
 import pytest
 
-from lobewise import frame
-from lobewise.backend import disk
+import lobewise
+from lobewise import errors, frame, settings
+from lobewise.backend import disk, expressions, jit, pointwise, trust
 from lobewise.backend.buffers import Buffer
 from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder
-from lobewise.backend.jit import Kernel, describe_kernel, describe_key
+from lobewise.backend.jit import Kernel, describe_kernel, describe_key, list_definitions
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call
-from lobewise.backend.sources import describe_modules, take_apart
+from lobewise.backend.sources import describe_definitions, find_definitions, take_apart
 from lobewise.errors import DeviceError
-from lobewise.features import NormalFeature, ScreenFeature
+from lobewise.features import GgxFeature, NormalFeature, ScreenFeature, SgMixtureFeature
+from lobewise.filters import cross_filter, fireflies
 from lobewise.filters.cross_pass import PassKey, Reads, Writes
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
-from lobewise.guides.lobe_fields import make_sg_field
+from lobewise.filters.history import reprojection, sums
+from lobewise.filters.schedules import rows
+from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import find_surface_pixels
+from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.processor
 
@@ -106,7 +114,7 @@ class TestFolder:
 
     def test_files_not_used_for_longest_go(self, tmp_path, monkeypatch):
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))
-        monkeypatch.setattr(disk, "OLD_FILES", 4)
+        monkeypatch.setattr(disk, "MAX_KERNEL_FILES", 4)
         for number in range(4):
             path = tmp_path / f"{number}.kernel"
             path.write_text("")
@@ -124,8 +132,42 @@ class TestFolder:
         assert find_cache_folder() == platformdirs.user_cache_path("lobewise", appauthor=False)
 
 
+def edit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, old: str, new: str) -> None:
+    """Let a module's file hold another text for whoever reads it."""
+    path = Path(str(module.__file__))
+    whole = path.read_bytes()
+    assert old.encode() in whole
+
+    def read(self: Path) -> bytes:
+        with self.open("rb") as file:
+            content = file.read()
+        return content.replace(old.encode(), new.encode()) if self == path else content
+
+    monkeypatch.setattr(Path, "read_bytes", read)
+
+
+@cache
+def find_definition(code: CodeType) -> str:
+    """Return the name of the function or class at the top of a module that some code lies in."""
+    for node in ast.parse(Path(code.co_filename).read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+            if first <= code.co_firstlineno <= (node.end_lineno or first):
+                return node.name
+    return code.co_name
+
+
+KERNELS = {
+    "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), cross_filter._make_scheduled),
+    "fireflies": list_definitions(("fireflies", True), fireflies._make_fireflies),
+    "reprojection": list_definitions(("reprojection", GgxFeature), reprojection._make_scheduled),
+    "lobes": list_definitions((lobe_fields.define_lobes,), pointwise._make),
+}
+"""What some kernels are made from."""
+
+
 class TestSources:
-    CODE = "from lobewise.frame import Frame\nLIMIT = 3\ndef f(x):\n    return x + LIMIT\n"
+    CODE = "from lobewise.frame import Frame\nLIMIT = 3\ndef f(x):\n    return Frame(x + LIMIT)\n"
 
     def test_comments_and_texts_change_nothing(self):
         told = '"""What it is."""\n# Why.\n' + self.CODE.replace("3\n", '3\n"""A limit."""\n').replace(
@@ -133,38 +175,116 @@ class TestSources:
         )
         assert take_apart(told) == take_apart(self.CODE)
 
-    @pytest.mark.parametrize("change", [("3", "4"), ("x + L", "x - L"), ("def f", "def g"), ("Frame", "GBuffer")])
+    @pytest.mark.parametrize("change", [("3", "4"), ("x + L", "x - L"), ("def f", "def g"), ("Frame(x", "frame(x")])
     def test_code_does(self, change):
-        assert take_apart(self.CODE.replace(*change)).digest != take_apart(self.CODE).digest
+        assert take_apart(self.CODE.replace(*change)).definitions != take_apart(self.CODE).definitions
 
-    def test_what_is_imported_counts(self):
-        assert take_apart(self.CODE).imports == ("lobewise.frame.Frame",)
-        assert describe_modules(["lobewise.frame"]) != describe_modules(["lobewise.camera"])
+    def test_what_a_definition_refers_to(self):
+        source = take_apart(self.CODE)
+        assert source.imports == {"Frame": ["lobewise.frame.Frame"]}
+        assert [reads for _, reads in source.definitions["f"]] == [["Frame", "LIMIT"]]
 
-    def test_a_text_deep_below_counts_and_a_comment_does_not(self, monkeypatch):
-        # What lobes of a frame are called is compiled into their kernel (`LobeKind`).
-        path = Path(frame.__file__)
-        whole = path.read_bytes()
-        before = describe_modules([make_sg_field.__module__])
-        changes = {b"BECKMANN = 2": b"BECKMANN = 7", b"class LobeKind": b"# A comment.\nclass LobeKind"}
-        found = []
-        for old, new in changes.items():
-            assert old in whole
+    def test_annotations_name_nothing_that_counts(self):
+        ((_, reads),) = take_apart(self.CODE + "def g(x: LIMIT, y=f) -> Frame: z: LIMIT = f\n").definitions["g"]
+        assert reads == ["f"]
 
-            def read(self: Path, old: bytes = old, new: bytes = new) -> bytes:
-                with self.open("rb") as file:
-                    content = file.read()
-                return content.replace(old, new) if self == path else content
+    @pytest.mark.parametrize("more", ["LIMIT += 1", "for LIMIT in (5, 6): pass", "if f: LIMIT = 4", "f.limit = LIMIT"])
+    def test_statements_count_for_what_they_change(self, more):
+        both = take_apart(self.CODE), take_apart(self.CODE + more)
+        assert any(both[0].definitions[name] != both[1].definitions[name] for name in ("LIMIT", "f"))
 
-            monkeypatch.setattr(Path, "read_bytes", read)
-            found.append(describe_modules([make_sg_field.__module__]))
-        assert found[0] != before
-        assert found[1] == before
+    def test_names_of_imported_modules(self):
+        found = find_definitions(["lobewise.lobes.hits.find_hit_shift", "lobewise.features.GgxFeature"])
+        assert "lobewise.features.ggx.GgxFeature" in found
+        # By way of `expressions.log2`, and of classes above.
+        assert {"lobewise.backend.expressions.LOG2_COEFFICIENTS", "lobewise.features.base.Feature"} < set(found)
+        assert "lobewise.features.asg.AsgFeature" not in found
+        assert len(find_definitions(["lobewise.filters.forms"])) == 8
+        assert not find_definitions(["numpy", "lobewise.nothing", "lobewise.frame.nothing"])
+
+    @pytest.mark.parametrize("kernel", KERNELS)
+    @pytest.mark.parametrize(
+        ("module", "old", "new"),
+        [
+            (settings, "Band-limit of the lobes", "Limit of the lobes"),
+            (errors, "expected", "wanted"),
+            (trust, "belongs to another user", "is foreign"),
+            (cross_filter, "MAX_SCRATCH_BYTES = 1 << 29", "MAX_SCRATCH_BYTES = 1 << 28"),
+            (frame, "class LobeKind", "# A comment.\nclass LobeKind"),
+        ],
+        ids=lambda value: getattr(value, "__name__", ""),
+    )
+    def test_what_is_not_compiled_does_not_count(self, monkeypatch, kernel, module, old, new):
+        before = describe_definitions(KERNELS[kernel])
+        edit(monkeypatch, module, old, new)
+        # Checks of features raise errors; a feature counts as a whole.
+        is_part = module is errors and kernel in ("cross filter", "reprojection")
+        assert (describe_definitions(KERNELS[kernel]) == before) is not is_part
+
+    @pytest.mark.parametrize(
+        ("kernel", "module", "old", "new"),
+        [
+            # The numbers of `LobeKind` are compiled into kernels.
+            ("lobes", frame, "BECKMANN = 2", "BECKMANN = 7"),
+            ("cross filter", expressions, "0.013534168", "0.013534169"),
+            ("cross filter", settings, "MAX_LOBES = 4", "MAX_LOBES = 5"),
+            ("cross filter", rows, "STRIP_ROWS = 32", "STRIP_ROWS = 16"),
+            ("fireflies", jit, "pipeline.compile_to_object(", "pipeline.compile_to_an_object("),
+            ("fireflies", fireflies, "REACH = 6", "REACH = 5"),
+            ("reprojection", sums, "faded.squared_weight * share", "faded.squared_weight"),
+        ],
+    )
+    def test_what_is_compiled_counts_however_deep(self, monkeypatch, kernel, module, old, new):
+        before = describe_definitions(KERNELS[kernel])
+        edit(monkeypatch, module, old, new)
+        assert describe_definitions(KERNELS[kernel]) != before
+
+    def test_everything_that_runs_while_a_kernel_is_made_counts(self, monkeypatch):
+        missing: list[str] = []
+
+        def load(device, known, target, make, number):
+            ran: set[str] = set()
+
+            def look(frame, event, _):
+                module = frame.f_globals.get("__name__", "")
+                is_file = not frame.f_code.co_filename.startswith("<")
+                if event == "call" and is_file and module.startswith("lobewise."):
+                    ran.add(f"{module}.{find_definition(frame.f_code)}")
+
+            sys.setprofile(look)
+            try:
+                make(target)
+            finally:
+                sys.setprofile(None)
+            assert ran
+            missing.extend(ran - set(find_definitions(list_definitions(keys[-1], make))))
+            return load_kernel(device, known, target, make, number)
+
+        def describe(key, make):
+            keys.append(key)
+            return describe_kernel(key, make)
+
+        keys: list[Any] = []
+        load_kernel = jit._load
+        monkeypatch.setattr(jit, "_kernels", {})
+        monkeypatch.setattr(jit, "_load", load)
+        monkeypatch.setattr(jit, "describe_kernel", describe)
+        scene = make_scene((24, 40))
+        for quality in settings.QUALITIES:
+            for similarity in settings.SIMILARITIES:
+                lobewise.denoise(scene, quality=quality, similarity=similarity, with_oidn=False, device="cpu")
+        for form in settings.FORMS:
+            lobewise.denoise(scene, quality="fast", form=form, device="cpu")
+        history = lobewise.TemporalFilter(device="cpu")
+        for _ in range(2):
+            history.add(scene)
+        assert missing == []
+        assert len(keys) > 50
 
     def test_works_without_a_folder(self, monkeypatch):
-        told = describe_modules(["lobewise.filters.forms"])
+        told = describe_definitions(["lobewise.filters.forms"])
         monkeypatch.setenv("LOBEWISE_CACHE", "off")
-        assert describe_modules(["lobewise.filters.forms"]) == told
+        assert describe_definitions(["lobewise.filters.forms"]) == told
 
 
 class TestKey:
@@ -260,23 +380,23 @@ class TestCheckedCalls:
     @pytest.mark.parametrize(
         ("changes", "told"),
         [
-            ({"colour": np.zeros((4, 5), np.float32)}, "colour float32"),
+            ({"colour": np.zeros((4, 5), np.float32)}, "colour: float32"),
             ({"colour": np.zeros((4, 5, 3))}, "float64"),
-            ({"mask": np.zeros((4, 5), np.float32)}, "mask uint8"),
+            ({"mask": np.zeros((4, 5), np.float32)}, "mask: uint8"),
             ({"guide": np.zeros((4, 6, 3), np.float32)}, "width is 5 in colour"),
             ({"guide": np.zeros((5, 4, 3), np.float32)}, "height is 4 in colour"),
             ({"guide": np.zeros((5, 4, 3), np.float32).swapaxes(0, 1)}, "strides"),
             ({"guide": np.zeros((4, 5, 4), np.float32)[..., :3]}, "strides"),
-            ({"image": np.zeros((4, 5, 2), np.float32)}, "image float32"),
+            ({"image": np.zeros((4, 5, 2), np.float32)}, "image: float32"),
             ({"image": np.zeros((3, 5, 3), np.float32)}, "height is 4 in colour"),
             ({"image": Buffer(np.zeros((3, 5, 3), np.float32), (2, 0))}, "height is 4 in colour"),
-            ({"radius": 0}, "radius int32 number from 1 to 8, and got 0"),
-            ({"radius": 9}, "radius int32 number from 1 to 8, and got 9"),
-            ({"radius": 2.0}, "radius int32 number from 1 to 8, and got 2.0"),
-            ({"scale": "wide"}, "scale float32 number, and got wide"),
+            ({"radius": 0}, "radius: int32 number from 1 to 8, got 0"),
+            ({"radius": 9}, "radius: int32 number from 1 to 8, got 9"),
+            ({"radius": 2.0}, "radius: int32 number from 1 to 8, got 2.0"),
+            ({"scale": "wide"}, "scale: float32 number, got wide"),
             ({"radios": 2}, "has no radios"),
-            ({"radius": np.zeros((4, 5), np.float32)}, "radius int32.*an image"),
-            ({"mask": 4}, "mask uint8.*got 4"),
+            ({"radius": np.zeros((4, 5), np.float32)}, "radius: int32.*an image"),
+            ({"mask": 4}, "mask: uint8.*got 4"),
         ],
     )
     def test_what_does_not(self, parameters, changes, told):
@@ -286,7 +406,7 @@ class TestCheckedCalls:
     def test_what_is_missing_or_swapped(self, parameters):
         given = make_call()
         given["mask"], given["guide"] = given["guide"], given["mask"]
-        with pytest.raises(TypeError, match="the kernel 'mean' takes as mask uint8"):
+        with pytest.raises(TypeError, match="the kernel 'mean' expects mask: uint8"):
             check_call("mean", parameters, given)
         del given["mask"]
         with pytest.raises(TypeError, match="a call of the kernel 'mean' lacks mask"):

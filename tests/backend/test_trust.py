@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.backend import disk, trust
+from lobewise.backend import disk, sources, trust
 from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder, write_whole
 from lobewise.backend.objects import compile_object, is_object
 from lobewise.backend.trust import find_folder_problem, find_problem
@@ -131,15 +131,17 @@ class TestModes:
         assert count_made() == 1
 
     def test_digests_of_sources_that_others_can_write_to_do_not_count(self, folder: Path) -> None:
-        from lobewise.backend.sources import describe_modules
+        def describe() -> str:
+            sources._open_kept.cache_clear()
+            return sources.describe_definitions(["lobewise.frame"])
 
-        told = describe_modules(["lobewise.frame"])
+        told = describe()
         path = folder / "sources.json"
         known = json.loads(path.read_text())
-        path.write_text(json.dumps({key: ["0", imports] for key, (_, imports) in known.items()}))
-        assert describe_modules(["lobewise.frame"]) != told
+        path.write_text(json.dumps({key: [{"Frame": [["0", []]]}, imports] for key, (_, imports) in known.items()}))
+        assert describe() != told
         path.chmod(0o666)
-        assert describe_modules(["lobewise.frame"]) == told
+        assert describe() == told
 
 
 class TestObjects:

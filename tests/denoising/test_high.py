@@ -29,7 +29,8 @@ from lobewise.denoising.running import (
 )
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
-from lobewise.filters.mixing import Network, count_features
+from lobewise.filters.mixing import Network
+from lobewise.filters.mixing_pass import count_features
 from lobewise.filters.noise import agreement, detail
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result

@@ -23,7 +23,7 @@ B_SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 6.0
 ATROUS_STEPS = (1, 2, 4, 8, 16)
 ALBEDO_FLOOR = 1e-3
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-SNAP = 2e-3
+SNAP_PIXELS = 2e-3
 
 
 class ReferenceOutput(NamedTuple):
@@ -161,7 +161,7 @@ def reproject_reference(
         inside = (places > -1.0).all(axis=-1) & (places < np.array([width, height])).all(axis=-1)
     rows, columns = np.nonzero(inside & masks[1])
     where = places[rows, columns].astype(np.float64)
-    where = np.where(np.abs(where - np.rint(where)) < SNAP, np.rint(where), where)
+    where = np.where(np.abs(where - np.rint(where)) < SNAP_PIXELS, np.rint(where), where)
     first = np.floor(where).astype(np.intp)
     out = np.zeros((height, width, 8))
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):

@@ -12,7 +12,12 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
-from lobewise.filters.history.accumulation_stages import SMALLEST_WEIGHT, TRUST_FLOOR, TRUST_FROM, TRUST_TO
+from lobewise.filters.history.accumulation_stages import (
+    FULL_TRUST_ERRORS,
+    IGNORED_DIFFERENCE,
+    MIN_WEIGHT,
+    NO_TRUST_ERRORS,
+)
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
@@ -138,9 +143,9 @@ def find_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int])
         mean, square = (np.einsum("yxrc,rc->yx", weights, value) / some for value in (step, step**2))
         mean = np.abs(mean)
         error = np.sqrt(np.maximum(square - mean**2, 0.0) / np.maximum(count - 1.0, 1e-9))
-        high = mean / np.maximum(error + TRUST_FLOOR * (before[..., k] + mean), 1e-30)
+        high = mean / np.maximum(error + IGNORED_DIFFERENCE * (before[..., k] + mean), 1e-30)
         excess = np.where((count > 1.5) & known, np.maximum(excess, high), excess)
-    return np.clip((TRUST_FROM - excess) / (TRUST_FROM - TRUST_TO), 0.0, 1.0)
+    return np.clip((NO_TRUST_ERRORS - excess) / (NO_TRUST_ERRORS - FULL_TRUST_ERRORS), 0.0, 1.0)
 
 
 @pytest.mark.parametrize(("scale", "place"), CASES[:2])
@@ -188,7 +193,7 @@ def test_what_resembles_nothing_keeps_the_little_that_it_has() -> None:
     alive = sums[..., 3] > 0.0
     assert alive.any()
     assert not alive.all()
-    assert (sums[alive][:, 3] >= np.float32(SMALLEST_WEIGHT)).all()
+    assert (sums[alive][:, 3] >= np.float32(MIN_WEIGHT)).all()
     assert (sums[~alive] == 0.0).all()
 
 

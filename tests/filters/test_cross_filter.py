@@ -181,8 +181,8 @@ def test_tiles_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     strictness = make_strictness(shape, 0.5, 2.0)
     options: dict[str, Any] = {"form": "separable", "radius": RADIUS, "strictness": strictness, "moment": True}
     whole = run_filter(radiance, mask, features, **options)
-    monkeypatch.setattr(engine, "WIDEST_TILE", 40)
-    monkeypatch.setattr(engine, "LEAST_STRIPS", 1)
+    monkeypatch.setattr(engine, "MAX_TILE_COLUMNS", 40)
+    monkeypatch.setattr(engine, "MIN_TILE_STRIPS", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     assert len(_list_tiles(*shape)) == 9
     tiles = run_filter(radiance, mask, features, **options)

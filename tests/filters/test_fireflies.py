@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.fireflies import AGREEMENT, FEWEST_NEIGHBOURS, RATIO, REACH, bound_fireflies
+from lobewise.filters.fireflies import MAX_RATIO_TO_HALF, MAX_RATIO_TO_WINDOW, MIN_WINDOW_PIXELS, REACH, bound_fireflies
 from lobewise.lobes.vectors import LUMINANCE
 
 Image = NDArray[np.float32]
@@ -57,11 +57,11 @@ def bound_slowly(
     others = np.delete(windows, windows.shape[-1] // 2, axis=-1)
     known = (~np.isnan(others)).sum(axis=-1)
     second = np.sort(np.nan_to_num(others, nan=-np.inf), axis=-1)[..., -2]
-    window = np.where(known < FEWEST_NEIGHBOURS, np.inf, RATIO * second)
+    window = np.where(known < MIN_WINDOW_PIXELS, np.inf, MAX_RATIO_TO_WINDOW * second)
     out = []
     seen = taken = 0.0
     for half, own, other in zip(halves, lights, lights[::-1], strict=True):
-        bound = np.fmax(window, AGREEMENT * other)
+        bound = np.fmax(window, MAX_RATIO_TO_HALF * other)
         with np.errstate(invalid="ignore"):
             factor = np.where(own > bound, bound / own, 1.0)
         power = np.where(np.isnan(own), 0.0, np.nan_to_num(half.astype(np.float64), posinf=0.0) @ np.array(LUMINANCE))
@@ -137,7 +137,7 @@ def test_a_firefly_goes_and_a_glint_of_three_stays(place: tuple[int, int], compa
         np.testing.assert_array_equal(bounded.a, a)
         assert bounded.energy_lost == 0.0
     else:
-        np.testing.assert_allclose(bounded.a[y, x], max(RATIO, AGREEMENT) * 0.5, rtol=ROUNDING)
+        np.testing.assert_allclose(bounded.a[y, x], max(MAX_RATIO_TO_WINDOW, MAX_RATIO_TO_HALF) * 0.5, rtol=ROUNDING)
         np.testing.assert_array_equal(bounded.b[y, x], b[y, x])
 
 
@@ -148,7 +148,7 @@ def test_what_both_halves_saw_stays() -> None:
     np.testing.assert_array_equal(bounded.a, a)
     # All that the window bounds is the smaller of them.
     b[10, 12] = 20.0
-    np.testing.assert_allclose(bound_fireflies((a, b), None, mask).a[10, 12], AGREEMENT * 20.0)
+    np.testing.assert_allclose(bound_fireflies((a, b), None, mask).a[10, 12], MAX_RATIO_TO_HALF * 20.0)
 
 
 def test_a_bright_patch_stays_and_a_tinted_one_is_no_firefly() -> None:
@@ -173,17 +173,19 @@ def test_colours_of_a_checkerboard_bound_each_other() -> None:
     bounded = bound_fireflies((a, b), None, mask)
     np.testing.assert_array_equal(np.isnan(bounded.a), np.isnan(a))
     np.testing.assert_array_equal(bounded.b, b)
-    np.testing.assert_allclose(bounded.a[10, 12], RATIO * 0.5, rtol=ROUNDING)
-    assert bounded.energy_lost == pytest.approx((100.0 - RATIO * 0.5) / float(flat[..., 0].sum()), rel=1e-4)
+    np.testing.assert_allclose(bounded.a[10, 12], MAX_RATIO_TO_WINDOW * 0.5, rtol=ROUNDING)
+    assert bounded.energy_lost == pytest.approx(
+        (100.0 - MAX_RATIO_TO_WINDOW * 0.5) / float(flat[..., 0].sum()), rel=1e-4
+    )
 
 
 def test_too_few_neighbours_say_nothing() -> None:
     a, b, mask = make_flat()
     a[10, 12] = 100.0
     near = np.zeros_like(mask)
-    near[10, 12], near[10, 13 : 13 + FEWEST_NEIGHBOURS - 1] = True, True
+    near[10, 12], near[10, 13 : 13 + MIN_WINDOW_PIXELS - 1] = True, True
     np.testing.assert_array_equal(bound_fireflies((a, b), None, near).a, a)
-    near[10, 13 + FEWEST_NEIGHBOURS - 1] = True
+    near[10, 13 + MIN_WINDOW_PIXELS - 1] = True
     assert bound_fireflies((a, b), None, near).a[10, 12, 0] < 100.0
 
 

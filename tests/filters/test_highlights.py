@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.filters.highlights import (
-    FEWEST_NEIGHBOURS,
     MAX_HALVES_RATIO,
     MIN_BLOCK_RATIO,
     MIN_CORNER_RATIO,
     MIN_EDGE_RATIO,
     MIN_PAIR_RATIO,
+    MIN_RING_PIXELS,
     MIN_SINGLE_RATIO,
     RING_RADIUS,
     SPOT_RADIUS,
@@ -50,7 +50,7 @@ def find_slowly(
             for i in range(max(x - RING_RADIUS, 0), min(x + RING_RADIUS + 1, width))
             if max(abs(j - y), abs(i - x)) > SPOT_RADIUS and both[j, i] >= 0.0
         ]
-        if len(ring) >= FEWEST_NEIGHBOURS:
+        if len(ring) >= MIN_RING_PIXELS:
             level[y, x] = np.mean(ring)
         if least[y, x] < 0.0:
             continue

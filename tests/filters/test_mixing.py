@@ -13,7 +13,8 @@ from scipy.special import softmax
 
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
-from lobewise.filters.mixing import Network, count_features, find_features, mix_candidates
+from lobewise.filters.mixing import Network, find_features, mix_candidates
+from lobewise.filters.mixing_pass import count_features
 from lobewise.frame import FloatArray
 from tests.features.frames import make_radiance
 

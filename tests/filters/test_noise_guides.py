@@ -13,7 +13,7 @@ from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_
 from lobewise.frame import FloatArray
 from tests.features.frames import make_radiance
 
-DARKEST = 0.04
+LOG_OFFSET_SHARE = 0.04
 LEVEL = 1.7
 """How bright the whole image is taken to be; any number will do."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -39,7 +39,7 @@ def make_halves(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
 def noise_guide_reference(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     """Return the guide from its definition, float64."""
     both = np.stack([a, b]).astype(np.float64)
-    logs = np.log(both + DARKEST * LEVEL)
+    logs = np.log(both + LOG_OFFSET_SHARE * LEVEL)
     spread = 0.25 * np.mean((logs[0] - logs[1]) ** 2, axis=-1)
     variance = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
     return np.concatenate([logs.mean(axis=0), variance[..., None] + VARIANCE_FLOOR], axis=-1)
@@ -67,7 +67,7 @@ def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
     a, b = np.ones((*shape, 3), np.float32), np.ones((*shape, 3), np.float32)
     b[row, column, 1] = 3.0
     guide = make_noise_guide(a, b, LEVEL)
-    offset = DARKEST * LEVEL
+    offset = LOG_OFFSET_SHARE * LEVEL
     spread = np.zeros(shape)
     spread[row, column] = 0.25 / 3.0 * np.log((3.0 + offset) / (1.0 + offset)) ** 2
     expected = gaussian_filter(spread, 1.0, mode="nearest", radius=3)

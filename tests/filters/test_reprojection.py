@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.filters.history.reprojection import AGREEMENT, SNAP, run_reprojection
+from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP_PIXELS
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from tests.features.frames import SIZES, make_feature, make_mask
@@ -40,7 +41,7 @@ def make_places(shape: tuple[int, int]) -> FloatArray:
     size = np.array([shape[1], shape[0]], np.float32)
     places = rng.uniform(-2.0, size + 1.0, (*shape, 2)).astype(np.float32)
     border = np.stack([rng.choice([-1.0, -0.5, 0.0, n - 1.0, n - 0.5, n], shape) for n in size], axis=-1)
-    near = np.rint(places) + rng.choice([-1.5, -0.5, 0.0, 0.5, 1.5], places.shape) * SNAP
+    near = np.rint(places) + rng.choice([-1.5, -0.5, 0.0, 0.5, 1.5], places.shape) * SNAP_PIXELS
     strange = rng.choice([np.nan, np.inf, -np.inf, 1e20, -1e20, 3e9, -3e9], places.shape)
     kind = rng.integers(0, 8, shape)[..., None]
     places = np.where(kind == 0, border, np.where(kind == 1, near, places))
@@ -136,12 +137,12 @@ def test_own_places_give_the_past_back_as_well_as_a_lobe_resembles_itself() -> N
 def test_places_that_differ_by_rounding_do_not_blur(share: float) -> None:
     shape = (9, 21)
     past, grid = make_past(shape), make_grid(shape)
-    snapped = reproject_plainly(past, grid + np.float32(share * SNAP))
+    snapped = reproject_plainly(past, grid + np.float32(share * SNAP_PIXELS))
     assert snapped.tobytes() == reproject_plainly(past, grid).tobytes()
 
 
 def test_places_that_differ_by_more_are_between_pixels() -> None:
-    shape, step = (9, 21), 3.0 * SNAP
+    shape, step = (9, 21), 3.0 * SNAP_PIXELS
     past = make_past(shape)
     places = make_grid(shape) + np.array([step, 0.0], np.float32)
     out = reproject_plainly(past, places)

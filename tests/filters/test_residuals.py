@@ -7,7 +7,7 @@ import pytest
 
 import lobewise
 from lobewise.camera import Camera
-from lobewise.filters.noise.residuals import SHARE, find_squared_residual, split_by_noise, split_samples
+from lobewise.filters.noise.residuals import RESIDUAL_NOISE_SHARE, find_squared_residual, split_by_noise, split_samples
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 
@@ -64,7 +64,9 @@ def test_the_two_images_are_as_far_apart_as_the_noise() -> None:
     a, b = split_by_noise(mean, residual, worth, 0.1)
     np.testing.assert_allclose(0.5 * (a + b), mean, rtol=1e-5)
     apart = 0.5 * (np.log(a + 0.1) - np.log(b + 0.1))
-    np.testing.assert_allclose(apart**2, SHARE * residual / worth[..., None] / (mean + 0.1) ** 2, rtol=2e-3)
+    np.testing.assert_allclose(
+        apart**2, RESIDUAL_NOISE_SHARE * residual / worth[..., None] / (mean + 0.1) ** 2, rtol=2e-3
+    )
 
 
 def test_they_are_never_negative_nor_bad_however_large_the_noise() -> None:

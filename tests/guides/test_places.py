@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
-from lobewise.filters.history.reprojection import SNAP
+from lobewise.filters.history.reprojection_pass import SNAP_PIXELS
 from lobewise.frame import FloatArray
 from lobewise.guides.places import find_surface_places
 from lobewise.motion import compute_motion
@@ -42,8 +42,8 @@ def test_places_are_where_motion_leads(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize("size", [(5, 7), (48, 4096)], ids=str)
 def test_what_stands_still_finds_itself(rng: np.random.Generator, size: tuple[int, int]) -> None:
     where, _ = find_surface_places(CAMERA, CAMERA, make_wall(rng, size), None)
-    # Places within `SNAP` of a pixel's centre are that pixel, at 4K too.
-    assert np.abs(where - make_grid(size)).max() < 0.7 * SNAP
+    # Places within `SNAP_PIXELS` of a pixel's centre are that pixel, at 4K too.
+    assert np.abs(where - make_grid(size)).max() < 0.7 * SNAP_PIXELS
 
 
 def test_the_background_turns_and_does_not_shift(rng: np.random.Generator) -> None:

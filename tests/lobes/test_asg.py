@@ -402,7 +402,7 @@ def test_reflection_is_the_jacobian_of_the_mirror(cosine):
 
 def test_reflection_at_grazing_angles_keeps_its_width():
     view = normalize(np.array([1.0, 0.0, 0.001]))
-    floor = covariance.MIN_COSINE
+    floor = covariance.MIN_VIEW_COSINE
     for lobe in (asg.reflect_asg(view, Z, 8.0), asg.reflect_anisotropic_asg(view, Z, X, 8.0, 8.0)):
         assert asg.asg_sharpness(lobe) == pytest.approx((2.0 / floor**2, 2.0), rel=1e-9)
         assert lobe.determinant == pytest.approx(4.0 / floor**2, rel=1e-9)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.history.accumulation_stages import SMALLEST_WEIGHT
+from lobewise.filters.history.accumulation_stages import MIN_WEIGHT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
@@ -93,7 +93,7 @@ def make_sums(
     height, width = weight_sum.shape
     sums = np.empty((height, width, HISTORY_CHANNELS), np.float32)
     weight = weight_sum * factor
-    weight = np.where(weight > 0.0, np.maximum(weight, np.float32(SMALLEST_WEIGHT)), np.float32(0.0))
+    weight = np.where(weight > 0.0, np.maximum(weight, np.float32(MIN_WEIGHT)), np.float32(0.0))
     with np.errstate(over="ignore", invalid="ignore"):
         np.multiply(image, weight[..., None], out=sums[..., :3])
         np.multiply(moment, weight, out=sums[..., MOMENT])

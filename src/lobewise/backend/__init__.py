@@ -1,1 +1,1 @@
-"""Kernels compiled, kept, called; images and devices: the only room that knows Halide's runtime."""
+"""Compile, cache and call kernels; lend images to devices. Only this package uses Halide's runtime."""

@@ -1,11 +1,11 @@
-"""Images as kernels take and give them: lent to Halide without a copy, and kept on a device between two kernels.
+"""Lend images to kernels without a copy, and keep them on a device between two kernels.
 
-On the processor a kernel reads and writes NumPy's memory. On another device an image that is read goes up, once in a
-`device_scope` however many kernels read it, and one that was written comes down only by `download`.
+On the processor a kernel reads and writes NumPy's memory. On other devices an input is copied up once per
+`device_scope`, however many kernels read it. An output is copied down only by `download`.
 
-Memory of a device is taken in multiples of 256 bytes and given back in the opposite order of its taking, and everything
-that a kernel reads or writes is there before it starts: only so does the allocator of Halide 21's Vulkan runtime never
-hand out too little memory, or memory that is in use.
+Device memory is allocated in multiples of 256 bytes and freed in reverse order, and all images of a kernel are
+allocated before it starts. Otherwise the allocator of Halide 21's Vulkan runtime may return too little memory, or
+memory that is in use.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from lobewise.backend.devices import VULKAN_MULTIPLE
 from lobewise.backend.runtime import get_runtime
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
+from lobewise.images import FloatArray
 
 transfers: Counter[str] = Counter()
-"""How many images went "up" to devices and came "down" in this process."""
+"""Number of images that this process copied "up" to devices and "down" from them."""
 
 
 class _Dimension(ctypes.Structure):
@@ -63,16 +63,16 @@ _HOST_DIRTY, _DEVICE_DIRTY = 1, 2
 
 
 class Buffer:
-    """NumPy memory as kernels take it, axes in the opposite order, and what a device has of it.
+    """A NumPy array described for Halide, with axes in the opposite order, and its copy on a device.
 
-    It holds the array; who takes memory of a device gives it back. ``first`` is what kernels call its first row, column
-    and so on, where that is not 0.
+    The buffer keeps the array alive. Whoever allocates device memory frees it. ``first`` holds the coordinates of the
+    first row, column and so on for kernels, if they are not 0.
     """
 
     def __init__(self, array: HostImage, first: Sequence[int] = ()) -> None:
         self.array = array
         self.device = ""
-        """Which has memory for it, if any."""
+        """Name of the device that has memory for the array; empty if none."""
         self.first = tuple(first)
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
@@ -83,7 +83,7 @@ class Buffer:
         self.address = ctypes.addressof(self._raw)
 
     def take_memory(self, device: str) -> None:
-        """Take memory on a device: a multiple of `VULKAN_MULTIPLE` bytes, whatever the array has."""
+        """Allocate memory on a device, rounded up to a multiple of `VULKAN_MULTIPLE` bytes."""
         padded = -(-self.array.nbytes // VULKAN_MULTIPLE) * VULKAN_MULTIPLE
         self._bytes: NDArray[np.uint8] = np.empty(padded, np.uint8)
         self._whole_dimensions = _describe_axes([(padded, 1)])
@@ -93,7 +93,7 @@ class Buffer:
         self._raw.device, self._raw.device_interface = self._whole.device, self._whole.device_interface
 
     def bring_up(self, device: str) -> None:
-        """Take memory on a device and copy the array there, which must be dense."""
+        """Allocate memory on a device and copy the array there; it must be dense."""
         self.take_memory(device)
         self._bytes[: self.array.nbytes] = _order_axes(self.array).reshape(-1).view(np.uint8)
         self._whole.flags = _HOST_DIRTY
@@ -101,10 +101,10 @@ class Buffer:
         transfers["up"] += 1
 
     def bring_down(self) -> None:
-        """Copy to the array what was written on its device, if it was not yet."""
+        """Copy the device's memory to the array if a kernel has written it since the last copy."""
         if self._raw.flags & _DEVICE_DIRTY:
             if not self.device:
-                raise TypeError("an image of a device_scope that has ended is gone: call download() inside it")
+                raise TypeError("the device_scope of an image has ended: call download() inside the scope")
             self._raw.flags = 0
             self._whole.flags = _DEVICE_DIRTY
             self._call("halide_copy_to_host")
@@ -112,7 +112,7 @@ class Buffer:
             transfers["down"] += 1
 
     def give_memory(self) -> None:
-        """Give the device's memory back."""
+        """Free the device's memory."""
         self._call("halide_device_free")
         self.device = ""
 
@@ -122,7 +122,7 @@ class Buffer:
 
 
 def _order_axes(array: HostImage) -> HostImage:
-    """Return an array with its axes in the order in which they lie in memory."""
+    """Return an array with its axes in the order of decreasing strides."""
     return array.transpose(sorted(range(array.ndim), key=lambda axis: -array.strides[axis]))
 
 
@@ -152,22 +152,22 @@ def _get_function(device: str, name: str, pointers: int) -> Callable[..., Any]:
 
 
 class DeviceImage:
-    """What a kernel wrote on a device: other kernels read it there, and `download` gives it as an array.
+    """An output of a kernel in the memory of a device. Other kernels read it there; `download` returns an array.
 
-    It is no array itself, so nothing brings it down unseen. When the `device_scope` ends that it was made in, what was
-    not downloaded is gone.
+    It does not act as an array, so that nothing copies it down by accident. When its `device_scope` ends, images that
+    were not downloaded are lost.
 
     Parameters
     ----------
     host : array
-        Where it comes down to.
+        Memory to download to.
     buffer : Buffer
-        Of that memory and the device's.
+        Describes ``host`` and the device's memory.
     channel : int, optional
-        Of ``host``, (height, width, channels), where no more is asked for.
+        The only channel of ``host``, (height, width, channels), that the image consists of.
     """
 
-    # Operators with arrays are refused at once, and not tried entry by entry.
+    # Make NumPy refuse operators at once instead of trying them entry by entry.
     __array_ufunc__ = None
 
     def __init__(self, host: HostImage, buffer: Buffer, channel: int | None = None) -> None:
@@ -176,28 +176,28 @@ class DeviceImage:
         self.dtype, self.ndim = host.dtype, len(self.shape)
 
     def download(self) -> HostImage:
-        """Return it as an array; what several images share is copied once.
+        """Return the image as an array; memory that several images share is copied once.
 
         Raises
         ------
         TypeError
-            If its scope has ended.
+            If the image's scope has ended.
         """
         self._buffer.bring_down()
         return self._host if self._channel is None else self._host[..., self._channel]
 
     def take_channel(self, channel: int) -> DeviceImage:
-        """Return one channel, (height, width), to be downloaded."""
+        """Return one channel, (height, width), which can only be downloaded."""
         return DeviceImage(self._host, self._buffer, channel)
 
     def lend(self, device: str) -> Buffer:
-        """Return its buffer for a kernel to read; raise TypeError where that kernel has no such image."""
+        """Return the buffer for a kernel of ``device``; raise TypeError if the image is elsewhere or a channel."""
         if self._buffer.device != device or self._channel is not None:
-            raise TypeError(f"a kernel of {device} takes whole images that are there: call download()")
+            raise TypeError(f"a kernel on {device} reads only whole images on that device: call download()")
         return self._buffer
 
     def __array__(self, *_: Any, **__: Any) -> HostImage:
-        raise TypeError("an image on a device is no array: call download()")
+        raise TypeError("an image on a device is not an array: call download()")
 
 
 HostImage = NDArray[Any]
@@ -205,16 +205,16 @@ Image = HostImage | DeviceImage
 
 
 class _Scope:
-    """What is on devices until the end of a `device_scope`."""
+    """The device memory of a `device_scope`."""
 
     def __init__(self) -> None:
         self.lent: dict[Any, Buffer] = {}
-        """Buffers of images that went up, by what tells their memory."""
+        """Buffers of images that were copied up, by device, address, shape, strides and type."""
         self.taken: list[tuple[Buffer, HostImage]] = []
-        """Every buffer in the order in which it took memory, with what must be held meanwhile."""
+        """All buffers in the order of their allocation, each with the array that must stay alive."""
 
     def end(self) -> None:
-        """Give all memory back."""
+        """Free all memory, in reverse order."""
         while self.taken:
             buffer, _ = self.taken.pop()
             buffer.give_memory()
@@ -229,9 +229,9 @@ _current = _Current()
 
 @contextmanager
 def device_scope() -> Iterator[None]:
-    """Keep every image that kernels read or write on their device until the outermost of these ends.
+    """Keep all images that kernels read or write on their device until the outermost scope ends.
 
-    Nobody may change an image meanwhile that a kernel has read.
+    Inside a scope nobody may change an image that a kernel has read.
     """
     if _current.scope is not None:
         yield
@@ -248,7 +248,7 @@ Run = TypeVar("Run", bound=Callable[..., Any])
 
 
 def returns_host_images(run: Run) -> Run:
-    """Let what ``run`` returns be arrays, but inside a `device_scope`, where images stay where they are."""
+    """Decorate a function to return arrays; inside a `device_scope` its images stay on the device."""
 
     @wraps(run)
     def call(*inputs: Any, **options: Any) -> Any:
@@ -261,12 +261,12 @@ def returns_host_images(run: Run) -> Run:
 
 
 def download(image: Image) -> HostImage:
-    """Return an image as an array, brought down if it is on a device and was not yet."""
+    """Return an image as an array, copied down if it is on a device."""
     return image.download() if isinstance(image, DeviceImage) else image
 
 
 def _download_all(value: Any) -> Any:
-    """Return ``value`` with every image in it, however deep in tuples and lists, as an array."""
+    """Return ``value`` with every image in nested tuples and lists downloaded."""
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return type(value)(*map(_download_all, value))
     if isinstance(value, (list, tuple)):
@@ -280,9 +280,9 @@ def lend(image: Image, device: str) -> Buffer:
     Raises
     ------
     TypeError
-        If the image is on another device, or a channel of one.
+        If the image is on another device, or a single channel of an image on a device.
     DeviceError
-        If the device has no memory for it.
+        If the device runs out of memory.
     """
     if isinstance(image, DeviceImage):
         return image.lend(device)
@@ -294,7 +294,7 @@ def lend(image: Image, device: str) -> Buffer:
         is_dense = 0 not in image.strides and _order_axes(image).flags.c_contiguous
         buffer = Buffer(image if is_dense else np.ascontiguousarray(image))
         buffer.bring_up(device)
-        # The image is held, so that no other one comes to lie where this one does.
+        # Keep the image alive, so that no other array gets its address.
         scope.taken.append((buffer, image))
         scope.lent[key] = buffer
     return scope.lent[key]
@@ -308,9 +308,9 @@ def _get_scope() -> _Scope:
 def make_output(
     shape: tuple[int, ...], device: str, memory: FloatArray | None = None, type: str = "float32"
 ) -> tuple[Buffer, Image]:
-    """Return a buffer for a kernel of ``device`` to write, and the image that it then is (`DeviceImage` elsewhere).
+    """Return a buffer for a kernel of ``device`` to write, and its image, which is no array on other devices.
 
-    ``memory`` of that shape is where the image lies, or comes down to.
+    ``memory``, of the same shape, becomes the array, or the array to download to.
     """
     host = np.empty(shape, dtype=type) if memory is None else memory
     buffer = Buffer(host)
@@ -326,7 +326,7 @@ def take_image(name: str, image: HostImage, shape: tuple[int, ...]) -> FloatArra
 @overload
 def take_image(name: str, image: DeviceImage, shape: tuple[int, ...]) -> DeviceImage: ...
 def take_image(name: str, image: Image, shape: tuple[int, ...]) -> Image:
-    """Return an image as the kernels take it; raise InputError where it is none of this shape."""
+    """Return an image as dense float32; raise InputError if it has another shape or no real numbers."""
     if image.shape != shape or image.dtype.kind not in "fiub":
         raise InputError(
             name,
@@ -352,5 +352,5 @@ def take_channel(image: Image, channel: int) -> Image:
 
 
 def take_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return truth as the kernels take it."""
+    """Return a mask as dense uint8."""
     return np.ascontiguousarray(mask).view(np.uint8)

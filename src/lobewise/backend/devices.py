@@ -1,6 +1,6 @@
-"""Where kernels run: which devices there are, what each is called or why it cannot be used, and its target.
+"""The devices that kernels run on: their names, why a device cannot be used, and their Halide targets.
 
-Vulkan and CUDA are asked through their own libraries, because Halide tells neither names nor reasons.
+Vulkan and CUDA are asked through their own libraries, because Halide reports neither names nor reasons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lobewise.errors import DeviceError, require_choice
 
 DEVICES = ("cpu", "vulkan", "cuda", "metal")
 SOFTWARE_TYPE = 4
-"""VkPhysicalDeviceType of a device that is the processor itself."""
+"""VkPhysicalDeviceType of a device that the processor emulates."""
 _GPU_TYPES = (1, 2)
 _FEATURES = {
     "vulkan": ("Vulkan", "VulkanV13", "VulkanInt8", "VulkanInt16"),
@@ -28,10 +28,10 @@ _FEATURES = {
 }
 _CUDA_CAPABILITIES = (30, 32, 35, 50, 61, 70, 75, 80, 86)
 VULKAN_MULTIPLE = 256
-"""Bytes that every size on a device is a multiple of. The allocator of Halide 21's Vulkan runtime hands out too little
-otherwise (its issues 8868, 9223 and 9224)."""
+"""Sizes of allocations on a device are multiples of so many bytes. Otherwise the allocator of Halide 21's Vulkan
+runtime may return too little memory (its issues 8868, 9223 and 9224)."""
 VULKAN_BLOCK = 256
-"""MiB of memory that it takes at a time."""
+"""Memory that the allocator requests from Vulkan at a time, MiB."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Device:
     name: str
     available: bool
     reason: str
-    """What it is, or why it cannot be used."""
+    """Description of the device, or why it cannot be used."""
     is_software: bool = False
-    """Whether it is the processor in a graphics card's clothes, good for tests alone."""
+    """Whether the processor emulates the device, which is useful for tests only."""
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What a driver said of the device that Halide will take."""
+    """A driver's description of the device that Halide will choose."""
 
     name: str
     is_software: bool = False
@@ -56,11 +56,11 @@ class _Found:
 
 
 class _NoDeviceError(Exception):
-    """Why there is none."""
+    """A device cannot be used; the message says why."""
 
 
 def list_devices() -> list[Device]:
-    """Return every device that this version has schedules for, usable here or not."""
+    """Return all devices that this version has schedules for, whether they can be used here or not."""
     target = hl.get_host_target()
     lanes = target.natural_vector_size(hl.Float(32))
     described = f"{target.arch.name.lower()}, {lanes} lanes of float32: {target.to_string()}"
@@ -75,7 +75,7 @@ def list_devices() -> list[Device]:
 
 
 def choose_device(name: str) -> str:
-    """Return the device for ``name``; "auto" takes a graphics card where there is one, else the processor.
+    """Return the device of a name; "auto" chooses a graphics card if there is one, else the processor.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def choose_device(name: str) -> str:
 
 
 def make_target(device: str) -> hl.Target:
-    """Return the target of a device; every buffer is made and checked before a call, so kernels need not ask again."""
+    """Return the target of a device, without Halide's checks of buffers: they are checked before a call."""
     target = hl.get_host_target()
     names = ["NoAsserts", "NoBoundsQuery", *_FEATURES.get(device, ())]
     if device == "cuda":
@@ -120,7 +120,7 @@ def _probe(name: str) -> _Found | str:
 
 
 def _find(name: str) -> _Found:
-    """Return what there is; asked once in a process."""
+    """Return the description of a device; the driver is asked once per process."""
     found = _probe(name)
     if isinstance(found, str):
         raise _NoDeviceError(found)

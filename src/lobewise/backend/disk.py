@@ -1,7 +1,7 @@
-"""Compiled kernels on disk: object files by what they were made from, in the user's folder for caches.
+"""Cache of compiled kernels on disk: object files in the user's cache folder, named by what they were made from.
 
 The environment variable ``LOBEWISE_CACHE`` names another folder, or is ``off``. Kernels are machine code that this
-process runs, so that files are only taken from folders that nobody else can write to (`lobewise.backend.trust`).
+process runs, so files are read only from folders that nobody else can write to (`lobewise.backend.trust`).
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ import platformdirs
 from lobewise.backend.objects import is_object
 from lobewise.backend.trust import find_folder_problem, read_trusted
 
-OLD_FILES = 4000
-"""Files in the folder above which those that were not used for longest go."""
+MAX_KERNEL_FILES = 4000
+"""Largest number of kernels in the folder. Beyond it those not used for longest are removed, down to half."""
 MAX_FILE_BYTES = 2**26
+"""Largest file that is read, bytes."""
 MAX_TEMPORARY_SECONDS = 3600.0
-"""Age from which on a temporary file is one that a killed process left."""
+"""Age above which a temporary file counts as left behind by a killed process, seconds."""
 _TEMPORARY = ".lobewise-"
-"""How the names of temporary files begin."""
+"""Prefix of the names of temporary files."""
 
 
 class CacheWarning(UserWarning):
-    """Compiled kernels are not kept, or one that was found is not used; results are not affected."""
+    """Compiled kernels are not cached, or a cached one is not used. Results are not affected."""
 
 
 def find_cache_folder() -> Path | None:
-    """Return where compiled kernels are kept; None where nowhere: they are switched off, or the user has no folder."""
+    """Return the folder of compiled kernels; None if the cache is off or the user has no folder."""
     named = os.environ.get("LOBEWISE_CACHE", "")
     if named == "off":
         return None
@@ -47,9 +48,9 @@ def find_cache_folder() -> Path | None:
 
 
 def _find_user_folder() -> Path | None:
-    """Return the user's folder for caches; None where the system knows of no home.
+    """Return the user's cache folder; None if the user has no home.
 
-    An empty ``HOME`` counts as none: caches would land in the root of the file system.
+    An empty ``HOME`` counts as no home: otherwise caches would land in the root of the file system.
     """
     if os.name == "posix" and not os.environ.get("HOME") and not os.environ.get("XDG_CACHE_HOME"):
         import pwd
@@ -63,13 +64,13 @@ def _find_user_folder() -> Path | None:
     try:
         found = platformdirs.user_cache_path("lobewise", appauthor=False)
     except RuntimeError:
-        # The home is no absolute path.
+        # The home is not an absolute path.
         return None
     return found if found.is_absolute() else None
 
 
 def find_trusted_folder() -> Path | None:
-    """Return where compiled kernels are kept if nobody else can write there; where others can, warn and return None."""
+    """Return the folder of compiled kernels; if others can write to it, warn and return None."""
     folder = find_cache_folder()
     if folder is None:
         return None
@@ -85,10 +86,11 @@ def find_trusted_folder() -> Path | None:
 def fetch_object(
     known: str | None, make: Callable[[], tuple[bytes, dict[str, Any]]], *, symbol: str = ""
 ) -> tuple[bytes, dict[str, Any]]:
-    """Return an object file and what goes with it, from disk where it is there; ``known`` tells what it is made from.
+    """Return an object file and its description, from disk if it is cached, else from ``make``.
 
-    A file that cannot be read, is not whole or does not name ``symbol`` is made again; so is one that others can write
-    to, with a warning. Where none can be written, the program goes on without.
+    ``known`` describes what the object is made from; None disables the cache. A file that cannot be read, is not whole,
+    does not contain ``symbol``, or (with a warning) can be written by others is made again. If writing fails, the
+    program continues without the cache.
     """
     folder = find_trusted_folder()
     if known is None or folder is None:
@@ -118,13 +120,13 @@ def fetch_object(
 
 
 def _digest(known: str, told: dict[str, Any], content: bytes) -> str:
-    """Return a checksum of all that a file holds, with its key: a file that was given another's name does not count."""
+    """Return a checksum of a file's contents and of its key, so that a file renamed to another key is refused."""
     head = json.dumps([known, told, hashlib.sha256(content).hexdigest()], sort_keys=True)
     return hashlib.sha256(head.encode()).hexdigest()
 
 
 def write_whole(path: Path, content: bytes) -> str:
-    """Write a file that this user alone can read, at once or not at all; return why it failed, empty if it did not."""
+    """Write a file atomically, readable by this user only; return why it failed, or an empty text."""
     temporary = path.parent / f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(6)}"
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -142,20 +144,20 @@ def write_whole(path: Path, content: bytes) -> str:
 
 
 def _remove_old(folder: Path) -> None:
-    """Remove what killed processes left, and where there are too many files those that were not used for longest."""
+    """Remove temporary files of killed processes, and the kernels not used for longest if there are too many."""
     files: list[tuple[float, Path]] = []
     latest = time.time() - MAX_TEMPORARY_SECONDS
     for path in folder.iterdir():
         with suppress(OSError):
             changed = path.lstat().st_mtime
-            # Names of temporary files began with "tmp" once.
+            # Earlier versions named temporary files "tmp...".
             is_temporary = path.name.startswith(_TEMPORARY) or (path.name.startswith("tmp") and not path.suffix)
             if is_temporary and changed < latest:
                 path.unlink()
             elif path.suffix == ".kernel":
                 files.append((changed, path))
-    if len(files) > OLD_FILES:
-        for _, path in sorted(files)[: len(files) - OLD_FILES // 2]:
+    if len(files) > MAX_KERNEL_FILES:
+        for _, path in sorted(files)[: len(files) - MAX_KERNEL_FILES // 2]:
             path.unlink(missing_ok=True)
 
 

@@ -1,8 +1,8 @@
-"""What taps are computed with, as Halide expressions: a fast base-2 exponential and logarithm, bad numbers.
+"""Halide expressions for filter taps: a fast base-2 exponential and logarithm, and tests for bad numbers.
 
-A filter tap needs one exponential and at most one logarithm. Both are polynomials on the mantissa, without table,
-branch or conversion of rounding mode, so that every target vectorises them. The coefficients are minimax fits made
-by ``benchmarks/performance/fit_expressions.py``; their errors are stated and tested.
+A tap needs one exponential and at most one logarithm. Both are polynomials of the mantissa, without tables, branches or
+changes of the rounding mode, so that every target vectorises them. The coefficients are minimax fits made by
+``benchmarks/performance/fit_expressions.py``; their errors are stated and tested.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def _evaluate_polynomial(coefficients: Sequence[float], x: hl.Expr) -> hl.Expr:
 def exp2(x: hl.Expr) -> hl.Expr:
     """Return ``2**min(x, 0)`` as float32; exactly 0 below -127, relative error 1e-5 above -100.
 
-    The result is in [0, 1 + 3e-6] for every ``x`` that is not NaN, which the filter relies on: a similarity is at most
-    1, but for the polynomial's error, whatever rounding makes of it, and a tap that is switched off is multiplied by 0.
+    The result is in [0, 1 + 3e-6] for every ``x`` that is not NaN. The filter relies on both ends: a similarity is at
+    most 1 up to the polynomial's error, and a tap that is switched off has weight exactly 0.
     """
     shifted = hl.clamp(x + hl.f32(_EXPONENT_BIAS), hl.f32(0.0), hl.f32(_EXPONENT_BIAS))
     whole = hl.i32(shifted)
@@ -52,7 +52,8 @@ def exp2(x: hl.Expr) -> hl.Expr:
 def log2(x: hl.Expr) -> hl.Expr:
     """Return ``log2(x)`` for normal positive x as float32, continuous, absolute error 1.2e-4; about 128 for infinity.
 
-    ``asg`` and mixtures take it of what is all but 1 for every pixel and itself, where a step would be noise.
+    Continuity matters near 1: ``asg`` and mixtures take the logarithm of almost 1 for a pixel and itself, where a step
+    would show as noise.
     """
     bits = hl.reinterpret(hl.Int(32), x)
     # The integer value of a float's bits is its logarithm, linear between powers of two.
@@ -62,7 +63,7 @@ def log2(x: hl.Expr) -> hl.Expr:
 
 
 def is_bad(x: hl.Expr) -> hl.Expr:
-    """Return whether a float32 is NaN, infinite or negative, from its bits (safe under fast-math)."""
+    """Return whether a float32 is NaN, infinite or negative, tested on its bits: safe under fast-math."""
     bits = hl.reinterpret(hl.UInt(32), x)
     return (bits >= hl.u32(0x7F800000)) & (bits != hl.u32(0x80000000))
 
@@ -74,7 +75,7 @@ def is_good(color: Sequence[hl.Expr]) -> hl.Expr:
 
 
 class _Halide:
-    """Expressions of float32."""
+    """The functions of Halide expressions of float32."""
 
     number = staticmethod(hl.f32)
     where = staticmethod(hl.select)
@@ -85,7 +86,7 @@ class _Halide:
 
     @staticmethod
     def expm1(value: hl.Expr) -> hl.Expr:
-        """Return ``exp(value) - 1``, which loses digits near 0, where no formula here is."""
+        """Return ``exp(value) - 1``. It loses digits near 0, where no formula uses it."""
         return hl.exp(value) - 1.0
 
 

@@ -1,9 +1,9 @@
-"""Compiled kernels: made once on a machine, kept on disk, loaded and called by name.
+"""Kernels: compiled once per machine, cached on disk, loaded, and called with named arguments.
 
 Halide compiles a kernel to an object file, which takes a second or more; llvmlite loads that file, which takes some
-milliseconds. What it was made from is part of its name: the code of the modules that define it, Halide's version, the
-target and the kernel's key. Kernels of features that were written elsewhere are compiled in every process, since their
-sources are not known.
+milliseconds. The name of a kernel's file tells what it was made from: the definitions that its maker refers to
+(`lobewise.backend.sources`), Halide's version, the target and the kernel's key. Kernels of features that other packages
+define are compiled in every process, because their code is not known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
-from lobewise.backend.sources import PACKAGE, describe_modules
+from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
 from lobewise.chunks import make_fork_lock
 
@@ -39,7 +39,7 @@ _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
 
 @dataclass(frozen=True)
 class Scheduled:
-    """The scheduled functions of a kernel, in the order of its signature's outputs, and that signature."""
+    """The scheduled functions of a kernel, in the order of its signature's outputs, and its signature."""
 
     out: list[Any]
     signature: Signature
@@ -51,13 +51,13 @@ class Kernel:
     Parameters
     ----------
     runtime : Runtime
-        Of its device.
+        Runtime of the kernel's device.
     address : int
-        Of the function that takes one array of pointers to the arguments.
+        Address of the function, which takes one array of pointers to the arguments.
     name : str
-        For messages.
+        Name for messages.
     parameters : sequence of Parameter
-        In the order in which the function takes them.
+        Parameters in the order of the function's arguments.
     """
 
     def __init__(self, runtime: Runtime, address: int, name: str, parameters: Sequence[Parameter]) -> None:
@@ -69,31 +69,31 @@ class Kernel:
 
     @property
     def outputs(self) -> list[Parameter]:
-        """The images that it writes."""
+        """The parameters that are output images."""
         return [each for each in self.parameters if each.role == "output"]
 
     def list_shapes(self, **sizes: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of the images that it writes, by name; ``sizes`` are those of its axes."""
+        """Return the shapes of the output images by name; ``sizes`` are the lengths of named axes."""
         return {
             each.name: tuple(sizes[axis] if isinstance(axis, str) else axis for axis in each.axes)
             for each in self.outputs
         }
 
     def __call__(self, **arguments: Any) -> None:
-        """Run it with buffers (`lobewise.backend.buffers`) and numbers.
+        """Run the kernel with buffers (`lobewise.backend.buffers`) and numbers.
 
         Raises
         ------
         TypeError
             If a name is missing or unknown, or an image is not of the type, size or layout that the kernel relies on.
         DeviceError
-            If the device fails; what it wrote is then of no use.
+            If the device fails. The outputs are then undefined.
         """
         layout = describe_call(arguments)
         if layout not in self._accepted:
             check_call(self.name, self.parameters, arguments)
             self._accepted.add(layout)
-        # Held until the call has returned.
+        # Keep all arguments alive until the call has returned.
         held: list[Any] = [
             _SCALARS[each.type](arguments[each.name]) if each.role == "number" else arguments[each.name]
             for each in self.parameters
@@ -112,14 +112,14 @@ _kernels_lock = make_fork_lock()
 
 
 def count_compiled_kernels() -> int:
-    """Return how many kernels this process has loaded."""
+    """Return the number of kernels that this process has loaded."""
     return len(_kernels)
 
 
 def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> Kernel:
-    """Return a kernel, loaded or compiled now if it is the first of its ``key``; "strict" keeps the order of floats.
+    """Return the kernel of a key, loaded or compiled on first use; ``strict`` forbids reordering of float operations.
 
-    Several threads may ask at once.
+    Several threads may call at once.
     """
     with _kernels_lock:
         if (device, key) not in _kernels:
@@ -132,25 +132,25 @@ def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled
 
 
 def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
-    """Run a kernel and return what it writes, in the order of its signature.
+    """Run a kernel and return its outputs, in the order of its signature.
 
     Parameters
     ----------
     kernel : Kernel
-        All sizes of its outputs are also sizes of its inputs.
+        Every named axis of its outputs must also be an axis of an input.
     device : str
-        Its device.
+        Device of the kernel.
     images : mapping of str to Image
-        What it reads, by name; see `lobewise.backend.buffers.take_image`.
+        Input images by name; see `lobewise.backend.buffers.take_image`.
     **numbers
-        Likewise.
+        Numbers by name.
 
     Raises
     ------
     TypeError
         If a name is missing or unknown, or an image is not of the type, size or layout that the kernel relies on.
     DeviceError
-        If the device fails, or has no memory.
+        If the device fails or runs out of memory.
     """
     sizes = {
         axis: length
@@ -159,7 +159,7 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
         for axis, length in zip(each.axes, images[each.name].shape, strict=False)
         if isinstance(axis, str)
     }
-    # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
+    # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
     types = {each.name: each.type for each in kernel.outputs}
     outputs = {
@@ -174,54 +174,64 @@ def _load(
 ) -> Kernel:
     runtime = get_runtime(device)
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
-
-    def compile_kernel() -> tuple[bytes, dict[str, Any]]:
-        with tell_compiling():
-            funcs = make(target)
-            pipeline = hl.Pipeline(funcs.out)
-            bare = target.with_feature(hl.TargetFeature.NoRuntime)
-            arguments = funcs.signature.arguments
-            content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
-        return content, {
-            "name": funcs.signature.name,
-            "parameters": [astuple(each) for each in funcs.signature.parameters],
-        }
-
-    content, head = fetch_object(known, compile_kernel, symbol=f"{symbol}_argv")
+    content, head = fetch_object(known, lambda: _compile(make, target, symbol), symbol=f"{symbol}_argv")
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))
 
 
+def _compile(make: Callable[[hl.Target], Scheduled], target: hl.Target, symbol: str) -> tuple[bytes, dict[str, Any]]:
+    """Return a kernel's object file, and its name and parameters as JSON keeps them."""
+    with tell_compiling():
+        funcs = make(target)
+        pipeline = hl.Pipeline(funcs.out)
+        bare = target.with_feature(hl.TargetFeature.NoRuntime)
+        arguments = funcs.signature.arguments
+        content = compile_object(lambda path: pipeline.compile_to_object(path, arguments, symbol, bare))
+    return content, {
+        "name": funcs.signature.name,
+        "parameters": [astuple(each) for each in funcs.signature.parameters],
+    }
+
+
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
-    """Return what a kernel is made from, the same in every process; None where a part of it is not of this package."""
+    """Return a text that identifies a kernel's code in all processes; None if a part is not of this package."""
     told = describe_key(key)
-    modules = {_get_module(make), *_list_modules(key)}
-    if told is None or not all(name.startswith(f"{PACKAGE}.") for name in modules):
+    names = list_definitions(key, make)
+    if told is None or not all(name.startswith(f"{PACKAGE}.") for name in names):
         return None
-    return f"{version('halide')} {_describe_modules(frozenset(modules))} {told}"
+    return f"{version('halide')} {_describe_definitions(names)} {told}"
 
 
-_describe_modules = cache(describe_modules)
+_describe_definitions = cache(describe_definitions)
 
 
-def _get_module(make: Callable[..., Any]) -> str:
-    return _get_module(make.func) if isinstance(make, partial) else str(make.__module__)
+def list_definitions(key: Hashable, make: Callable[..., Any]) -> frozenset[str]:
+    """Return the full names of the definitions that a kernel is made from, without those that they refer to."""
+    while isinstance(make, partial):
+        make = make.func
+    return frozenset({_name_definition(_compile), _name_definition(make), *_list_definitions(key)})
 
 
-def _list_modules(key: Any) -> Iterator[str]:
-    """Yield the modules of all classes and functions in a key."""
+def _name_definition(definition: Any) -> str:
+    """Return the full name of the statement of a module that holds a class or function."""
+    first = definition.__qualname__.partition(".")[0]
+    return str(definition.__module__) if "<" in first else f"{definition.__module__}.{first}"
+
+
+def _list_definitions(key: Any) -> Iterator[str]:
+    """Yield the full names of all classes and functions in a key."""
     if isinstance(key, (type, FunctionType)):
-        yield key.__module__
+        yield _name_definition(key)
     elif isinstance(key, (tuple, list)):
         for part in key:
-            yield from _list_modules(part)
+            yield from _list_definitions(part)
     elif isinstance(key, Enum):
-        yield type(key).__module__
+        yield _name_definition(type(key))
     elif is_dataclass(key):
-        yield from _list_modules((type(key), *(getattr(key, each.name) for each in fields(key))))
+        yield from _list_definitions((type(key), *(getattr(key, each.name) for each in fields(key))))
 
 
 def describe_key(key: Any) -> str | None:
-    """Return a key as a text that is the same in every process; None where a part of it is not of this package."""
+    """Return a text that identifies a key in all processes; None if a part is not of this package."""
     if isinstance(key, (type, FunctionType)):
         named = f"{key.__module__}.{key.__qualname__}"
         return named if named.startswith(f"{PACKAGE}.") and "<" not in named else None

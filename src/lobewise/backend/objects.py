@@ -1,7 +1,7 @@
-"""Object files of machine code: compiled into memory, and examined before LLVM loads them.
+"""Object files of machine code: compiled in memory, and checked before LLVM loads them.
 
-LLVM's loader does not report a damaged file: it ends the process. Halide's compiler ends the process too where the disk
-is full, and leaves its file behind; so on Linux it writes into memory.
+LLVM's loader ends the process if a file is damaged. Halide's compiler ends the process if the disk is full, and leaves
+its file behind; so on Linux it writes to memory.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pathlib import Path
 
 _ELF_HEADER_BYTES, _ELF_SECTION_BYTES = 64, 64
 _ELF_NO_BITS = 8
-"""Type of a section that takes no space in the file."""
+"""Type of a section without bytes in the file."""
 _OTHER_MAGIC = (b"\xcf\xfa\xed\xfe", b"\x64\x86", b"\x64\xaa")
-"""How object files begin on macOS, and on Windows for x86-64 and ARM."""
+"""First bytes of object files on macOS, and on Windows for x86-64 and ARM."""
 
 
 def compile_object(write: Callable[[str], None]) -> bytes:
@@ -25,7 +25,7 @@ def compile_object(write: Callable[[str], None]) -> bytes:
     Raises
     ------
     OSError
-        If what was written is no whole object file.
+        If the file that was written is not a whole object file.
     """
     content = _catch(write)
     if not is_object(content):
@@ -47,7 +47,7 @@ def _catch(write: Callable[[str], None]) -> bytes:
 
 
 def is_object(content: bytes, symbol: str = "") -> bool:
-    """Return whether bytes are a whole object file of this kind of system that names ``symbol``."""
+    """Return whether bytes are a whole object file that contains ``symbol``; damage inside sections is not detected."""
     if symbol.encode() + b"\0" not in content:
         return False
     if content.startswith(b"\x7fELF"):

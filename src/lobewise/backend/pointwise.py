@@ -1,9 +1,9 @@
-"""Images in, images out, in one pass over the pixels: what is computed of guides, pixel by pixel.
+"""Kernels that compute images from images pixel by pixel, in one pass.
 
 A definition is a function of a `Grid` that returns the expressions of every output. It is compiled once per structure
-(which images there are, their channels, its options) and then runs on images of any size. Floats keep their order and
-their NaN, so neither threads nor where vectors begin change a bit. Of the comparisons only ``<``, ``>`` and ``==`` are
-false for NaN: Halide writes ``<=`` and ``>=`` as the negation of the opposite.
+(the images, their channels, its options) and runs on images of any size. Float operations keep their order and NaN, so
+neither threads nor the start of vectors change a bit. Only the comparisons ``<``, ``>`` and ``==`` are false for NaN:
+Halide writes ``<=`` and ``>=`` as the negation of the opposite.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ class Grid:
     """The images and numbers that a definition reads, and the pixel (x, y) that it defines."""
 
     images: Mapping[str, tuple[hl.ImageParam, int]]
-    """By name, with the number of channels; float32, or uint8 for truth."""
+    """Images by name, each with its number of channels; float32, or uint8 for masks."""
     numbers: Mapping[str, Vector]
     narrow: bool
-    """Whether rows may be shorter than a vector; else all of a vector's pixels lie inside the image."""
+    """Whether rows may be shorter than a vector. If not, all pixels of a vector lie inside the image."""
     x: hl.Var = field(default_factory=lambda: hl.Var("x"))
     y: hl.Var = field(default_factory=lambda: hl.Var("y"))
     stages: list[hl.Func] = field(default_factory=list)
     is_shared: bool = False
-    """Whether the outputs do little more than read what is kept; else what they have in common is kept for them."""
+    """Whether the definition itself keeps the values that its outputs share. If not, all outputs are kept per row."""
 
     @property
     def size(self) -> tuple[hl.Expr, hl.Expr]:
@@ -51,7 +51,7 @@ class Grid:
         return param.dim(first).extent(), param.dim(first + 1).extent()
 
     def has(self, *names: str) -> bool:
-        """Return whether all these images are there."""
+        """Return whether all images of these names are given."""
         return all(name in self.images for name in names)
 
     def read(self, name: str, x: hl.Expr | None = None, y: hl.Expr | None = None) -> list[hl.Expr]:
@@ -70,11 +70,11 @@ class Grid:
         return self.numbers[name]
 
     def share(self, values: Vector) -> list[hl.Expr]:
-        """Return ``values``, computed by themselves for a row at a time: long expressions compile much faster so."""
+        """Return ``values``, computed in a separate function row by row: long expressions then compile much faster."""
         return self.keep(values)(self.x, self.y)
 
     def keep(self, values: Vector) -> Callable[[hl.Expr, hl.Expr], list[hl.Expr]]:
-        """Return what reads ``values`` at a pixel (x, y); they are computed once for a whole row."""
+        """Return a function that reads ``values`` at a pixel (x, y); they are computed once for a whole row."""
         func = hl.Func(f"row{len(self.stages)}")
         func[self.x, self.y] = hl.Tuple(list(values)) if len(values) > 1 else values[0]
         self.stages.append(func)
@@ -87,8 +87,8 @@ class Grid:
 
 
 Definition = Callable[..., Sequence[Vector]]
-"""Of a grid and options: the channels of every output, all of one type. One of a single channel is an image without
-an axis for it, and one of type uint8 holds truth."""
+"""A function of a grid and options that returns the channels of every output; the channels of an output have one type.
+A single channel makes an image without an axis for channels. Type uint8 makes a mask."""
 
 
 def is_finite(value: hl.Expr) -> hl.Expr:
@@ -97,21 +97,21 @@ def is_finite(value: hl.Expr) -> hl.Expr:
 
 
 def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
-    """Return a float32 where ``condition`` holds, else NaN, which no optimisation of floats may take out."""
+    """Return a float32 where ``condition`` holds, else NaN, in a form that float optimisations do not remove."""
     bits = hl.select(condition, hl.reinterpret(hl.UInt(32), value), hl.u32(0x7FC00000))
     return hl.reinterpret(hl.Float(32), bits)
 
 
 @dataclass(frozen=True)
 class _Key:
-    """What changes the code of a definition."""
+    """Everything that changes the kernel's code."""
 
     define: Definition
     options: tuple[Hashable, ...]
     images: tuple[tuple[str, int, bool], ...]
-    """Name, channels, and whether it is truth."""
+    """Name, number of channels, and whether the image is a mask."""
     numbers: tuple[tuple[str, int, bool], ...]
-    """Name, components, and whether they are float64."""
+    """Name, number of components, and whether they are float64."""
     narrow: bool
 
 
@@ -139,9 +139,9 @@ def _make(key: _Key, target: hl.Target) -> Scheduled:
 
 
 def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.Func]:
-    """Return the output functions: rows in parallel; all outputs of a row from values that are computed once.
+    """Return the output functions, with rows in parallel. The values that outputs share are computed once per row.
 
-    The values of a row lie in cache, one plane each, and are interleaved as they are written.
+    The values of a row lie in cache as planes and are interleaved when they are written.
     """
     x, y, c = grid.x, grid.y, hl.Var("c")
     if len(outputs) > 1 and not grid.is_shared:
@@ -159,7 +159,7 @@ def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.
         outs.append(out)
     for func in (*outs, *grid.stages):
         if not grid.narrow:
-            # Whole vectors alone, the last of which overlaps the one before: a tail would be compiled lane by lane.
+            # Use whole vectors only; the last one overlaps the one before. A tail would be compiled lane by lane.
             func.vectorize(x, lanes, hl.TailStrategy.ShiftInwards)
         func.never_partition_all()
     for out in outs:
@@ -172,7 +172,7 @@ def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.
 
 
 def _take_image(image: NDArray[Any]) -> NDArray[Any]:
-    """Return an image as a kernel takes it."""
+    """Return an image as dense float32, a mask as uint8."""
     if image.dtype == np.bool_:
         return take_mask(image)
     return np.ascontiguousarray(image, np.float32)
@@ -189,13 +189,13 @@ def run_pointwise(
     Parameters
     ----------
     define : Definition
-        A function of a module, which is known by its identity; see `Definition`.
+        A function at the top of a module; see `Definition`.
     images : mapping of str to array or None
-        Each float32 or bool, (height, width) or (height, width, 2 or more); None for what is not there.
+        Each float32 or bool, (height, width) or (height, width, 2 or more); None if it is absent.
     numbers : mapping of str to array_like
-        Scalars or vectors, float32 or else float64; they may change without compiling again.
+        Scalars or vectors, computed as float32 if they are, else as float64. New values do not compile again.
     *options
-        What else changes the code.
+        Further arguments of the definition. New values compile again.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Halide's runtime for a device, loaded into this process, and the object files of kernels that call it."""
+"""Loads Halide's runtime for a device into this process, and the object files of kernels that call it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _CONSTRUCTORS = {
     "cuda": ("_GLOBAL__sub_I_cuda.cpp",),
     "metal": ("_GLOBAL__sub_I_metal.cpp",),
 }
-"""What initialises a device's part of the runtime; llvmlite runs no initialisers of object files."""
+"""Functions that initialise the runtime of a device: llvmlite does not run the initialisers of object files."""
 _RUNTIME_NAMES = re.compile(rb"(?<=\0)_?(halide_\w+)(?=\0)")
-"""Names in an object file's table of symbols; some systems put a line before them."""
+"""Names of the runtime in an object file's symbol table; some systems put an underscore before them."""
 _Told = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p)
 
 
 class Runtime:
-    """Halide's runtime for a device, and the kernels that call it; one in a process."""
+    """Halide's runtime for a device, and the kernels that call it; one per process and device."""
 
     def __init__(self, device: str) -> None:
         self.device = device
@@ -41,7 +41,7 @@ class Runtime:
         self._problems = threading.local()
         target = make_target(device)
         if device == "vulkan":
-            # Read when the first kernel starts; see `lobewise.backend.devices`.
+            # The runtime reads the variable when the first kernel starts; see `lobewise.backend.devices`.
             values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
             os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
 
@@ -64,10 +64,10 @@ class Runtime:
         self._problems.text = text.decode("utf-8", "replace").strip()
 
     def load(self, content: bytes, name: str) -> int:
-        """Load an object file that calls the runtime, and return the address of a function of its own.
+        """Load an object file that calls the runtime, and return the address of a function of the file.
 
-        Every file has an engine, and learns where the runtime's functions are as those of a foreign library, which it
-        may call however far away they lie; within one engine it would have to lie within 2 GiB of them.
+        Each file has its own engine and calls the runtime's functions like those of a foreign library, at any distance.
+        Within one engine the file would have to lie within 2 GiB of the runtime.
         """
         for told in set(_RUNTIME_NAMES.findall(content)):
             address = self._engine.get_function_address(told.decode())
@@ -82,17 +82,17 @@ class Runtime:
         return _find_function(self._engine, name)
 
     def get(self, result: str, name: str, *arguments: Any) -> Callable[..., Any]:
-        """Return a function of the runtime that gives nothing ("void"), a code ("int") or a pointer."""
+        """Return a function of the runtime; ``result`` is "void", "int" for a code, or "pointer" for an address."""
         results = {"void": None, "int": ctypes.c_int, "pointer": ctypes.c_void_p}
         return ctypes.CFUNCTYPE(results[result], *arguments)(self.find(name))
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Call a function that returns 0 if all went well.
+        """Call a function that returns 0 for success.
 
         Raises
         ------
         DeviceError
-            If it does not, or told a problem.
+            If it returns another code or reports a problem.
         """
         self._problems.text = ""
         with self._gate.enter():
@@ -107,9 +107,9 @@ class Runtime:
 
 
 def _load_object(content: bytes) -> Any:
-    """Return an engine that holds an object file, which must be whole: LLVM ends the process at one that is not."""
+    """Return an engine with an object file loaded. The file must be whole: otherwise LLVM ends the process."""
     machine = llvm.Target.from_default_triple().create_target_machine()
-    # llvmlite's memory manager lays the sections of a file side by side, so that they reach each other.
+    # llvmlite's memory manager puts the sections of a file side by side, so that they reach each other.
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)
     engine.add_object_file(llvm.ObjectFileRef.from_data(content))
     engine.finalize_object()
@@ -127,7 +127,7 @@ _runtime_lock = make_fork_lock()
 
 
 def get_runtime(device: str) -> Runtime:
-    """Return the runtime of a device, started now if it is the first time."""
+    """Return the runtime of a device, started on first use."""
     with _runtime_lock:
         return _start_runtime(device)
 

@@ -1,7 +1,7 @@
-"""What a kernel is called with: its parameters by name, and the checks of a call before machine code that checks none.
+"""The parameters of a kernel by name, and the checks of a call: machine code itself checks nothing.
 
-A kernel's definition declares every image and number that it reads and every image that it writes, once; the compiled
-function's order of arguments follows from it and is written nowhere else.
+A kernel's definition declares each image and number that it reads and each image that it writes, once. The order of the
+compiled function's arguments follows from the declarations and is written nowhere else.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Axis = int | str
-"""A number of entries, or the name of a size: axes of one name are as long as each other."""
+"""The length of an axis, or a name: axes of one name have one length."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,16 @@ class Parameter:
     Parameters
     ----------
     name : str
-        As in the call.
+        Name in the call.
     role : {"input", "output", "number"}
     type : str
-        NumPy's name of it.
+        Name of the NumPy type.
     axes : tuple
-        Of an image, in NumPy's order, rows first.
+        Axes of an image in NumPy's order, rows first.
     strides : tuple
-        Entries of memory from one to the next along each axis; None where that is free.
+        Stride of each axis in entries; None if any stride is allowed.
     bounds : tuple
-        Of a whole number, the least and the largest.
+        Smallest and largest value of a whole number.
     """
 
     name: str
@@ -47,21 +47,21 @@ class Parameter:
 
 
 class Memory(Protocol):
-    """An image as it is lent to a kernel."""
+    """An image that is lent to a kernel."""
 
     array: NDArray[Any]
     first: Sequence[int]
-    """What the kernel calls its first row, column and so on; empty where that is 0."""
+    """Coordinates of the first row, column and so on for the kernel; empty if they are 0."""
     address: int
 
 
 class Signature:
-    """The parameters of a kernel while it is defined.
+    """Collects the parameters of a kernel while it is defined.
 
     Parameters
     ----------
     name : str
-        Of the kernel, for messages.
+        Name of the kernel, for messages.
     """
 
     def __init__(self, name: str) -> None:
@@ -69,31 +69,31 @@ class Signature:
         self._given: list[Parameter] = []
         self._written: list[Parameter] = []
         self.arguments: list[Any] = []
-        """Of the compiled function, without outputs: Halide's parameters, in the order of their declaration."""
+        """Halide's parameters for the inputs of the compiled function, in the order of declaration."""
 
     @property
     def parameters(self) -> list[Parameter]:
-        """In the order of the compiled function: what is written comes last, whenever it was declared."""
+        """All parameters in the order of the compiled function: outputs come last, whenever they are declared."""
         return [*self._given, *self._written]
 
     def image(
         self, name: str, *axes: Axis, type: hl.Type | None = None, strides: Sequence[int | None] | None = None
     ) -> hl.ImageParam:
-        """Declare an image that is read, and return its parameter, whose axes are in the opposite order.
+        """Declare an input image and return its Halide parameter, whose axes are in the opposite order.
 
-        Where the last axis is a number of channels, they lie together: loads of neighbouring pixels are then dense and
-        are shuffled, instead of one load for every lane.
+        If the last axis has a fixed number of channels, the channels of a pixel lie together: neighbouring pixels are
+        then loaded densely and shuffled, instead of lane by lane.
 
         Parameters
         ----------
         name : str
-            Also of Halide's parameter.
+            Name of the argument and of Halide's parameter.
         *axes
-            In NumPy's order; each begins at 0.
+            Axes in NumPy's order; coordinates begin at 0.
         type : halide.Type
-            float32 by default; uint8 for truth.
+            float32 by default; uint8 for masks.
         strides : sequence of int or None, optional
-            For each axis, in NumPy's order, entries of memory to the next; None where that is free.
+            Stride of each axis in NumPy's order, entries; None if any stride is allowed.
         """
         kind = hl.Float(32) if type is None else type
         dense = strides is None
@@ -115,9 +115,9 @@ class Signature:
         return self._declare_number(name, hl.Float(32) if type is None else type)
 
     def count(self, name: str, least: int = 0, most: int = 1 << 16) -> hl.Param:
-        """Declare a whole number, int32, and return its parameter; a call outside the bounds is refused.
+        """Declare a whole number, int32, and return its parameter.
 
-        Counts decide what memory is touched.
+        A call outside the bounds is refused, because counts decide which memory the kernel touches.
         """
         return self._declare_number(name, hl.Int(32), (least, most))
 
@@ -130,14 +130,14 @@ class Signature:
     def output(
         self, name: str, *axes: Axis, type: hl.Type | None = None, strides: Sequence[int | None] | None = None
     ) -> None:
-        """Declare an image that is written, in the order in which the kernel's functions give them."""
+        """Declare an output image, in the order of the kernel's output functions."""
         kind = _name_type(hl.Float(32) if type is None else type)
         found = _find_strides(axes) if strides is None else strides
         self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(found)))
 
 
 def _find_strides(axes: Sequence[Axis]) -> list[int | None]:
-    """Return the strides that a kernel relies on: entries of the last axis side by side, and so the pixels of rows."""
+    """Return the default strides: entries of the last axis are adjacent, and so are pixels if it holds channels."""
     found: list[int | None] = [None] * len(axes)
     if axes:
         found[-1] = 1
@@ -153,12 +153,12 @@ def _name_type(kind: hl.Type) -> str:
 
 
 def unpack_parameters(packed: Sequence[Sequence[Any]]) -> list[Parameter]:
-    """Return parameters that were kept as lists of their fields, in JSON."""
+    """Return parameters from lists of their fields, as JSON holds them."""
     return [Parameter(name, role, kind, *map(tuple, rest)) for name, role, kind, *rest in packed]
 
 
 def describe_call(given: Mapping[str, Any]) -> Hashable:
-    """Return all that `check_call` looks at: a call that is described alike is as good."""
+    """Return everything of a call that `check_call` examines: calls of one description have one result."""
     return tuple(
         (name, value if isinstance(value, Integral) else type(value))
         if (array := getattr(value, "array", None)) is None
@@ -168,9 +168,9 @@ def describe_call(given: Mapping[str, Any]) -> Hashable:
 
 
 def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str, Any]) -> None:
-    """Raise TypeError unless a call gives every parameter, and each is what the kernel takes it for.
+    """Raise TypeError unless a call gives every parameter with the type, size and layout that the kernel expects.
 
-    Images that are written may be part of a larger one, whose first row or column is not 0: they then lie within it.
+    An output may be a part of the kernel's image, with a first row or column other than 0: it must lie inside.
     """
     names = [each.name for each in parameters]
     missing = [name for name in names if name not in given]
@@ -221,4 +221,4 @@ def _refuse(kernel: str, parameter: Parameter, got: Any, sizes: Mapping[str, tup
     kind = f"({', '.join(map(str, parameter.axes))}), strides {parameter.strides}" if parameter.axes else "number"
     if parameter.bounds:
         kind += f" from {parameter.bounds[0]} to {parameter.bounds[1]}"
-    return TypeError(f"the kernel {kernel!r} takes as {parameter.name} {parameter.type} {kind}{beside}, and got {got}")
+    return TypeError(f"the kernel {kernel!r} expects {parameter.name}: {parameter.type} {kind}{beside}, got {got}")

@@ -1,8 +1,12 @@
-"""What kernels are made from: a digest of the code of modules, which neither comments nor docstrings change.
+"""Digests of the code that kernels are made from: of all definitions that a kernel's maker refers to.
 
-A module counts with all modules of this package that it imports, and those that these import. The digest is that of its
-syntax tree without docstrings, so that an edit of a text compiles nothing anew. Taking a module apart takes some
-milliseconds; what came out is kept beside the compiled kernels, by the bytes of the file.
+A definition is a statement at the top of a module: a function, a class, a constant. It counts together with all
+definitions of this package that its code names, directly or through others, in any module. Comments, docstrings and
+code that no maker refers to (checks of arguments, messages, help texts of settings) do not change the digest.
+Annotations belong to the code of a definition, but the types that they name do not count: no kernel is made from them.
+
+Taking a module apart takes some milliseconds, so the result is kept beside the compiled kernels, by the digest of the
+module's bytes.
 """
 
 from __future__ import annotations
@@ -10,7 +14,8 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -23,103 +28,196 @@ from lobewise.backend.trust import read_trusted
 PACKAGE = "lobewise"
 _ROOT = Path(__file__).parents[1]
 _KEPT = "sources.json"
-_MOST_KEPT = 2000
-"""Files of which it is remembered what they hold; more are old ones."""
+_MAX_KEPT_MODULES = 2000
+
+_Statement = tuple[str, list[str]]
+"""Digest of a statement's syntax tree, and the dotted names that it reads."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """What a file holds."""
+    """A module, taken apart."""
 
-    digest: str
-    imports: tuple[str, ...]
-    """Names of modules of this package, or of something in one."""
+    definitions: dict[str, list[_Statement]]
+    """By name: the statements of the module that define it or may change it."""
+    imports: dict[str, list[str]]
+    """By local name: the full names that imports of this package bind to it."""
 
 
-def describe_modules(names: Iterable[str]) -> str:
-    """Return what tells the code of some modules of this package, and of all that they import."""
-    found: dict[str, Source] = {}
+def describe_definitions(names: Iterable[str]) -> str:
+    """Return a digest of definitions, given as "lobewise.module.name", and of all definitions that they refer to.
+
+    The name of a module stands for all its definitions.
+    """
+    told = (f"{name} {digest}" for name, digests in sorted(find_definitions(names).items()) for digest in digests)
+    return hashlib.sha256("\n".join(told).encode()).hexdigest()
+
+
+def find_definitions(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the digests of definitions and of all that they refer to, by their full names."""
+    found: dict[str, list[str]] = {}
     waiting = list(names)
-    kept = _Kept()
+    kept = _open_kept(find_trusted_folder())
     while waiting:
-        name = waiting.pop()
-        path = _find_file(name)
-        if path is None:
-            # What is imported may be a name in a module.
-            name, _, _ = name.rpartition(".")
-            path = _find_file(name)
-        if path is None or name in found:
-            continue
-        found[name] = kept.fetch(path)
-        waiting += found[name].imports
+        for module, name, source in _resolve(waiting.pop(), kept):
+            full_name = f"{module}.{name}"
+            if full_name not in found:
+                statements = source.definitions[name]
+                found[full_name] = [digest for digest, _ in statements]
+                waiting += [each for _, reads in statements for read in reads for each in _locate(module, source, read)]
     kept.write()
-    told = "\n".join(f"{name} {source.digest}" for name, source in sorted(found.items()))
-    return hashlib.sha256(told.encode()).hexdigest()
+    return found
+
+
+def _resolve(full_name: str, kept: _Kept) -> Iterator[tuple[str, str, Source]]:
+    """Yield module, name and source of the definitions that a full name means; nothing for names of no module."""
+    module, rest = full_name, ""
+    while (path := _find_file(module)) is None:
+        module, _, last = module.rpartition(".")
+        rest = f"{last}.{rest}" if rest else last
+        if not module:
+            return
+    source = kept.fetch(path)
+    if full_name == module:
+        for name in [*source.definitions, *source.imports]:
+            yield from _resolve(f"{module}.{name}", kept)
+    first, _, beyond = rest.partition(".")
+    if first in source.definitions:
+        yield module, first, source
+    for target in source.imports.get(first, []):
+        yield from _resolve(f"{target}.{beyond}" if beyond else target, kept)
+
+
+def _locate(module: str, source: Source, read: str) -> list[str]:
+    """Return the full names that a dotted name may mean in the code of a module."""
+    first, _, beyond = read.partition(".")
+    found = [f"{target}.{beyond}" if beyond else target for target in source.imports.get(first, [])]
+    return [*found, f"{module}.{first}"] if first in source.definitions else found
 
 
 def take_apart(text: str) -> Source:
-    """Return the digest of a module's syntax tree without docstrings, and what it imports of this package."""
+    """Return the definitions and imports of a module."""
     tree = ast.parse(text)
-    imports: list[str] = []
+    imports: dict[str, list[str]] = defaultdict(list)
+    definitions: dict[str, list[_Statement]] = defaultdict(list)
     for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            imports += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            imports += [f"{node.module}.{alias.name}" for alias in node.names]
+        for name, target in _list_imports(node):
+            imports[name].append(target)
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            # Docstrings, and texts below a constant that say what it is.
+            # Drop docstrings, also those below constants.
             node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
-    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
-    return Source(digest, tuple(sorted({name for name in imports if name.startswith(f"{PACKAGE}.")})))
+    statements: list[tuple[list[str], str, set[str]]] = []
+    for node in tree.body:
+        if not isinstance(node, (ast.Import, ast.ImportFrom)):
+            digest = hashlib.sha256(ast.dump(node).encode()).hexdigest()[:32]
+            statements.append((_list_defined(node), digest, set(_list_reads(node))))
+    known = {*imports, *(name for names, _, _ in statements for name in names)}
+    for names, digest, reads in statements:
+        statement = digest, sorted(read for read in reads if read.partition(".")[0] in known)
+        for name in names:
+            definitions[name].append(statement)
+    return Source(dict(definitions), {name: sorted(set(targets)) for name, targets in imports.items()})
+
+
+def _list_imports(node: ast.AST) -> Iterator[tuple[str, str]]:
+    """Yield the local and the full name of everything of this package that a statement imports."""
+    if isinstance(node, ast.Import):
+        for alias in node.names:
+            if alias.name.partition(".")[0] == PACKAGE:
+                yield (alias.asname, alias.name) if alias.asname else (PACKAGE, PACKAGE)
+    elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == PACKAGE:
+        for alias in node.names:
+            yield alias.asname or alias.name, f"{node.module}.{alias.name}"
+
+
+def _list_defined(node: ast.stmt) -> list[str]:
+    """Return the names that a statement of a module defines or may change: of a loop, say, all that it mentions."""
+    if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+        return [node.name]
+    if isinstance(node, (ast.Assign, ast.AnnAssign)):
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        return [each.partition(".")[0] for target in targets for each in _list_reads(target)]
+    return sorted({each.partition(".")[0] for each in _list_reads(node)})
+
+
+def _list_reads(node: ast.AST) -> Iterator[str]:
+    """Yield the dotted names that code reads; annotations are left out."""
+    if isinstance(node, ast.Name):
+        yield node.id
+        return
+    if isinstance(node, ast.Attribute):
+        names, root = [node.attr], node.value
+        while isinstance(root, ast.Attribute):
+            names.append(root.attr)
+            root = root.value
+        if isinstance(root, ast.Name):
+            yield ".".join([root.id, *reversed(names)])
+            return
+    for field, value in ast.iter_fields(node):
+        if field not in ("annotation", "returns"):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from _list_reads(child)
 
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
-def _check(digest: Any, imports: Any) -> Source:
-    """Return what was remembered of a file; raise ValueError if it is something else."""
-    if not isinstance(digest, str) or not all(isinstance(name, str) for name in imports):
-        raise ValueError(digest)
-    return Source(digest, tuple(imports))
-
-
 @cache
 def _find_file(name: str) -> Path | None:
     first, *rest = name.split(".")
-    if first != PACKAGE or not rest:
+    if first != PACKAGE:
         return None
     path = _ROOT.joinpath(*rest)
     return next((each for each in (path.with_suffix(".py"), path / "__init__.py") if each.is_file()), None)
 
 
 class _Kept:
-    """What files hold, by the digest of their bytes, remembered on disk."""
+    """Modules taken apart, by the digest of their bytes and of the code that takes them apart, remembered on disk."""
 
-    def __init__(self) -> None:
-        folder = find_trusted_folder()
+    def __init__(self, folder: Path | None) -> None:
         self._path = None if folder is None else folder / _KEPT
+        self._own_code = Path(__file__).read_bytes()
         self._known: dict[str, Source] = {}
         self._changed = False
         if self._path is not None:
             # A file that cannot be trusted or read is written anew.
             with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
                 text, _ = read_trusted(self._path, MAX_FILE_BYTES)
-                self._known = {key: _check(*told) for key, told in json.loads(text).items()}
+                self._known = {key: _check_source(*told) for key, told in json.loads(text).items()}
 
     def fetch(self, path: Path) -> Source:
-        """Return what a file holds."""
+        """Return the module of a file."""
         content = path.read_bytes()
-        key = hashlib.sha256(content).hexdigest()
+        key = hashlib.sha256(self._own_code + content).hexdigest()
         if key not in self._known:
             self._known[key] = take_apart(content.decode())
             self._changed = True
         return self._known[key]
 
     def write(self) -> None:
-        """Remember it; where nothing can be written it is done without."""
+        """Write the file if a module was taken apart. Without a folder, or if writing fails, nothing is remembered."""
         if self._changed and self._path is not None:
-            newest = dict(list(self._known.items())[-_MOST_KEPT:])
-            told = {key: [source.digest, source.imports] for key, source in newest.items()}
+            newest = dict(list(self._known.items())[-_MAX_KEPT_MODULES:])
+            told = {key: [source.definitions, source.imports] for key, source in newest.items()}
             write_whole(self._path, json.dumps(told).encode())
+            self._changed = False
+
+
+_open_kept = cache(_Kept)
+
+
+def _check_source(definitions: Any, imports: Any) -> Source:
+    """Return a module as it was kept; raise ValueError if the file holds anything else."""
+    statements = [each for name, told in definitions.items() for each in told]
+    if not all(isinstance(digest, str) and _are_texts(reads) for digest, reads in statements):
+        raise ValueError(statements)
+    if not all(map(_are_texts, imports.values())):
+        raise ValueError(imports)
+    return Source(definitions, imports)
+
+
+def _are_texts(values: Any) -> bool:
+    return isinstance(values, list) and all(isinstance(value, str) for value in values)

@@ -1,7 +1,8 @@
-"""Whom a file of machine code is trusted from: this user or root, and nobody else, as ssh asks of its keys.
+"""Checks that a file of machine code comes from this user or root and that nobody else can change it.
 
-A checksum in the file would not help: whoever can write the file can write the checksum too. So the check asks who
-owns a file or folder and who else may write to it. Windows has no such modes: there everything passes.
+ssh asks the same of its keys. A checksum in the file would not help: whoever can write the file can write the checksum
+too. So the checks look at the owner of a file or folder and at its permissions. Windows has no such permissions: there
+everything passes.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ WRITABLE_BY_GROUP, WRITABLE_BY_OTHERS = stat.S_IWGRP, stat.S_IWOTH
 
 
 def find_folder_problem(folder: Path) -> str:
-    """Return why files in a folder cannot be trusted, empty if they can be; the folder may not exist yet.
+    """Return why files in a folder cannot be trusted, or an empty text. The folder need not exist yet.
 
-    The folder and every folder above it must belong to this user or to root, and nobody else may write to them. A
-    folder above may be writable by all if it is sticky, as ``/tmp`` is: there only owners can rename.
+    The folder and all folders above it must belong to this user or root, and nobody else may write to them. A folder
+    above may be writable by all if it is sticky like ``/tmp``: there only owners can rename their files.
     """
     if os.name != "posix":
         return ""
@@ -39,7 +40,7 @@ def find_folder_problem(folder: Path) -> str:
 
 
 def find_problem(found: os.stat_result) -> str:
-    """Return why a file or folder of this status cannot be trusted, empty if it can be."""
+    """Return why a file or folder of this status cannot be trusted, or an empty text."""
     if os.name != "posix":
         return ""
     if not _is_own(found):
@@ -52,15 +53,14 @@ def find_problem(found: os.stat_result) -> str:
 
 
 def read_trusted(path: Path, limit: int) -> tuple[bytes, str]:
-    """Return the content of a file and an empty text, or nothing and why the file cannot be trusted.
+    """Return the content of a file and an empty text, or no content and why the file cannot be trusted.
 
-    What is examined is the open file, so that no other can be put in its place in between. Links are not followed.
+    The open file is examined, so that nobody can replace it between check and reading. Links are not followed.
 
     Raises
     ------
     OSError
-        If there is no such file, it is a link or no regular file, it holds more than ``limit`` bytes, or it cannot be
-        read.
+        If the file does not exist, is a link or not a regular file, has more than ``limit`` bytes, or cannot be read.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
@@ -77,7 +77,7 @@ def _is_own(found: os.stat_result) -> bool:
 
 
 def _is_private_group(group: int) -> bool:
-    """Return whether a group is this user's own and has no other member, as many systems make one for each user."""
+    """Return whether a group is the user's private group, named like the user and without other members."""
     import grp
     import pwd
 

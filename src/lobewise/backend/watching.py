@@ -1,4 +1,4 @@
-"""Who wants to know that a kernel is being compiled, which may take seconds."""
+"""Tells observers that a kernel is being compiled, which may take seconds."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _watchers: list[Callable[[bool], None]] = []
 
 @contextmanager
 def watch_compiling(tell: Callable[[bool], None]) -> Iterator[None]:
-    """Call ``tell`` with True whenever a kernel begins to be compiled, which loading one is not, and then with False.
+    """Call ``tell(True)`` before a kernel is compiled and ``tell(False)`` after it, not for kernels that are loaded.
 
-    It is called in the thread that needs the kernel.
+    ``tell`` runs in the thread that needs the kernel.
     """
     _watchers.append(tell)
     try:
@@ -23,7 +23,7 @@ def watch_compiling(tell: Callable[[bool], None]) -> Iterator[None]:
 
 @contextmanager
 def tell_compiling() -> Iterator[None]:
-    """Tell the watchers that a kernel is compiled as long as this lasts."""
+    """Tell the watchers that a kernel is compiled inside this context."""
     for tell in list(_watchers):
         tell(True)
     try:

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-EXIT_INTERRUPTED = 130
-INTERRUPTED = "interrupted; every output is whole, or as it was."
+from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -50,10 +49,6 @@ def _set_handler(handler: object) -> None:
     # Python refuses in any thread but the main one, and Ctrl-C only reaches the main thread.
     with suppress(ValueError):
         signal.signal(signal.SIGINT, handler)  # type: ignore[arg-type]
-
-
-interrupts: list[int] = []
-"""Numbers of the Ctrl-C signals that this process received. A library may turn KeyboardInterrupt into another error."""
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:

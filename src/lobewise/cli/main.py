@@ -12,7 +12,7 @@ from contextlib import suppress
 import typer
 
 import lobewise
-from lobewise.cli import EXIT_INTERRUPTED, INTERRUPTED, interrupts
+from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 from lobewise.errors import LobewiseError, make_printable
 
 EXIT_OK, EXIT_INTERNAL_ERROR, EXIT_USER_ERROR = 0, 1, 2

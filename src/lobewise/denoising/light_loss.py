@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer
-from lobewise.filters.noise.residuals import DIFFERENCES, SHARED, SHARED_STEP
+from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE, SHARED_STEP
 from lobewise.frame import FloatArray, Frame
 
 MIN_SHARE_BOUNDED = 1e-3
@@ -174,7 +174,7 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         good = find_good(color[wide]) & ~bad[wide]
         noisy = np.where(good, _add_channels(color[wide]), np.nan)
         squared = _find_squared_residual(noisy, step)[core]
-        sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED * squared)
+        sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED_NOISE_VARIANCE * squared)
         lit = [np.where(good[core], one, 0.0) for one in sums]
         # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
         found += [[one[row].sum(dtype=np.float64) for one in lit] for row in range(end - top)]

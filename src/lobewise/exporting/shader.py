@@ -13,8 +13,7 @@ from lobewise.exporting.folder import MARK, fill_template, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
-from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS
-from lobewise.lobes.covariance import MIN_COSINE as MIN_VIEW_COSINE
+from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS, MIN_VIEW_COSINE
 from lobewise.lobes.directions import MIN_COSINE
 from lobewise.lobes.gaussian import MIN_WARP_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS

@@ -1,4 +1,4 @@
-"""What makes two pixels similar: a distribution per pixel, close kin in one file."""
+"""The features that compare two pixels: each is a distribution per pixel. Related features share a file."""
 
 from lobewise.features.asg import AsgFeature
 from lobewise.features.base import Feature

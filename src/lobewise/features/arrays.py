@@ -1,4 +1,4 @@
-"""What features hand over to a kernel: their arrays and their scalars, declared and given under the same names."""
+"""Arrays and scalars of features as arguments of a kernel, declared and given under the same names."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from lobewise.features.base import Feature
 
 
 def declare_features(signature: Signature, prefix: str, features: Sequence[Feature], *axes: str) -> list[hl.ImageParam]:
-    """Declare the arrays of every feature as images that a kernel reads, and return their parameters in order.
+    """Declare the arrays of all features as input images of a kernel, and return their parameters in order.
 
     Parameters
     ----------
     signature : Signature
-        Of the kernel.
+        Signature of the kernel.
     prefix : str
-        What their names begin with: whose pixels they are.
+        Prefix of the names, which tells the grids of a kernel apart.
     features : sequence of Feature
-        The channels of their arrays are known to the kernel.
+        The kernel is compiled for the numbers of channels of their arrays.
     *axes
-        Names of sizes: rows and columns, or one axis for all pixels.
+        Names of the axes: rows and columns, or one axis for all pixels.
     """
     return [signature.image(name, *axes, *array.shape[2:]) for name, array in _name_arrays(prefix, features).items()]
 
 
 def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
-    """Return what `declare_features` declared, by name; raise InputError where an array is none of this size."""
+    """Return the arrays that `declare_features` declares, by name; raise InputError if an array has another size."""
     owners = [feature for feature in features for _ in feature.get_arrays()]
     named = zip(_name_arrays(prefix, features).items(), owners, strict=True)
     return {name: _take_array(feature, array, size) for (name, array), feature in named}
 
 
 def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: str = "") -> list[list[hl.Param]]:
-    """Declare the scalars of every feature as numbers, and return their parameters, one list for each feature."""
+    """Declare the scalars of all features as numbers, and return their parameters, one list per feature."""
     return [
         [signature.number(_name_scalar(prefix, number, k)) for k in range(len(feature.get_parameters()))]
         for number, feature in enumerate(features)
@@ -45,7 +45,7 @@ def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: s
 
 
 def give_scalars(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
-    """Return what `declare_scalars` declared, by name."""
+    """Return the scalars that `declare_scalars` declares, by name."""
     return {
         _name_scalar(prefix, number, k): value
         for number, feature in enumerate(features)
@@ -66,7 +66,7 @@ def _name_scalar(prefix: str, number: int, k: int) -> str:
 
 
 def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:
-    """Return an input of a feature as the kernels take it; raise InputError where it is no image of this size."""
+    """Return an array of a feature as dense float32; raise InputError if it is not an image of this size."""
     if array.ndim not in (2, 3) or array.shape[:2] != size or array.dtype.kind not in "fiub":
         raise InputError(
             f"an array of feature {feature.name!r}",

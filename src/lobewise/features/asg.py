@@ -13,13 +13,13 @@ from lobewise.lobes.vectors import dot
 
 
 class AsgPlanes(NamedTuple):
-    """What taps read of an anisotropic spherical Gaussian."""
+    """The planes of an anisotropic spherical Gaussian."""
 
     axis: Vector
     diagonal: Vector
-    """Of R: xx, yy, zz."""
+    """Diagonal of R: xx, yy, zz."""
     beside: Vector
-    """Twice R beside its diagonal: xy, xz, yz."""
+    """Twice the other components of R: xy, xz, yz."""
     s: hl.Expr
     """``2 sqrt(det)``."""
     hit: HitPlanes | None
@@ -28,8 +28,8 @@ class AsgPlanes(NamedTuple):
 class AsgFeature(CovarianceFeature):
     """Overlap of two anisotropic spherical Gaussians (Xu et al. 2013), to the power beta.
 
-    The lobe ``exp(-w^T A w)`` is given by the covariance of the planar Gaussian that it is near its axis,
-    ``S = A^-1 / 2``. docs/theory.md derives the evaluation without eigenvectors.
+    Near its axis the lobe ``exp(-w^T A w)`` is a planar Gaussian of covariance ``S = A^-1 / 2``, which describes it.
+    docs/theory.md derives the evaluation without eigenvectors.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class AsgFeature(CovarianceFeature):
         quadratic, invariant = _compare(i, j, d)
         least = i.s * j.s
         inverse = hl.f32(1.0) / hl.max(invariant, least)
-        # R holds variances here, and half inverse sharpnesses there: c is half of Q / P, and T / P twice as large.
+        # R holds variances here, but half inverse sharpnesses in docs/theory.md: c is half of Q / P, and T / P doubles.
         half, quarter, one = hl.f32(0.5), hl.f32(0.25), hl.f32(1.0)
         c = half * quadratic * inverse
         trace_i, trace_j = _sum(i.diagonal), _sum(j.diagonal)
@@ -71,7 +71,7 @@ def _sum(values: Vector) -> hl.Expr:
 
 
 def _compare(i: AsgPlanes, j: AsgPlanes, d: Vector) -> tuple[hl.Expr, hl.Expr]:
-    """Return Q and P."""
+    """Return the invariants Q and P of `CovarianceFeature`."""
     dx, dy, dz = d
     xx, yy, zz = (p + q for p, q in zip(i.diagonal, j.diagonal, strict=True))
     xy2, xz2, yz2 = (p + q for p, q in zip(i.beside, j.beside, strict=True))

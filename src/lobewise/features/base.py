@@ -1,11 +1,11 @@
-"""What makes two pixels similar.
+"""The base classes of features, which define how similar two pixels are.
 
-A feature is a distribution per pixel; two pixels are as similar as the L2-normalised product integral of their
+A feature is a distribution per pixel. The similarity of two pixels is the L2-normalised product integral of their
 distributions, to the power beta (Tokuyoshi 2015). The filter multiplies the similarities of its features by adding
-their base-2 logarithms, so that a tap costs one exponential however many features there are.
+their base-2 logarithms, so that a tap costs one exponential for any number of features.
 
-To write one, derive from `Feature`: hand over the per-pixel arrays and give the log-similarity of two pixels as an
-expression. It then runs in every form and on every device. docs/features.md shows how, `examples/` two of them.
+To write a feature, derive from `Feature`: return the per-pixel arrays, and the log-similarity of two pixels as an
+expression. The feature then runs in every form and on every device. docs/features.md explains how; `examples/` has two.
 """
 
 from __future__ import annotations
@@ -27,40 +27,40 @@ Pixel = Any
 """The planes of one pixel as `Feature.prepare` returned them: an expression, a list, a `NamedTuple`, or nested ones."""
 Offset = tuple[hl.Expr, hl.Expr]
 Stage = Callable[[hl.Expr], hl.Expr]
-"""Keeps an intermediate value of a whole row of taps in cache; splits a long log-similarity into shorter loops."""
+"""Stores an intermediate value of a row of taps in cache, which splits a long log-similarity into shorter loops."""
 
 
 class Feature(ABC):
     """A distribution per pixel.
 
-    A feature holds the arrays of one frame. Kernels are compiled once per *structure* (class and `structure`) and
-    run on any arrays of any size.
+    A feature holds the arrays of one frame. Kernels are compiled once per class and `structure`, and run on arrays of
+    any size.
     """
 
     name: ClassVar[str] = "own"
 
     @property
     def neutral(self) -> tuple[float, ...]:
-        """One value per input channel that is put in place of a pixel without meaning, so that no tap sees NaN."""
+        """One value per input channel, which replaces pixels without meaning, so that no tap reads NaN."""
         return (0.0,) * sum(count_channels(self))
 
     @property
     def structure(self) -> Hashable:
-        """What, besides the class, changes the expressions."""
+        """Everything besides the class that changes the expressions."""
         return ()
 
     @abstractmethod
     def get_arrays(self) -> tuple[Image, ...]:
-        """Return the per-pixel inputs, each float32 of shape (height, width) or (height, width, channels)."""
+        """Return the input arrays, each float32 of shape (height, width) or (height, width, channels)."""
 
     def get_parameters(self) -> tuple[float, ...]:
-        """Return the scalars of this feature; they may change without compiling again."""
+        """Return the scalars of the feature; new values do not compile again."""
         return ()
 
     def prepare(self, inputs: Vector, parameters: Vector) -> Pixel:
         """Return the planes that taps read, from the input channels of one pixel in the order of the arrays.
 
-        Done once per pixel: whatever does not need both pixels belongs here.
+        Planes are computed once per pixel, so everything that does not need both pixels belongs here.
         """
         return list(inputs)
 
@@ -68,25 +68,26 @@ class Feature(ABC):
     def log2_similarity(self, i: Pixel, j: Pixel, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
         """Return the base-2 logarithm of the similarity, in (-inf, 0], to the power beta.
 
-        Symmetric in i and j, with the offset negated: rows of taps ask once for both.
+        It must be symmetric: swapping i and j and negating the offset must not change it. Some passes use one value for
+        both pixels of a pair.
 
         Parameters
         ----------
-        i, j : what `prepare` returns
-            Planes of the centre pixel and of the tap.
+        i, j : Pixel
+            Planes of the centre pixel and of the tap, as `prepare` returned them.
         parameters : sequence of halide.Expr
             The scalars of `get_parameters`.
         offset : pair of halide.Expr
             Tap minus centre in pixels, x right and y down, float32.
         stage : callable
-            Wrap a long intermediate in ``stage(...)`` to compute it in a loop of its own (fewer registers).
+            Wrap a long intermediate value in ``stage(...)`` to compute it in a separate loop, with fewer registers.
         """
 
 
 class DeclaredFeature(Feature):
-    """A feature that says all by the fields of a dataclass, in order: its arrays are images, its numbers are above 0.
+    """A feature whose arrays and numbers are the fields of a dataclass, in order. Numbers must be above 0.
 
-    Named tuples of arrays are several images; what is None is left out.
+    A field may be a named tuple of arrays. Fields that are None are left out.
 
     Raises
     ------
@@ -104,7 +105,6 @@ class DeclaredFeature(Feature):
                 object.__setattr__(self, name, number)
 
     def _list_fields(self) -> list[tuple[str, Any]]:
-        """Return name and value of every field."""
         return [(field.name, getattr(self, field.name)) for field in fields(self)]  # type: ignore[arg-type]
 
     def get_arrays(self) -> tuple[Image, ...]:
@@ -120,7 +120,7 @@ class DeclaredFeature(Feature):
         return tuple(value for _, value in self._list_fields() if isinstance(value, float))
 
     def split(self, inputs: Vector) -> list[Any]:
-        """Return the input channels of one pixel array by array: an expression, or a list where it has channels."""
+        """Return the input channels of a pixel by array: an expression, or a list for an array with channels."""
         parts: list[Any] = []
         first = 0
         for array, count in zip(self.get_arrays(), count_channels(self), strict=True):
@@ -130,5 +130,5 @@ class DeclaredFeature(Feature):
 
 
 def count_channels(feature: Feature) -> list[int]:
-    """Return the channels of each array of a feature."""
+    """Return the number of channels of each array of a feature."""
     return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]

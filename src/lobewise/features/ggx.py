@@ -1,4 +1,4 @@
-"""The feature that compares GGX lobes by their covariances, with the tail that GGX has."""
+"""The feature that compares GGX lobes by their covariances, with the tail of GGX."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
 from lobewise.lobes.vectors import dot
 
-# (1 + q/4)^-2.4 stands for the planar autocorrelation of a GGX lobe: the slope at q = 0, 0.6, is exact, and 2.4 is
-# eight times 0.3, the unit in which every exponent of the similarity is whole or half, so that one logarithm serves
-# all. It is within 3.7e-3 of the exact autocorrelation (tests/features/test_constants.py).
+# (1 + q/4)^-2.4 approximates the planar autocorrelation of a GGX lobe within 3.7e-3 (tests/features/test_constants.py).
+# Its slope at q = 0, 0.6, is exact. All exponents of the similarity are whole or half multiples of GGX_UNIT, so powers
+# become squarings and square roots, and one logarithm serves all: 2.4 is the unit after three squarings.
 GGX_UNIT = 0.3
 TAIL_SQUARINGS = 3
 
 
 class GgxPlanes(NamedTuple):
-    """What taps read of a GGX lobe."""
+    """The planes of a GGX lobe."""
 
     axis: Vector
     large: hl.Expr
     small: hl.Expr
-    """The eigenvalues a and b."""
+    """The eigenvalues a and b of the covariance are ``large`` and ``small``."""
     t: Vector
-    """Along the long direction, ``|t|^2 = a - b``."""
+    """Vector along the eigenvector of a, ``|t|^2 = a - b``."""
     root: hl.Expr
-    """Of the determinant: half of s."""
+    """Square root of the determinant, half of s."""
     numerator: hl.Expr
-    """The logarithm of this pixel's part of the numerator."""
+    """Logarithm of the pixel's factor in the numerator."""
     hit: HitPlanes | None
 
 
 class GgxFeature(CovarianceFeature):
     """Overlap of two GGX lobes by their covariances across the lobe axis.
 
-    With the eigenvalues ``a >= b`` of S, R is ``a P - t t^T``: t along the long direction, ``|t|^2 = a - b``. In a
-    plane P is ``(a_i + b_j) (a_j + b_i) - (t_i . t_j)^2``, and so it is taken; R gets a along its axis as well, so that
-    lobes which face away from each other are unlike: ``Q = (a_i + a_j) |d|^2 - (t_i . d)^2 - (t_j . d)^2``. Which of
-    its two signs t has does not matter.
-
-    With ``s = 2 sqrt(det)`` and ``q = Q / P``
+    With ``s = 2 sqrt(det)`` and ``q = Q / P``, the invariants of `CovarianceFeature`, the similarity is
     ``(s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4``, to the power beta; see
     `tests/lobes/oracles/tangent.py`, `tangent_approx_similarity`.
+
+    With the eigenvalues ``a >= b`` of S, R is ``a`` times the projection across the axis minus ``t t^T``, where t lies
+    along the eigenvector of a and ``|t|^2 = a - b``; its sign does not matter. P is evaluated as in a plane,
+    ``(a_i + b_j) (a_j + b_i) - (t_i . t_j)^2``. In Q the matrix R also gets a along its axis, so that lobes that face
+    away from each other are not similar: ``Q = (a_i + a_j) |d|^2 - (t_i . d)^2 - (t_j . d)^2``.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class GgxFeature(CovarianceFeature):
         large, t = _split_covariance(axis, covariance)
         small = determinant / hl.max(large, hl.f32(1e-30))
         root = hl.sqrt(determinant)
-        # s_i s_j is split into one logarithm per pixel.
+        # The logarithm of s_i s_j is a sum: compute its terms once per pixel.
         numerator = parameters[0] * log2(root + root)
         return GgxPlanes(axis, large, small, t, root, numerator, HitPlanes(*hit) if hit else None)
 
@@ -79,10 +79,10 @@ class GgxFeature(CovarianceFeature):
         on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
         quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
         invariant = (i.large + j.small) * (j.large + i.small) - both * both
-        # sqrt(P) is at least the mean of both s (Minkowski's inequality); rounding may hide that.
+        # sqrt(P) is at least the mean of both s (Minkowski's inequality), but rounding may take it lower.
         mean = i.root + j.root
         invariant = hl.max(invariant, mean * mean)
-        # Beyond the bound the similarity is below 1e-9; without it the tail would overflow.
+        # At the bound the similarity is below 1e-9; larger quotients would make the tail overflow.
         tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
         for _ in range(TAIL_SQUARINGS):
             tail = tail * tail
@@ -91,9 +91,10 @@ class GgxFeature(CovarianceFeature):
 
 
 def _split_covariance(axis: Vector, covariance: Vector) -> tuple[hl.Expr, list[hl.Expr]]:
-    """Return the larger eigenvalue a, and t along its direction with ``|t|^2`` what it exceeds the other by.
+    """Return the larger eigenvalue a, and t along its eigenvector with ``|t|^2 = a - b``.
 
-    From the deviation of the covariance from its mean, whose length is their difference: free of cancellation.
+    Both come from the covariance minus its mean across the axis: the norm of this deviation gives ``a - b`` without
+    cancellation.
     """
     x, y, z = axis
     xx, xy, xz, yy, yz, zz = covariance
@@ -104,12 +105,12 @@ def _split_covariance(axis: Vector, covariance: Vector) -> tuple[hl.Expr, list[h
     xy, xz, yz = xy + mean * x * y, xz + mean * x * z, yz + mean * y * z
     beside = xy * xy + xz * xz + yz * yz
     gap = hl.sqrt(hl.f32(2.0) * (xx * xx + yy * yy + zz * zz + beside + beside))
-    # t t^T is the deviation and half the gap across the axis; t is its longest column over the root of its diagonal.
+    # t t^T is the deviation plus half the gap across the axis. t is its longest column over the root of its diagonal.
     spread = half * gap
     xx, yy, zz = (value + spread * (hl.f32(1.0) - p * p) for value, p in ((xx, x), (yy, y), (zz, z)))
     xy, xz, yz = xy - spread * x * y, xz - spread * x * z, yz - spread * y * z
     first, second = (xx >= yy) & (xx >= zz), yy >= zz
     column = [hl.select(first, a, second, b, c) for a, b, c in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
-    # The longest holds a third of the gap; where there is none, rounding must not be divided by less.
+    # The longest column's diagonal is at least a third of the gap: bound the divisor so that rounding is not magnified.
     scale = hl.f32(1.0) / hl.sqrt(hl.max(xx, yy, zz, hl.f32(0.3) * gap, hl.f32(1e-30)))
     return mean + spread, [component * scale for component in column]

@@ -1,4 +1,4 @@
-"""What the features of one lobe per pixel share: an axis, what the lobe hits, and for some a covariance."""
+"""Common parts of features with one lobe per pixel: an axis, optional hit points, and for some a covariance."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from lobewise.lobes.vectors import dot, subtract
 
 
 class HitPlanes(NamedTuple):
-    """What taps read of a surface point and of what its lobe hits."""
+    """The planes of a surface point and of the distance to what its lobe hits."""
 
     position: Vector
     inverse_distance: hl.Expr
 
 
 class LobePlanes(Protocol):
-    """What taps read of any lobe."""
+    """The planes that all lobes have."""
 
     @property
     def axis(self) -> Vector: ...
@@ -32,21 +32,21 @@ class LobePlanes(Protocol):
 
 
 class LobeStep(NamedTuple):
-    """How far two lobes are apart."""
+    """The difference of two lobes."""
 
     d: Vector
-    """Difference of the axes, and what the hits add to it."""
+    """Difference of the axes, plus the shift of the hits."""
     square: hl.Expr
     """``|d|^2``."""
     axes_square: hl.Expr
-    """The same without the hits."""
+    """Squared difference of the axes alone."""
 
 
 class LobeFeature(DeclaredFeature):
-    """What the features of one lobe per pixel share: the exponent, and the optional hit-distance term."""
+    """Base of features with one lobe per pixel: the exponent beta, and the optional hit-distance term."""
 
     harmless: ClassVar[tuple[float, ...]]
-    """What is neutral of a lobe."""
+    """Neutral values of the lobe's input channels."""
     beta: float
     hits: HitField | None
 
@@ -64,14 +64,13 @@ class LobeFeature(DeclaredFeature):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CovarianceFeature(LobeFeature):
-    """What the features of a covariance across an axis share: their arrays, and two invariants of a pair.
+    """Base of features with a covariance S across an axis z: the arrays, and two invariants Q and P of a pair.
 
-    Turned by a quarter about its axis, the covariance S is ``R = tr(S) P - S``, P the projection across the axis. The
-    determinant of ``A_i + A_j``, A the inverse of S in its plane, over ``det A_i det A_j`` is exactly
-    ``Q = d^T (R_i + R_j) d``, ``d = z_j - z_i``, because neither matrix has anything along its own axis; the second
-    invariant over the same is ``P = det_i + det_j + t_i t_j - R_i:R_j``, t the traces. Their quotient is, to first
-    order in itself, the smallest eigenvalue of ``A_i + A_j``, and exactly ``d^T (S_i + S_j)^-1 d`` in a plane. No
-    frame, no inverse.
+    Let A be the inverse of S in its plane, and ``R = tr(S) (I - z z^T) - S``, which is S turned by a quarter about z.
+    Over ``det A_i det A_j`` the 3x3 determinant of ``A_i + A_j`` is exactly ``Q = d^T (R_i + R_j) d`` with
+    ``d = z_j - z_i``, because each A is 0 along its own axis. The second invariant over the same product is
+    ``P = det_i + det_j + t_i t_j - R_i:R_j`` with the traces t. To first order ``Q / P`` is the smallest eigenvalue of
+    ``A_i + A_j``; in a plane it is exactly ``d^T (S_i + S_j)^-1 d``. Neither needs a frame or an inverse.
     """
 
     harmless = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0)
@@ -83,7 +82,7 @@ class CovarianceFeature(LobeFeature):
 
 
 def find_step(i: LobePlanes, j: LobePlanes) -> LobeStep:
-    """Return the step from one lobe to another."""
+    """Return the difference of two lobes."""
     d = subtract(j.axis, i.axis)
     square = dot(d, d)
     if i.hit is None or j.hit is None:

@@ -11,8 +11,8 @@ from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import dot, subtract
 
-# With x = 1 - cos d, 2^-(x (c0 + c1 x + ...)) is within 3.8e-3 of the Lambert similarity
-# ((pi - d) cos d + sin d) / pi for every angle d, and falls throughout: no logarithm and no root.
+# With x = 1 - cos d, 2^-(x (c0 + c1 x + ...)) approximates the Lambert similarity ((pi - d) cos d + sin d) / pi within
+# 3.8e-3 for every angle d. It is monotonic and needs neither logarithm nor root.
 LAMBERT_COEFFICIENTS = (1.53062855, -1.35309751, 3.48856559, -2.92217656, 0.91606498)
 
 

@@ -1,4 +1,4 @@
-"""The features of where two surface points are: how far apart, and how far off each other's plane."""
+"""The features that compare surface points: by their distance, and by their distance from each other's plane."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from lobewise.lobes.vectors import dot, subtract
 
 
 class Place(NamedTuple):
-    """What taps read of a point."""
+    """The planes of a point."""
 
     place: Vector
     inverse: hl.Expr
-    """Over the footprint."""
+    """Scale over the footprint."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PositionFeature(DeclaredFeature):
-    """Gaussian of the distance in the scene, in units of what a pixel covers there.
+    """Gaussian of the distance of two surface points, in units of the footprint of a pixel.
 
-    With world positions ``|p_i - p_j|^2 / (2 sigma^2 f_i f_j)``; with depth alone the same of ``depth_i - depth_j``;
-    f is the footprint ``depth * pixel_angle``. The geometric mean of both footprints keeps the weight symmetric.
+    ``exp(-|p_i - p_j|^2 / (2 sigma^2 f_i f_j))`` with world positions p, or with depths if there are no positions. f is
+    the footprint ``depth * pixel_angle``. The geometric mean of both footprints keeps the weight symmetric.
 
     Parameters
     ----------
@@ -69,28 +69,28 @@ class PositionFeature(DeclaredFeature):
 
 
 class TangentPlane(NamedTuple):
-    """What taps read of a point and the plane through it."""
+    """The planes of a point and of its tangent plane."""
 
     position: Vector
     normal: Vector
     inverse: hl.Expr
-    """Over the footprint."""
+    """Scale over the footprint."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlaneFeature(DeclaredFeature):
-    """Gaussian of how far two surface points lie off each other's tangent plane, in units of what a pixel covers.
+    """Gaussian of the distances of two surface points from each other's tangent planes, in units of the footprint.
 
     ``exp(-((n_i . d)^2 + (n_j . d)^2) / (4 sigma^2 f_i f_j))``, d the step between the points and f the footprint
-    ``depth * pixel_angle``. Unlike the distance itself it does not mind how slanted a surface is seen: what tells the
-    same surface a frame later from another one.
+    ``depth * pixel_angle``. Unlike the distance of the points it does not depend on how slanted a surface is seen, so
+    it recognises the surface a frame later.
 
     Parameters
     ----------
     position, normal : array, shape (height, width, 3)
         World positions and unit normals; 0 both where there is no surface.
     footprint : array, shape (height, width)
-        What a pixel covers, times what is allowed for (a moving object), world units, > 0.
+        Footprint of a pixel, world units, > 0; larger where more distance is allowed, for moving objects.
     sigma : float
         Standard deviation in footprints, > 0.
     """

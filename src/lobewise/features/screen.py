@@ -1,4 +1,4 @@
-"""The features of the distance on the screen: Gaussian, tent, and one as wide as a lobe blurs what it sees."""
+"""The features of the distance on the screen: a Gaussian, a tent, and a Gaussian as wide as a lobe's blur."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class TentFeature(DeclaredFeature):
     Parameters
     ----------
     width : float
-        Pixels from sample to sample, > 0; the tent is 0 from there on.
+        Distance at which the tent is 0, the distance of samples, pixels, > 0.
     """
 
     name = "tent"

@@ -1,4 +1,4 @@
-"""What reflections see, compared: how far away it is, and its albedo and normal."""
+"""The features that compare what reflections see: its distance, and its albedo and normal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lobewise.lobes.vectors import dot, subtract
 
 
 class Distance(NamedTuple):
-    """What taps read of a hit distance."""
+    """The planes of a hit distance."""
 
     inverse_distance: hl.Expr
     precision: hl.Expr
@@ -24,17 +24,17 @@ class Distance(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HitDistanceFeature(DeclaredFeature):
-    """Gaussian of how much the inverse hit distances of two lobes differ, relative to the larger of them.
+    """Gaussian of the difference of two inverse hit distances, relative to the larger one.
 
-    ``exp(-(x_i - x_j)^2 / (2 max(x_i, x_j)^2 s_i s_j))`` with x = 1/t: 1 for equal distances, both infinite included.
-    What a mirror sees has changed when something else is at another distance.
+    ``exp(-(x_i - x_j)^2 / (2 max(x_i, x_j)^2 s_i s_j))`` with x = 1/t: 1 for equal distances, also
+    infinite ones. A change of the distance shows that a mirror sees another surface.
 
     Parameters
     ----------
     inverse_distance : array, shape (height, width)
-        1/t, >= 0; 0 where nothing is seen.
+        1/t, >= 0; 0 where the lobe hits nothing.
     tolerance : array, shape (height, width)
-        Relative standard deviation s that is no change, > 0.
+        Standard deviation s of the relative difference, > 0.
     """
 
     name = "hit_distance"
@@ -53,7 +53,7 @@ class HitDistanceFeature(DeclaredFeature):
 
 
 class Seen(NamedTuple):
-    """What taps read of what a lobe sees."""
+    """The planes of what a lobe sees."""
 
     albedo: Vector
     normal: Vector
@@ -61,12 +61,12 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SeenFeature(DeclaredFeature):
-    """Gaussian of the differences of what two lobes see, ``exp(-a |d albedo|^2 - n |d normal|^2)``.
+    """Gaussian of the differences in albedo and normal that two lobes see, ``exp(-a |d albedo|^2 - n |d normal|^2)``.
 
     Parameters
     ----------
     albedo, normal : array, shape (height, width, 3)
-        Means of albedo, in [0, 1], and normal of what the lobes hit.
+        Mean albedo, in [0, 1], and mean normal of the surfaces that the lobes hit.
     albedo_sharpness, normal_sharpness : float
         a and n, > 0.
     """

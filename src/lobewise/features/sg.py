@@ -15,13 +15,13 @@ from lobewise.lobes.hits import HitField
 
 
 class SgPlanes(NamedTuple):
-    """What taps read of a spherical Gaussian."""
+    """The planes of a spherical Gaussian."""
 
     axis: Vector
     width: hl.Expr
     """``u = 2 / (beta log2(e) lambda)``."""
     numerator: hl.Expr
-    """The logarithm of this pixel's part of the numerator."""
+    """Logarithm of the pixel's factor in the numerator."""
     hit: HitPlanes | None
 
 
@@ -53,8 +53,8 @@ class SgFeature(LobeFeature):
 
     def prepare(self, inputs: Vector, parameters: Vector) -> SgPlanes:
         axis, sharpness, *hit = self.split(inputs)
-        # The exponent is -|axis_i - axis_j|^2/(u_i + u_j) and the sharpness ratio 2 sqrt(u_i u_j)/(u_i + u_j); the
-        # numerator of the latter is split into one plane per pixel.
+        # The exponent is -|axis_i - axis_j|^2/(u_i + u_j), the sharpness ratio 2 sqrt(u_i u_j)/(u_i + u_j). The
+        # logarithm of the ratio's numerator is a sum with one term per pixel.
         width = hl.f32(2.0 / LOG2_E) / (parameters[0] * sharpness)
         numerator = hl.f32(0.5) * parameters[0] * (hl.f32(1.0) + log2(width))
         return SgPlanes(axis, width, numerator, HitPlanes(*hit) if hit else None)

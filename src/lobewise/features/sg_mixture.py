@@ -17,13 +17,13 @@ from lobewise.settings import MAX_LOBES
 
 
 class MixturePlanes(NamedTuple):
-    """What taps read of a mixture: a number per lobe, and an axis per lobe or one for all."""
+    """The planes of a mixture: numbers per lobe, and an axis per lobe or one for all lobes."""
 
     axes: list[Vector]
     widths: Vector
     """``u = 2 / (log2(e) lambda)``."""
     scales: Vector
-    """Amplitude times u, over the norm of the whole."""
+    """Amplitude times u, over the norm of the mixture."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +31,7 @@ class SgMixtureFeature(DeclaredFeature):
     """Overlap of two sums of spherical Gaussians, ``<f_i, f_j> / (|f_i| |f_j|)``, to the power beta.
 
     ``<f_i, f_j> = sum_a sum_b mu_a mu_b 2 pi / (la + lb) exp(-la lb / (la + lb) (1 - axis_a . axis_b))``; the norms are
-    taken by the same formula once per pixel, so that a pixel is like itself exactly.
+    computed by the same formula once per pixel, so that a pixel's similarity to itself is exactly 1.
     Source: Tokuyoshi 2015, slide "Spherical Gaussian Approximation"; the product integral of Iwasaki et al. 2012.
 
     Parameters
@@ -42,14 +42,14 @@ class SgMixtureFeature(DeclaredFeature):
     sharpness : array, shape (height, width, N)
         Band-limited sharpness, > 0; N from 1 to 4.
     amplitude : array, shape (height, width, N)
-        Value at the axis, >= 0; 0 where a pixel has fewer lobes. A pixel without any is like none.
+        Value at the axis, >= 0; 0 where a pixel has fewer lobes. A pixel without lobes has similarity 0 to all.
     beta : float
         Exponent, > 0.
 
     Raises
     ------
     InputError
-        If the arrays do not belong together, or there are more than four lobes.
+        If the shapes do not fit each other, or there are more than four lobes.
     """
 
     name = "sg_mixture"
@@ -80,8 +80,8 @@ class SgMixtureFeature(DeclaredFeature):
         return (*[0.0] * self.axis.shape[2], *[1.0] * (2 * self.sharpness.shape[2]))
 
     def prepare(self, inputs: Vector, parameters: Vector) -> MixturePlanes:
-        # A term is a_i a_j / (u_i + u_j) 2^(-|d|^2 / (u_i + u_j)), a = amplitude u; the amplitudes are divided by the
-        # norm, so that the sum over all terms is the similarity.
+        # A term is a_i a_j / (u_i + u_j) 2^(-|d|^2 / (u_i + u_j)) with a = amplitude u. Dividing the amplitudes by the
+        # norm makes the sum of all terms the similarity.
         axis, sharpness, amplitude = self.split(inputs)
         axes = [axis[k : k + 3] for k in range(0, len(axis), 3)]
         widths = [hl.f32(2.0 / LOG2_E) / value for value in sharpness]
@@ -98,7 +98,7 @@ class SgMixtureFeature(DeclaredFeature):
 
 
 def _sum_terms(i: MixturePlanes, j: MixturePlanes) -> hl.Expr:
-    """Return the product integral: every lobe of one pixel with every lobe of the other."""
+    """Return the product integral, summed over all pairs of lobes of both pixels."""
     steps = [[subtract(q, p) for q in j.axes] for p in i.axes]
     squares = [[dot(d, d) for d in row] for row in steps]
     shared = len(i.axes) == 1

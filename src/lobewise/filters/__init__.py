@@ -1,1 +1,1 @@
-"""The algorithms on images; how they are computed is in `schedules`."""
+"""The image filters as algorithms; `schedules` says how processors and graphics cards compute them."""

@@ -1,11 +1,11 @@
-"""The affinity filter: a dilated 5x5 mean whose weights compare numbers that a network gave every pixel.
+"""The affinity filter: a dilated 5x5 mean whose weights compare features that a network predicts for every pixel.
 
 ``y_i = (c_i x_i + sum_j w_ij x_j) / (c_i + sum_j w_ij)`` over the 24 neighbours j of pixel i, with
 ``w_ij = exp(-|f_i - f_j|^2 - b_i |L_i - L_j|^2) m_j``. The features f, the centre weight c, the source weight m and the
-exponent b come from the network; the lobe vectors L are fixed. The mean is a convex one of neighbours.
+exponent b come from the network; the lobe vectors L are fixed. All weights are >= 0: the mean is convex.
 
 Source: Isik et al. 2021, "Interactive Monte Carlo Denoising using Affinity of Neural Features", equations 1 to 3.
-Departs: the lobes in the weight, and the source weight.
+Departs: the weight also compares lobes and has the source weight.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y, clamp_likely
-from lobewise.filters.schedules.affinity import schedule_affinity
+from lobewise.filters.schedules.affinity import AffinityFuncs, schedule_affinity
 
 RADIUS = 2
-"""Taps to each side of the centre."""
+"""Taps from the centre to the edge."""
 MAX_STEP = 1024
-"""Pixels from tap to tap."""
+"""Largest distance between neighbouring taps, pixels."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ class AffinityKey:
 
     features: int
     lobes: int
-    """Numbers of a lobe vector; 0 where lobes are not compared."""
+    """Components of a lobe vector; 0 if lobes are not compared."""
 
 
 class Inputs(NamedTuple):
-    """The images that the filter reads, with columns, rows and channels as Halide orders them."""
+    """The images that the filter reads; Halide orders their axes as columns, rows, channels."""
 
     light: hl.ImageParam
     features: hl.ImageParam
@@ -54,7 +54,7 @@ class Inputs(NamedTuple):
 
 
 class Pixel(NamedTuple):
-    """What the filter reads of a pixel."""
+    """The values of a pixel that the filter reads."""
 
     light: Sequence[hl.Expr]
     features: Sequence[hl.Expr]
@@ -65,24 +65,12 @@ class Pixel(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """How far two pixels are from each other: symmetric in both."""
+    """Squared distances of two pixels i and j."""
 
     features: hl.Expr
     """``|f_i - f_j|^2``"""
     lobes: hl.Expr
     """``|L_i - L_j|^2``"""
-
-
-class AffinityFuncs(NamedTuple):
-    """The functions of a kernel over the neighbours of a pixel, for its schedule."""
-
-    pixels: hl.Func
-    """Everything that is read of a pixel, 0 left and right of the image, where vectors and taps reach."""
-    pixel_channels: int
-    sums: hl.Func
-    window: hl.RDom
-    out: hl.Func
-    out_channels: int
 
 
 def measure_distance(here: Pixel, there: Pixel) -> Distance:
@@ -100,7 +88,7 @@ def compute_affinity(distance: Distance, exponent: hl.Expr) -> hl.Expr:
 
 
 def declare_inputs(signature: Signature, key: AffinityKey) -> Inputs:
-    """Declare what the filter reads: planes, one channel after the other."""
+    """Declare the images that the filter reads, channels first in memory."""
     size = "height", "width"
 
     def declare(name: str, *channels: int) -> hl.ImageParam:
@@ -120,7 +108,7 @@ def declare_inputs(signature: Signature, key: AffinityKey) -> Inputs:
 
 
 def read_pixel(inputs: Inputs, key: AffinityKey, x: hl.Expr) -> Pixel:
-    """Return what the images have at a pixel of column ``x`` and row Y."""
+    """Return the values of the pixel of column ``x`` and row Y."""
 
     def read(image: hl.ImageParam | None, channels: int) -> list[hl.Expr]:
         return [] if image is None else [image[x, Y, k] for k in range(channels)]
@@ -140,13 +128,13 @@ def flatten_pixel(pixel: Pixel) -> list[hl.Expr]:
 
 
 def rebuild_pixel(key: AffinityKey, values: Iterator[hl.Expr]) -> Pixel:
-    """Return the pixel that `flatten_pixel` gave the values of."""
+    """Return a pixel from its values in the order of `flatten_pixel`."""
     light, features = list(islice(values, COLORS)), list(islice(values, key.features))
     return Pixel(light, features, next(values), next(values), list(islice(values, key.lobes)), next(values))
 
 
 def stack_pixels(width: hl.Expr, read: Callable[[hl.Expr], list[hl.Expr]]) -> tuple[hl.Func, int]:
-    """Return a function of (x, c, y) of all values of ``read(column)``, 0 beside the image, and how many they are."""
+    """Return a function of (x, c, y), all values of ``read(column)``, 0 beside the image; and the number of values."""
     values = read(clamp_likely(X, width))
     pixels = hl.Func("pixels")
     pixels[X, C, Y] = hl.select(hl.likely(X >= 0) & hl.likely(width > X), hl.mux(C, values), hl.f32(0.0))
@@ -154,7 +142,7 @@ def stack_pixels(width: hl.Expr, read: Callable[[hl.Expr], list[hl.Expr]]) -> tu
 
 
 def make_window(height: hl.Expr, step: hl.Expr) -> tuple[hl.RDom, hl.Expr, hl.Expr]:
-    """Return the 24 neighbours that lie in rows of the image, and the column and row of each."""
+    """Return the window of the 24 neighbours in rows of the image, and the column and row of a neighbour."""
     window = hl.RDom([(-RADIUS, 2 * RADIUS + 1)] * 2, "window")
     row = Y + window.y * step
     window.where(((window.x != 0) | (window.y != 0)) & (row >= 0) & (height > row))
@@ -162,7 +150,7 @@ def make_window(height: hl.Expr, step: hl.Expr) -> tuple[hl.RDom, hl.Expr, hl.Ex
 
 
 def _make_affinity(key: AffinityKey, target: hl.Target) -> Scheduled:
-    """Return the filter, to be compiled."""
+    """Return the filter's kernel."""
     signature = Signature("affinity")
     inputs = declare_inputs(signature, key)
     step = signature.count("step", 1, MAX_STEP)
@@ -179,7 +167,10 @@ def _make_affinity(key: AffinityKey, target: hl.Target) -> Scheduled:
     add_terms(sums, [*(weight * value for value in there.light), weight])
     total = sums[X, Y][COLORS]
     out[X, Y, C] = hl.mux(C, [*(sums[X, Y][k] / total for k in range(COLORS)), total])
-    schedule_affinity(AffinityFuncs(pixels, pixel_channels, sums, window, out, COLORS + 1), target)
+    funcs = AffinityFuncs(
+        pixels=pixels, pixel_channels=pixel_channels, sums=sums, window=window, out=out, out_channels=COLORS + 1
+    )
+    schedule_affinity(funcs, target)
     return Scheduled([out], signature)
 
 
@@ -189,12 +180,12 @@ def add_terms(sums: hl.Func, terms: Sequence[hl.Expr]) -> None:
 
 
 class AffinityInputs(NamedTuple):
-    """Arrays that the filter reads, channels first; all finite.
+    """The arrays that the filter reads, channels first, all finite.
 
     Parameters
     ----------
     light : (3, height, width)
-        What is averaged.
+        Radiance to average.
     features : (count, height, width)
     centre : (height, width)
         Weight of the pixel itself, > 0.
@@ -202,7 +193,7 @@ class AffinityInputs(NamedTuple):
         Weight of the pixel in the means of its neighbours, >= 0.
     lobes : (count, height, width), optional
     exponent : (height, width), optional
-        How much squared distances of lobes count, >= 0.
+        Factor of squared distances of lobes, >= 0.
     """
 
     light: Image
@@ -213,7 +204,7 @@ class AffinityInputs(NamedTuple):
     exponent: Image | None = None
 
     def find_key(self) -> AffinityKey:
-        """Return what the code of the filter depends on; raise InputError where shapes do not fit."""
+        """Return the key of the kernel; raise InputError unless all shapes fit."""
         size = self.centre.shape
         planes = [("features", self.features)] + [("lobes", self.lobes)] * (self.lobes is not None)
         counts = [image.shape[0] if image is not None and image.ndim == 3 else 1 for _, image in planes]
@@ -234,7 +225,7 @@ class AffinityInputs(NamedTuple):
         return AffinityKey(counts[0], counts[1] if len(counts) > 1 else 0)
 
     def name_images(self) -> dict[str, Image]:
-        """Return the arrays that there are, as the kernel takes them."""
+        """Return the arrays that are not None by name, dense and float32."""
         return {name: take_dense(image) for name, image in self._asdict().items() if image is not None}
 
 
@@ -246,14 +237,14 @@ def run_affinity(inputs: AffinityInputs, *, step: int = 1, device: str = "cpu") 
     ----------
     inputs : AffinityInputs
     step : int
-        Pixels from tap to tap, from 1 to `MAX_STEP`.
+        Distance between neighbouring taps, pixels, from 1 to `MAX_STEP`.
     device : str
         A name from `lobewise.backend.devices.list_devices`.
 
     Raises
     ------
     InputError
-        If an array has none of the shapes of `AffinityInputs`.
+        If an array has another shape than `AffinityInputs` asks for.
     """
     key = inputs.find_key()
     kernel = get_kernel(device, key, partial(_make_affinity, key))

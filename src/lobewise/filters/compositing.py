@@ -1,7 +1,7 @@
-"""From one surface per pixel to what the pixel's area shows: silhouettes and edges of textures without steps.
+"""Composite filtered light over the area of each pixel, so that silhouettes and texture edges have no steps.
 
-Filters work with the surface at a pixel's centre. Where others share the pixel, `GBuffer.coverage` says how much of its
-area the centres around it stand for, and the light that falls on those is mixed by area and albedo.
+Filters use the surface at a pixel's centre. Where several surfaces share a pixel, `GBuffer.coverage` holds the share of
+its area that the surface at each neighbouring centre covers. The light of the surfaces is mixed by area and albedo.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_na
 from lobewise.filters.cross_pass import COLORS
 from lobewise.frame import FloatArray
 
-SMALLEST_SHARE = 1e-6
-"""Sum of shares times albedos below which a pixel keeps the light at its own centre."""
-EMISSION_WORTH = 16.0
-"""Samples that `lobewise.GBuffer.mean_emission` counts as: its rays are so many. Spread evenly over the pixel they are
-worth twice as much at straight edges, and no more than samples where lamps are smaller than a pixel."""
+MIN_TINTED_AREA = 1e-6
+"""Smallest sum of area times albedo; below it a channel keeps the light at the pixel's own centre."""
+MEAN_EMISSION_SPP = 16.0
+"""Samples that `lobewise.GBuffer.mean_emission` counts as, its number of rays. The rays are spread evenly over the
+pixel: at straight edges they are worth twice as many samples, at lamps smaller than a pixel no more."""
 UNKNOWN_SPP = 16.0
-"""Samples that emission counts for where nobody told how many there are."""
+"""Samples per pixel that emission counts as if their number is not known."""
 REACH = 1
-"""Pixels to each side whose light may fall on a pixel's area."""
+"""Distance of the farthest pixel whose light is mixed in, rows or columns."""
 
 
 def composite_light(
@@ -38,22 +38,22 @@ def composite_light(
     """Return the radiance of every pixel's area, shape (height, width, 3), from the light at pixel centres.
 
     With ``coverage`` the light is ``L_i = sum_k c_ik a_k L_k / sum_k c_ik a_k`` over the 3x3 neighbours, channel by
-    channel; times the albedo of pixel i this is the radiance of its area, exactly where every surface has one albedo
-    or all have the same light. Where none of its surfaces is lit a pixel keeps its radiance, NaN if that is bad.
+    channel; times the albedo of pixel i it is the radiance of its area. This is exact if all surfaces have one albedo
+    or receive the same light. A pixel without a lit surface keeps its radiance, NaN if its radiance is bad.
 
     Parameters
     ----------
     images : sequence of array, shape (height, width, 3)
-        One or two, whose mean is the light, radiance over albedo, finite, >= 0.
+        One or two images, radiance over albedo, finite, >= 0; their mean is the light.
     lit : bool array, shape (height, width)
-        Where it has meaning.
+        True where the light is defined.
     radiance : array, shape (height, width, 3)
-        As it came.
+        Unfiltered radiance.
     albedo : array, shape (height, width, 3), optional
-        Mean albedo of every pixel's area; without coverage that at its centre will do. Channels that are negative or
-        not finite count 0.
+        Mean albedo of every pixel's area, or without coverage the albedo at its centre. Channels that are negative or
+        not finite count as 0.
     coverage : array, shape (height, width, 9), optional
-        As in `lobewise.frame.GBuffer`; needs albedo.
+        See `lobewise.frame.GBuffer`; needs albedo.
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
@@ -62,21 +62,21 @@ def composite_light(
 
 
 def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) -> FloatArray:
-    """Return the emission of samples averaged with a mean over the pixel's area, (height, width, 3), by their worth.
+    """Return the average of the emission of samples and the mean emission of the pixel's area, by number of samples.
 
-    Where a pixel shows one lamp or one part of the sky both are equal. At the edge of a lamp the samples are as noisy
-    as the choice of what they meet: dots and saw teeth, each as bright as the lamp.
+    Where a pixel shows one lamp or one part of the sky, both are equal. At the edge of a lamp few samples choose
+    between lamp and background, so the emission of samples shows dots and saw teeth as bright as the lamp.
 
     Parameters
     ----------
     emission : array, shape (height, width, 3)
-        Of the samples, finite, >= 0.
+        Emission of the samples, finite, >= 0.
     mean : array, shape (height, width, 3)
-        As `lobewise.GBuffer.mean_emission`. What is negative or not finite there does not count.
+        See `lobewise.GBuffer.mean_emission`. Values that are negative or not finite do not count.
     spp : float or None
         Samples per pixel.
     """
-    share = np.float32(EMISSION_WORTH / (EMISSION_WORTH + (UNKNOWN_SPP if spp is None else spp)))
+    share = np.float32(MEAN_EMISSION_SPP / (MEAN_EMISSION_SPP + (UNKNOWN_SPP if spp is None else spp)))
     good = (mean >= 0.0) & (mean <= np.finfo(np.float32).max)
     return np.where(good, emission + share * (np.where(good, mean, np.float32(0.0)) - emission), emission)
 
@@ -111,14 +111,14 @@ def _define_composite(grid: Grid) -> list[Vector]:
                 sums[channel] = sums[channel] + weight * value
                 weights[channel] = weights[channel] + weight
         light = [
-            hl.select(weight > hl.f32(SMALLEST_SHARE), total / weight, own)
+            hl.select(weight > hl.f32(MIN_TINTED_AREA), total / weight, own)
             for total, weight, own in zip(sums, weights, light, strict=True)
         ]
         known = area > zero
     tints = read_albedo(grid.x, grid.y) if grid.has("albedo") else [hl.f32(1.0)] * COLORS
     raw = grid.read("radiance")
     good = ~(expressions.is_bad(raw[0]) | expressions.is_bad(raw[1]) | expressions.is_bad(raw[2]))
-    # Bits, because what is kept may be NaN.
+    # Select bits, because the kept radiance may be NaN.
     kept = [hl.reinterpret(hl.UInt(32), select_or_nan(good, value)) for value in raw]
     found = [hl.reinterpret(hl.UInt(32), value * tint) for value, tint in zip(light, tints, strict=True)]
     return [[hl.reinterpret(hl.Float(32), hl.select(known, a, b)) for a, b in zip(found, kept, strict=True)]]

@@ -1,4 +1,4 @@
-"""The cross filter: which passes make up a form, and what goes into each."""
+"""The cross filter: runs the passes of a form on a frame."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
 from lobewise.settings import FORMS
 
-LARGEST_SCRATCH = 1 << 29
-"""Bytes of an image between two passes that are kept for the next call."""
-LEAST_STRIPS = 16
-"""Strips of rows of a tile of the separable form, at least."""
-WIDEST_TILE = 2048
-"""Columns of a tile, at most: planes of a wider strip would lie in memory instead of in a cache."""
-WIDEST_VECTOR = 16
+MAX_SCRATCH_BYTES = 1 << 29
+"""Largest image between two passes whose memory is kept for the next call, bytes."""
+MIN_TILE_STRIPS = 16
+"""Smallest number of strips in a tile of the separable form."""
+MAX_TILE_COLUMNS = 2048
+"""Largest width of a tile of the separable form, pixels: the planes of a wider strip would not fit into the cache."""
+MAX_VECTOR_PIXELS = 16
 """Pixels of the widest vector of any processor."""
 
 
 @dataclass(frozen=True)
 class FilterOutput:
-    """What a filter run gives.
+    """The result of a filter.
 
     Parameters
     ----------
     image : (height, width, 3)
-        Filtered radiance; 0 where no tap had any weight.
+        Filtered radiance; 0 where all taps have weight 0.
     weight_sum, effective_samples : (height, width)
         Sum of the weights; ``(sum w)^2 / sum w^2``.
     moment : (height, width), optional
-        Weighted mean of the squared luminance of the samples, over their albedo.
+        Weighted mean of the squared luminance of radiance over albedo.
     """
 
     image: FloatArray
@@ -56,15 +56,15 @@ class FilterOutput:
 
 
 class _Scratch(threading.local):
-    """What passes hand on, by thread: memory that the system gave once costs nothing the next time."""
+    """Memory for images between two passes, per thread. Reusing it saves the page faults of fresh memory."""
 
     def __init__(self) -> None:
         self._held: dict[int, FloatArray] = {}
 
     def lend(self, slot: int, shape: tuple[int, ...]) -> FloatArray | None:
-        """Return memory of a shape, whose content is of no use; None where it would be too much to keep."""
+        """Return uninitialised memory of a shape; None if it is too large to keep."""
         count = math.prod(shape)
-        if 4 * count > LARGEST_SCRATCH:
+        if 4 * count > MAX_SCRATCH_BYTES:
             return None
         if slot not in self._held or self._held[slot].size < count:
             self._held[slot] = np.empty(count, np.float32)
@@ -75,7 +75,7 @@ _scratch = _Scratch()
 
 
 def _split_output(pixels: FloatArray) -> FilterOutput:
-    """Return what a last pass wrote, (height, width, channels), channel by channel."""
+    """Return the output of a last pass, (height, width, channels), split into its channels."""
     parts = slice(0, COLORS), *range(COLORS, pixels.shape[2])
     image, *rest = (np.ascontiguousarray(pixels[..., part]) for part in parts)
     return FilterOutput(image, *rest)
@@ -100,9 +100,9 @@ def run_filter(
     Parameters
     ----------
     radiance : array, shape (height, width, 3)
-        Linear radiance. NaN, infinite and negative pixels get weight 0 and are filled from their neighbours.
+        Linear radiance. NaN, infinite and negative pixels have weight 0 and are filled from their neighbours.
     mask : bool array, shape (height, width)
-        False where a pixel has no meaning for these features: it neither gives nor takes.
+        False where a pixel has no meaning for the features: it has weight 0 and its result is 0.
     features : sequence of Feature
         Their similarities are multiplied.
     form : {"full", "separable", "atrous"}
@@ -112,7 +112,7 @@ def run_filter(
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in and multiplies it on the way out.
     modulate : bool
-        Whether it does the latter.
+        Whether to multiply by the albedo on the way out.
     moment : bool
         Whether to average the squared luminance as well.
     strictness : array, shape (height, width), optional
@@ -138,7 +138,7 @@ def run_filter(
         *passes[0][:2],
         tuple(describe_structure(feature) for feature in features),
         reads=Reads.RADIANCE if albedo is None else Reads.DEMODULATED,
-        # Several images from one kernel would be computed several times elsewhere.
+        # On graphics cards a kernel with several output images would compute everything once per image.
         writes=Writes.IMAGES if device == "cpu" else Writes.PIXELS,
         modulate=albedo is not None and modulate,
         moment=moment,
@@ -162,7 +162,7 @@ def run_filter(
 
 @dataclass(frozen=True)
 class _Run:
-    """The kernels of a form, and what they read beside the image; not every pass reads all."""
+    """The kernels of a form, and the arguments of all of them beside the image. Not every pass reads all images."""
 
     kernels: Sequence[Kernel]
     beside: Mapping[str, Image]
@@ -178,7 +178,7 @@ class _Run:
         step: int = 1,
         part: tuple[slice, ...] = (),
     ) -> None:
-        """Run a pass over the pixels ``part``, which ``source`` has already; over all without it."""
+        """Run a pass over the pixels ``part``, or over all; ``source`` is already cut to the part."""
         read = {each.name for each in kernel.parameters}
         lent = {
             name: lend(download(image)[part] if part else image, self.device)
@@ -201,9 +201,9 @@ class _Run:
     def filter_tile(
         self, image: Image, results: Mapping[str, FloatArray], radius: int, rows: slice, columns: slice
     ) -> None:
-        """Filter a tile: along its rows and those that columns reach above and below, and then along its columns."""
-        # Vectors begin and end where they do in the image, so that every pixel is computed as it is there.
-        beside = -(-radius // WIDEST_VECTOR) * WIDEST_VECTOR
+        """Filter a tile along rows, with the rows above and below that columns reach; then along columns."""
+        # Align vectors with those of the whole image, so that every pixel is computed by the same instructions.
+        beside = -(-radius // MAX_VECTOR_PIXELS) * MAX_VECTOR_PIXELS
         tall = slice(max(rows.start - radius, 0), min(rows.stop + radius, image.shape[0]))
         wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
         along, down = self.kernels
@@ -219,14 +219,14 @@ class _Run:
 
 
 def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
-    """Return the rows and columns that the separable form filters one after the other.
+    """Return the rows and columns of tiles that the separable form filters one after the other.
 
-    So that what its first pass writes takes little memory, and the same for all tiles; each gives every thread some
-    strips, and no strip is so wide that its planes lie far from the processor.
+    Tiles keep the memory between both passes small. Each tile has several strips for every thread, and is narrow enough
+    that the planes of a strip stay in cache.
     """
-    rows = STRIP_ROWS * max(LEAST_STRIPS, 2 * (os.cpu_count() or 1))
-    columns = -(-width // -(-width // WIDEST_TILE))
-    columns = -(-columns // WIDEST_VECTOR) * WIDEST_VECTOR
+    rows = STRIP_ROWS * max(MIN_TILE_STRIPS, 2 * (os.cpu_count() or 1))
+    columns = -(-width // -(-width // MAX_TILE_COLUMNS))
+    columns = -(-columns // MAX_VECTOR_PIXELS) * MAX_VECTOR_PIXELS
     return [
         (slice(top, min(top + rows, height)), slice(left, min(left + columns, width)))
         for top in range(0, height, rows)

@@ -1,10 +1,10 @@
-"""The cross-bilateral sum as a Halide algorithm: what each pixel is, not how it is computed.
+"""The cross-bilateral sum as a Halide algorithm, without a schedule.
 
 ``out_i = sum_j w(i, j) I_j / sum_j w(i, j)`` with ``w = prod_f similarity_f(i, j)``. One pass sums over the taps of
-one form; ``separable`` and ``atrous`` chain passes and hand on the undivided sums, so that bad pixels, image borders
-and poorly supported rows are weighted rightly, a constant stays that constant and the weight sum stays testable.
+one form; ``separable`` and ``atrous`` chain passes and pass on the undivided sums. Bad pixels, image borders and poorly
+supported rows are then weighted correctly, a constant stays the constant, and tests can read the weight sum.
 
-Channels of an undivided image: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights, and on demand
+Channels of undivided sums: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights, and optionally
 5 the weighted squared luminance.
 """
 
@@ -31,35 +31,35 @@ WEIGHT = 3
 SQUARED_WEIGHT = 4
 
 ALBEDO_FLOOR = 1e-3
-"""Albedo below which a pixel says nothing about the light it receives; it gets weight 0."""
+"""Albedo below which a pixel does not reveal the light that it receives; its weight is 0."""
 
 U, V = hl.Var("u"), hl.Var("v")
-"""Tap, in steps to the right and down."""
+"""Offset of a tap, in steps to the right and down."""
 
 
 class Reads(Enum):
-    """What a pass takes from its taps."""
+    """The input of a pass."""
 
     RADIANCE = "radiance"
     DEMODULATED = "demodulated"
-    """Radiance over an albedo."""
+    """Radiance, divided by an albedo."""
     SUMS = "sums"
-    """What a pass before wrote."""
+    """Undivided sums of a pass before."""
 
 
 class Writes(Enum):
-    """What a pass gives."""
+    """The output of a pass."""
 
     SUMS = "sums"
     PIXELS = "pixels"
-    """One image: radiance, weight sum, effective samples, and the moment where there is one."""
+    """One image with the channels radiance, weight sum, effective samples, and optionally moment."""
     IMAGES = "images"
-    """The same, each an image of its own."""
+    """Radiance, weight sum, effective samples and moment, each as an image of its own."""
 
 
 @dataclass(frozen=True)
 class PassKey:
-    """Everything that changes a pass's code; what may differ between two calls of it is an argument instead."""
+    """Everything that changes the code of a pass. Values that may differ from call to call are arguments instead."""
 
     taps: Taps
     radius: int
@@ -67,29 +67,29 @@ class PassKey:
     reads: Reads
     writes: Writes
     modulate: bool = False
-    """Multiplies by an albedo on the way out, where it does not write sums."""
+    """Multiply the result by the albedo; only for passes that do not write sums."""
     moment: bool = False
-    """Sums squared luminance as well."""
+    """Also sum the squared luminance."""
     strict: bool = False
-    """Raises the weights of every centre's taps to a power of its own."""
+    """Raise the weights of each centre's taps to the centre's power."""
     mirrored: bool = False
-    """Weighs two pixels of a row once, for both: only where `can_mirror` says so, not ``strict``."""
+    """Compute each weight of two pixels of a row once, for both: only if `can_mirror` allows, not with ``strict``."""
 
     @property
     def channels(self) -> int:
-        """How many channels the sums have."""
+        """Number of channels of the sums."""
         return SUM_CHANNELS + self.moment
 
     @property
     def reads_albedo(self) -> bool:
-        """Whether there is an albedo."""
+        """Whether the pass reads an albedo."""
         return self.modulate or self.reads is Reads.DEMODULATED
 
 
 def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[PassKey]:
-    """Return the keys of passes over ``taps`` that hand on sums and do together what ``whole`` says.
+    """Return the keys of passes over ``taps`` that pass on sums and together compute ``whole``.
 
-    ``mirror`` where the device gains from `PassKey.mirrored`.
+    ``mirror`` if the device gains from `PassKey.mirrored`.
     """
     last = len(taps) - 1
     return [
@@ -107,54 +107,54 @@ def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[
 
 @dataclass(frozen=True)
 class PassInputs:
-    """What a pass reads; a caller may bring its own, to name the arguments or to chain passes in one kernel."""
+    """The inputs of a pass. A caller may give its own, to name the arguments or to chain passes in one kernel."""
 
     source: hl.ImageParam | hl.Func
     """Radiance (c, x, y), or sums (x, c, y)."""
     albedo: hl.ImageParam | None
     mask: hl.ImageParam
-    """1 where a pixel may give and take."""
+    """1 where a pixel has meaning, else 0."""
     arrays: list[hl.ImageParam]
-    """Those of every feature."""
+    """The arrays of every feature."""
     step: hl.Expr
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
     strictness: hl.ImageParam | None = None
 
 
-@dataclass
+@dataclass(kw_only=True)
 class PassFuncs:
-    """The Halide functions of one pass, for the schedules."""
+    """The Halide functions of one pass, for its schedules."""
 
     key: PassKey
     signature: Signature
     image: hl.Func
     planes: GuidePlanes
-    """What taps read."""
+    """Guides and planes that taps read."""
     rows: Rows | None
-    """What image and planes are made of, on processors."""
+    """Parts of rows that image and planes are computed in, on processors."""
     stages: list[hl.Func]
     weights: hl.Func | None
-    """Of a pixel and those to its right, where pairs are weighed once."""
+    """Weights of a pixel with its right-hand neighbours, if the pass is mirrored."""
     row: hl.Func
-    """Sums over one row of taps, or over the column of a vertical pass."""
+    """Sums over one row of taps, or over the column of taps of a vertical pass."""
     inner: hl.RDom
     sums: hl.Func
     outer: hl.RDom
     out: hl.Func
     rest: hl.Func | None
-    """What is written beside ``out``, planes of one image each."""
+    """Further outputs beside ``out``, one image each."""
     finish: hl.Func | None
-    """What both are read from."""
+    """The results that ``out`` and ``rest`` read."""
 
 
 def describe_structure(feature: Feature) -> Hashable:
-    """Return what identifies the code of a feature."""
+    """Return the part of a kernel's key that identifies the code of a feature."""
     return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())
 
 
 def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
-    """Return what keeps a value at pixel and tap in a function of its own, which it adds to ``stages``."""
+    """Return a `Stage` that computes a value of pixel and tap in a function of its own and adds it to ``stages``."""
 
     def stage(value: hl.Expr) -> hl.Expr:
         func = hl.Func(f"stage{len(stages)}")
@@ -166,7 +166,6 @@ def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
 
 
 def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
-    """Return the luminance of a colour."""
     return dot([hl.f32(share) for share in LUMINANCE], colour)
 
 
@@ -177,7 +176,7 @@ def demodulate(
     floor: hl.Expr,
     albedo_at: tuple[hl.Expr, hl.Expr] | None = None,
 ) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return the radiance at a pixel over its albedo, which no channel has below ``floor``, and whether it is good."""
+    """Return a pixel's radiance over its albedo, raised to ``floor`` where it is smaller, and whether both are good."""
     radiance: list[hl.Expr] = [source[k, at[0], at[1]] for k in range(3)]
     good = expressions.is_good(radiance)
     if albedo is not None:
@@ -186,13 +185,13 @@ def demodulate(
         for k, tint in enumerate(tints):
             good = good & ~expressions.is_bad(tint)
             radiance[k] = radiance[k] / hl.max(tint, floor)
-        # A coloured metal may lack a channel altogether; a pixel is dropped when it lacks all of them.
+        # A coloured metal may have albedo 0 in a channel. A pixel is dropped if all its channels are below the floor.
         good = good & (hl.max(tints[0], tints[1], tints[2]) > floor)
     return radiance, good
 
 
 def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]) -> PassInputs:
-    """Declare all that a pass reads and writes."""
+    """Declare the inputs and outputs of a pass."""
     size = "height", "width"
     axes = ("height", key.channels, "width") if key.reads is Reads.SUMS else (*size, COLORS)
     inputs = PassInputs(
@@ -218,9 +217,9 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
 def make_pass(
     key: PassKey, features: Sequence[Feature], inputs: PassInputs | None = None, *, lanes: int = 0
 ) -> PassFuncs:
-    """Return the algorithm of one pass, for processors with vectors of ``lanes`` pixels, or 0 for others.
+    """Return the algorithm of one pass, for processors with vectors of ``lanes`` pixels; 0 lanes for graphics cards.
 
-    Its inputs are those that are given, or parameters of a signature of its own.
+    Without ``inputs`` they are the parameters of the pass's signature.
     """
     signature = Signature("cross pass")
     inputs = inputs or declare_pass(signature, key, features)
@@ -234,20 +233,35 @@ def make_pass(
     if weights is None:
         row, inner = _sum_row(key, image, stages[-1], spread)
     else:
-        # Of a pixel and those to its right, which are those of these pixels and it.
+        # Weights of a pixel with its right-hand neighbours. Each weight serves both pixels of the pair.
         weights[X, Y, U] = expressions.exp2(stages[-1][X, Y, U, 0])
         row, inner = _sum_pairs(key, image, weights)
-    # A column of taps that was summed as a row is all there is.
+    # A vertical pass has its whole column of taps in ``row``.
     outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
     sums = hl.Func("sums")
     sums[X, Y] = hl.Tuple([hl.f32(0.0)] * key.channels)
     _add(sums, (X, Y), [row[X, Y, outer.x][k] for k in range(key.channels)])
     out, rest, finish = _write(key, inputs, sums)
-    return PassFuncs(key, signature, image, planes, rows, stages, weights, row, inner, sums, outer, out, rest, finish)
+    return PassFuncs(
+        key=key,
+        signature=signature,
+        image=image,
+        planes=planes,
+        rows=rows,
+        stages=stages,
+        weights=weights,
+        row=row,
+        inner=inner,
+        sums=sums,
+        outer=outer,
+        out=out,
+        rest=rest,
+        finish=finish,
+    )
 
 
 def _read_image(key: PassKey, inputs: PassInputs, rows: Rows | None) -> hl.Func:
-    """Return what taps sum up: radiance over albedo and a weight of 1, or nothing at all where a pixel is bad."""
+    """Return the summands of taps: radiance over albedo and weight 1, or sums as they are; all 0 for a bad pixel."""
 
     def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
         if key.reads is Reads.SUMS:
@@ -264,7 +278,7 @@ def _read_image(key: PassKey, inputs: PassInputs, rows: Rows | None) -> hl.Func:
 
 
 def _tap_profile(offset: hl.Expr) -> hl.Expr:
-    """Return log2 of the B-spline weight at -2..2."""
+    """Return log2 of the B-spline weight at an offset from -2 to 2."""
     centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
     return hl.select(distance == 0, centre, distance == 1, near, far)
@@ -273,7 +287,7 @@ def _tap_profile(offset: hl.Expr) -> hl.Expr:
 def _compare(
     key: PassKey, features: Sequence[Feature], inputs: PassInputs, planes: GuidePlanes, spread: hl.Expr
 ) -> list[hl.Func]:
-    """Return the stages of the logarithm of a tap's weight; the last one is that logarithm."""
+    """Return the stages of the logarithm of a tap's weight; the last one is the logarithm."""
     stages: list[hl.Func] = []
     stage = make_stage(stages, (X, Y, U, V))
     offset = hl.f32(U * spread), hl.f32(V * spread)
@@ -293,8 +307,8 @@ def _compare(
 
 
 def _take(key: PassKey, image: hl.Func, weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
-    """Return what a tap adds to every sum."""
-    # Radiance counts once: its weight and squared weight are one plane.
+    """Return the summand of a tap for every sum."""
+    # Radiance has weight 1 and squared weight 1: both read one plane.
     single = key.reads is not Reads.SUMS
     planes = [min(k, WEIGHT) if single and k < SUM_CHANNELS else k for k in range(key.channels)]
     factors = [weight] * key.channels
@@ -307,9 +321,9 @@ def _add(sums: hl.Func, at: tuple[hl.Expr, ...], values: Sequence[hl.Expr]) -> N
 
 
 def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr) -> tuple[hl.Func, hl.RDom]:
-    """Return the sums over a row of taps, or over the column that a vertical pass has, and these taps.
+    """Return the sums over a row of taps, or over the column of taps of a vertical pass, and the taps.
 
-    By itself, so that its sums stay in registers.
+    The function is separate so that its sums stay in registers.
     """
     across, down = find_reach(key.taps, key.radius)
     reach = across or down
@@ -323,7 +337,7 @@ def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr)
 
 
 def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func) -> tuple[hl.Func, hl.RDom]:
-    """Return the sums over a row of taps, two at a time, and how far these are from the pixel."""
+    """Return the sums over a row of taps, added in pairs left and right of the pixel, and the pairs' distances."""
     inner = hl.RDom([(1, key.radius)], "inner")
     row = hl.Func("row")
     row[X, Y, V] = hl.Tuple(_take(key, image, weights[X, Y, 0], X, Y))
@@ -334,7 +348,7 @@ def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func) -> tuple[hl.Func,
 
 
 def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl.Func | None, hl.Func | None]:
-    """Return what a pass writes: an image, images of one channel beside it, and what both are read from."""
+    """Return the outputs of a pass, ``out``, ``rest`` and ``finish`` of `PassFuncs`."""
     values = [sums[X, Y][k] for k in range(key.channels)]
     out = hl.Func("out")
     if key.writes is Writes.SUMS:
@@ -353,7 +367,7 @@ def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl
 
 
 def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Expr]:
-    """Return a pixel's radiance, weight sum, effective samples and, where it was summed, moment."""
+    """Return a pixel's radiance, weight sum, effective samples and, if it was summed, moment."""
     weight = sums[WEIGHT]
     mean = [value / weight for value in sums[:COLORS]]
     if key.modulate and inputs.albedo is not None:
@@ -364,8 +378,8 @@ def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[h
 
 
 def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:
-    """Return how many equal samples a sum of weights is worth.
+    """Return the effective number of samples, ``(sum w)^2 / sum w^2``.
 
-    The squares underflow before the sum does: then one far tap decides, which is one sample.
+    If the squares underflow before the sum does, one far tap dominates, which is one sample.
     """
     return hl.select(squares > hl.f32(0.0), total * total / squares, hl.f32(1.0))

@@ -1,15 +1,16 @@
-"""The cross-bilateral sum over two halves of the samples, both by the same weights.
+"""The cross-bilateral sum over two halves of the samples, both with the same weights.
 
-For both halves X at once, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)`` with
-``w = a_j place^p lobes^l seen^s exp(-r E)``: a_j the luminance of the albedo (so that the mean is that of light
-received, as a ratio of sums is), ``place``, ``lobes`` and ``seen`` the products of the similarities of three groups of
-features, and E how far apart the two pixels are in a guide, an image filtered before. How far the filtered halves are
-apart then tells how noisy they are. Several variants (p, l, r, s) share all that is the same for them.
+For both halves X, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)``, ``w = a_j place^p lobes^l seen^s exp(-r E)``.
+a_j is the luminance of the albedo, so that the mean is the ratio of reflected radiance to albedo. ``place``, ``lobes``
+and ``seen`` are the products of the similarities of three groups of features. E is the distance of the two pixels in a
+guide, an image that was filtered before. The difference of the filtered halves then shows their noise. A variant is one
+set of exponents (p, l, r, s); variants share all work that does not depend on the exponents.
 
 The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means
-Filtering": squared differences less what the noise explains, over the noise. Departs: of pixels, not of patches,
-because the guide is a filtered image already; and one guide for both halves, not each half by the other's: what a pilot
-averages hardly knows the noise of a single pixel, and one weight is less work than two (docs/quality.md).
+Filtering": squared differences minus the part that noise explains, over the noise. Departs: compares pixels instead of
+patches, because the guide is a filtered image; uses one guide for both halves instead of each half's for the other,
+because a filtered pilot hardly depends on the noise of a single pixel, and one weight is less work than two
+(docs/quality.md).
 """
 
 from __future__ import annotations
@@ -39,15 +40,15 @@ from lobewise.filters.planes import C, Rows, X, Y, make_guide_planes, make_image
 
 HALVES = 2
 GUIDE_CHANNELS = COLORS + 1
-"""Colours and their variance."""
+"""Channels of a guide: three colours and their variance."""
 SUMS = COLORS + 2
-"""Of one half in one variant: weighted radiance, weight, squared weight."""
+"""Sums of one half in one variant: weighted radiance, weight, squared weight."""
 NOISE_FLOOR = 1e-4
-"""Added to the noise that differences are divided by."""
+"""Added to the variance that squared differences are divided by."""
 
 
 class Exponents(NamedTuple):
-    """Powers to which a variant raises the similarities of place, of lobes, of the guides and of what is seen."""
+    """The exponents of a variant: of the similarities of its groups, and of the distance in the guide (``range``)."""
 
     place: float
     lobes: float
@@ -56,7 +57,7 @@ class Exponents(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Features, or what there is of them, by group: each has an exponent of its own."""
+    """Features, or something for each feature, by group. Each group has an exponent of its own."""
 
     place: Any
     lobes: Any
@@ -73,23 +74,23 @@ class DualBufferKey:
     demodulate: bool
     guided: bool
     joined: bool
-    """Whether only the mean of both halves is wanted."""
+    """Whether the pass computes only the mean of both halves."""
     variants: int
 
     @property
     def plane_count(self) -> int:
-        """Planes of the images that taps read."""
+        """Number of planes of the images that taps read."""
         return COLORS + 2 if self.joined else HALVES * (COLORS + 1)
 
     @property
     def summed(self) -> int:
-        """Halves that are summed apart."""
+        """Number of halves that are summed separately."""
         return 1 if self.joined else HALVES
 
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What a dual-buffer pass reads."""
+    """The inputs of a dual-buffer pass."""
 
     halves: list[hl.ImageParam]
     albedo: hl.ImageParam | None
@@ -104,16 +105,16 @@ class _Inputs:
 
 
 class HalfSums(NamedTuple):
-    """The sums of a pixel over taps: of one half, or of both together."""
+    """The sums over the taps of a pixel, of one half or of both together."""
 
     light: list[hl.Expr]
     weight: hl.Expr
     squared_weight: hl.Expr
 
 
-@dataclass
+@dataclass(kw_only=True)
 class DualBufferFuncs:
-    """The Halide functions of a dual-buffer pass, for the schedules."""
+    """The Halide functions of a dual-buffer pass, for its schedules."""
 
     key: DualBufferKey
     signature: Signature
@@ -122,7 +123,7 @@ class DualBufferFuncs:
     planes: Groups
     """`GuidePlanes` of every group of features."""
     rows: Rows | None
-    """What images, guide and planes are made of, on processors."""
+    """Parts of rows that images, guide and planes are computed in, on processors."""
     stages: list[hl.Func]
     row: hl.Func
     across: hl.RDom
@@ -132,7 +133,7 @@ class DualBufferFuncs:
 
 
 def name_images(key: DualBufferKey, variant: int) -> list[str]:
-    """Return the names of the images of a variant: the mean of each half, or of both, and how it is supported."""
+    """Return the names of a variant's output images: the mean of each half, or of both halves, and the support."""
     return [f"{name}{variant}" for name in (("mean", "support") if key.joined else ("a", "b", "support"))]
 
 
@@ -142,7 +143,7 @@ def give_exponents(variants: Sequence[Exponents]) -> dict[str, float]:
 
 
 def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Inputs:
-    """Declare all that a pass reads and writes."""
+    """Declare the inputs and outputs of a pass."""
     size = "height", "width"
     named = groups._asdict().items()
     exponents = [signature.number(name) for name in give_exponents([Exponents(0.0, 0.0)] * key.variants)]
@@ -165,7 +166,7 @@ def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Input
 
 
 def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0) -> DualBufferFuncs:
-    """Return the algorithm of a dual-buffer pass, for processors with vectors of ``lanes`` pixels, or 0 for others."""
+    """Return the algorithm of a dual-buffer pass; ``lanes`` pixels make a processor's vector, 0 for graphics cards."""
     signature = Signature("dual buffer")
     inputs = _declare(signature, key, groups)
     mask = inputs.mask
@@ -184,7 +185,7 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     distance = None if guide is None else stage(_find_distance(guide, inputs))
     log_weight = _weigh(inputs, logs, distance)
 
-    # A row of taps is summed by itself, so that its sums stay in registers.
+    # Sum each row of taps in a separate function, so that its sums stay in registers.
     span = [(-key.radius, 2 * key.radius + 1)]
     across, down = hl.RDom(span, "across"), hl.RDom(span, "down")
     row, sums = hl.Func("row"), hl.Func("sums")
@@ -204,14 +205,26 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     out = hl.Func("out")
     out[C, X, Y] = hl.Tuple(results)
     return DualBufferFuncs(
-        key, signature, images, guide, planes, rows, [*stages, log_weight], row, across, sums, down, out
+        key=key,
+        signature=signature,
+        images=images,
+        guide=guide,
+        planes=planes,
+        rows=rows,
+        stages=[*stages, log_weight],
+        row=row,
+        across=across,
+        sums=sums,
+        down=down,
+        out=out,
     )
 
 
 def _read_images(key: DualBufferKey, inputs: _Inputs, rows: Rows | None) -> hl.Func:
-    """Return what taps sum up: radiance over albedo, times its luminance, which is the weight; nothing where it is bad.
+    """Return the summands of taps: radiance over albedo times the albedo's luminance, and the luminance as weight.
 
-    Of each half, or of both halves together; then there is also the weight of one, for the sum of squares.
+    All are 0 for a bad pixel. They are planes of each half, or of the sum of both halves; then the weight of one half
+    follows, for the sum of squared weights.
     """
 
     def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
@@ -231,7 +244,7 @@ def _read_images(key: DualBufferKey, inputs: _Inputs, rows: Rows | None) -> hl.F
 
 
 def _compare(groups: Groups, inputs: _Inputs, planes: Groups, stage: Stage) -> Groups:
-    """Return the logarithm of the similarity of each group of features at a tap."""
+    """Return the base-2 logarithm of a tap's similarity for each group of features."""
     step = inputs.step
     offset = hl.f32(U * step), hl.f32(V * step)
     logs: list[hl.Expr] = []
@@ -245,7 +258,7 @@ def _compare(groups: Groups, inputs: _Inputs, planes: Groups, stage: Stage) -> G
 
 
 def _find_distance(guide: hl.Func, inputs: _Inputs) -> hl.Expr:
-    """Return how far apart a pixel and a tap are in the guide, beyond noise, in units of noise and of log2."""
+    """Return the distance of a pixel and a tap in the guide: beyond noise, in units of noise, times log2(e)."""
     there = X + U * inputs.step, Y + V * inputs.step
     own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((X, Y), there))
     explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
@@ -256,7 +269,7 @@ def _find_distance(guide: hl.Func, inputs: _Inputs) -> hl.Expr:
 
 
 def _weigh(inputs: _Inputs, logs: Groups, distance: hl.Expr | None) -> hl.Func:
-    """Return the logarithm of a tap's weight in every variant."""
+    """Return the base-2 logarithm of a tap's weight in each variant."""
     log_weights: list[hl.Expr] = []
     for powers in inputs.exponents:
         shared = powers.place * logs.place + powers.lobes * logs.lobes + powers.seen * logs.seen
@@ -267,7 +280,7 @@ def _weigh(inputs: _Inputs, logs: Groups, distance: hl.Expr | None) -> hl.Func:
 
 
 def _take(key: DualBufferKey, images: hl.Func, log_weight: hl.Func, step: hl.Expr, across: hl.RDom) -> list[hl.Expr]:
-    """Return what a tap adds to every sum of `HalfSums`, one after the other: every half in every variant."""
+    """Return the summands of a tap, in the order of `HalfSums`, for each half in each variant."""
     at = log_weight[X, Y, across.x, V]
     tap = [images[X + across.x * step, k, Y + V * step] for k in range(key.plane_count)]
     taken: list[hl.Expr] = []
@@ -287,7 +300,7 @@ def _name_sums(sums: hl.Func, number: int) -> HalfSums:
 
 
 def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl.Expr]:
-    """Return the light with the mean of its known channels where the albedo has no such channel to tell it by."""
+    """Return light whose channels with an albedo of almost 0 are replaced by the mean of the other channels."""
     known = [tint > hl.f32(ALBEDO_FLOOR) for tint in tints]
     count = sum((hl.f32(each) for each in known), hl.f32(0.0))
     told = [hl.select(each, value, hl.f32(0.0)) for each, value in zip(known, light, strict=True)]
@@ -296,7 +309,7 @@ def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl
 
 
 def _find_share(albedo: hl.ImageParam | None, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
-    """Return the luminance of the albedo at a pixel; bad channels count 0, and 1 where there is no albedo."""
+    """Return the luminance of the albedo at a pixel, 1 without albedo; bad channels count as 0."""
     if albedo is None:
         return hl.f32(1.0)
     tints = [albedo[k, at[0], at[1]] for k in range(COLORS)]
@@ -304,11 +317,11 @@ def _find_share(albedo: hl.ImageParam | None, at: tuple[hl.Expr, hl.Expr]) -> hl
 
 
 def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
-    """Return the images of a variant; a half that gathered nothing takes the other's mean."""
+    """Return the images of a variant. A half whose weights are all 0 takes the mean of the other half."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     totals = [half.weight for half in halves]
     means = [[hl.select(half.weight > zero, value / half.weight, zero) for value in half.light] for half in halves]
-    # The squares underflow before the sum does: then one far tap decides, which is one sample.
+    # If the squares underflow before the sum does, one far tap dominates, which is one sample.
     spreads = [
         hl.select(
             (half.weight > zero) & (half.squared_weight > zero),
@@ -322,7 +335,7 @@ def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr
         for half in range(HALVES)
     ]
     weight = hl.f32(0.5) * (totals[0] + totals[1]) / hl.max(share, hl.f32(ALBEDO_FLOOR))
-    # The mean of a half and itself is worth that half; the spread of one that gathered nothing is the larger.
+    # If one half is empty, both means are the other half's. The empty half has the larger spread.
     some, both = (totals[0] > zero) | (totals[1] > zero), (totals[0] > zero) & (totals[1] > zero)
     alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
     worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
@@ -330,7 +343,7 @@ def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr
 
 
 def _find_mean(both: HalfSums, share: hl.Expr) -> list[list[hl.Expr]]:
-    """Return the images of a variant whose halves were added up: their mean, and how it is supported."""
+    """Return the images of a variant whose halves are summed together: mean and support."""
     zero, total = hl.f32(0.0), both.weight
     mean = [hl.select(total > zero, value / total, zero) for value in both.light]
     worth = count_samples(total, both.squared_weight)

@@ -1,11 +1,11 @@
-"""Fireflies bounded: a pixel is no brighter than what its neighbours, or its own other half, make plausible.
+"""Bound fireflies: make no pixel much brighter than its neighbours and its own other half allow.
 
-A path that finds a small light by luck is worth thousands of others, and a filter spreads it over its whole kernel.
-Samples as skewed as that are best averaged with the largest of them winsorized, cut down to the next largest; that
-asks for no scale, so it knows neither exposure nor sample count. Source: L.-P. Rivest 1994, "Statistical properties of
-Winsorized means for skewed distributions", Biometrika 81(2). Departs: the bound stands a factor above the other pixels
-of a window instead of at them, because the pixels of a picture differ by more than noise, and a second, independent
-estimate of the same pixel may lift it: what both halves of the samples see is there.
+A path that finds a small light by luck outweighs thousands of others, and a filter spreads it over its whole kernel.
+The mean of such skewed samples is best estimated by winsorizing: the largest sample is cut down to the next largest.
+Winsorizing needs no scale, so it depends neither on exposure nor on the sample count. Source: L.-P. Rivest 1994,
+"Statistical properties of Winsorized means for skewed distributions", Biometrika 81(2). Departs: the bound is a factor
+above the other pixels of a window, because pixels of a picture differ by more than noise. A second, independent
+estimate of the pixel may raise the bound: what both halves of the samples see is no accident.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.fireflies import schedule_fireflies
+from lobewise.filters.schedules.fireflies import FireflyFuncs, schedule_fireflies
 from lobewise.frame import FloatArray
 
 REACH = 6
-"""The window is this many pixels to each side: about what a filter's kernel averages."""
-RATIO = 2.0
-"""How many times brighter the centre may be than the second brightest other pixel: a firefly may have a companion."""
-AGREEMENT = 4.0
-"""How many times brighter than the pixel's other half it may be instead."""
-FEWEST_NEIGHBOURS = 3
-"""Good pixels of the window, besides the centre, without which nothing is known."""
+"""Pixels from the centre of the window to its edge: about the radius of a filter kernel."""
+MAX_RATIO_TO_WINDOW = 2.0
+"""Largest luminance of a pixel over that of the second brightest other pixel of its window. The brightest is ignored,
+because fireflies may come in pairs."""
+MAX_RATIO_TO_HALF = 4.0
+"""Largest luminance of a pixel in one half of the samples over that in the other half. The larger bound counts."""
+MIN_WINDOW_PIXELS = 3
+"""Good pixels that a window needs besides its centre. With fewer, only the other half bounds the pixel."""
 
 UNCOUNTED = -1.0
-"""Luminance of a pixel that does not count."""
+"""Luminance that marks a bad or masked pixel."""
 
 
 class BoundedHalves(NamedTuple):
-    """What `bound_fireflies` gives.
+    """The result of `bound_fireflies`.
 
     Parameters
     ----------
     a, b : (height, width, 3)
-        The two halves, nowhere brighter than they were.
+        The two halves, nowhere brighter than before.
     tally : (height, 2)
-        By row, of all good pixels of both: their luminance before, and what was taken of it.
+        For each row, summed over the good pixels of both halves: luminance before, and luminance taken away.
     """
 
     a: Image
@@ -57,7 +58,7 @@ class BoundedHalves(NamedTuple):
 
     @property
     def energy_lost(self) -> float:
-        """Share of the luminance that was taken, in [0, 1]."""
+        """Share of the luminance that was taken away, in [0, 1]."""
         return find_energy_lost([self.tally])
 
 
@@ -69,28 +70,28 @@ def bound_fireflies(
     *,
     device: str = "cpu",
 ) -> BoundedHalves:
-    """Return the two halves of a layer with their fireflies bounded, and how much light that took.
+    """Return the two halves of a layer with their fireflies bounded, and the light that was taken away.
 
-    Where a pixel's luminance over albedo is more than `RATIO` times the second largest of its window, itself left out,
-    and more than `AGREEMENT` times that of its other half, its colour is scaled down to the larger of the two. The
-    other pixels count by the mean of their halves. So a light, a caustic or a glint of three pixels or more keeps its
-    brightness, and so does one of a single pixel that both halves saw. What is lost is light so rare that a window's
-    samples find it once or twice.
+    A pixel's bound is the larger of two numbers: `MAX_RATIO_TO_WINDOW` times the second largest luminance over albedo
+    among the other pixels of its window, each the mean of its halves; and `MAX_RATIO_TO_HALF` times the luminance over
+    albedo of the pixel's other half. A brighter pixel is scaled down to the bound. A light, caustic or glint of three
+    pixels or more therefore keeps its brightness, and so does a single pixel that both halves saw. Light is lost where
+    it is so rare that the samples of a window find it once or twice.
 
     Measured at 512x512 on ``showroom``, ``parlour``, ``brushed``, ``sparks``, with 1, 4, 16 and 64 samples per pixel:
-    the relative error after a filter of radius 8 falls to 0.78, 0.87, 0.93 and 0.96 of what it was (geometric means),
-    on none of them does it rise. Of the light of the first two 1.9 to 2.8 %, 1.3 %, 0.1 to 0.2 % and under 0.1 % is
-    taken; of ``sparks``, whose small lights paths find by luck, 12 %, 6 %, 3 % and 0.7 %.
+    the relative error after a filter of radius 8 falls to 0.78, 0.87, 0.93 and 0.96 of its former value (geometric
+    means) and rises on no scene. ``showroom`` and ``parlour`` lose 1.9 to 2.8 %, 1.3 %, 0.1 to 0.2 % and under 0.1 % of
+    their light; ``sparks``, whose small lights are found by luck, loses 12 %, 6 %, 3 % and 0.7 %.
 
     Parameters
     ----------
     halves : pair of array, shape (height, width, 3)
-        Linear radiance from two independent halves of the samples, >= 0. NaN where a half has no sample; such pixels,
-        infinite and negative ones neither count nor change.
+        Linear radiance from two independent halves of the samples, >= 0. NaN where a half has no sample. NaN, infinite
+        and negative pixels neither count nor change.
     albedo : array, shape (height, width, 3) or None
-        What luminance is compared over; pixels with next to none do not count.
+        Divides the radiance before luminances are compared. Pixels whose albedo is almost 0 do not count.
     mask : bool array, shape (height, width)
-        False where a pixel is no part of the layer: it neither counts nor changes.
+        False where a pixel does not belong to the layer: it neither counts nor changes.
     device : str
         A name from `lobewise.backend.devices.list_devices`.
 
@@ -99,44 +100,45 @@ def bound_fireflies(
     InputError
         If an image is not real numbers of the mask's size.
     """
-    shape = (*mask.shape, 3)
-    images: dict[str, Image] = {
-        name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)
-    }
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, shape)
-    images["mask"] = take_mask(mask)
-    tinted = albedo is not None
-    kernel = get_kernel(device, (bound_fireflies, tinted), partial(_make_fireflies, tinted))
+    images, tinted = take_halves(halves, albedo, mask), albedo is not None
+    kernel = get_kernel(device, ("fireflies", tinted), partial(_make_fireflies, tinted))
     a, b, *sums = run_kernel(kernel, device, images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)
 
 
+def take_halves(halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]) -> dict[str, Image]:
+    """Return the images that `declare_halves` declares; raise InputError if one has another size than the mask."""
+    shape = (*mask.shape, 3)
+    images = {name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)}
+    if albedo is not None:
+        images["albedo"] = take_image("albedo", albedo, shape)
+    return {**images, "mask": take_mask(mask)}
+
+
 def find_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:
-    """Return which share of the light of some layers was taken, in [0, 1], from the tally of each."""
+    """Return the share of the light of all layers that was taken away, in [0, 1], from their tallies."""
     before, taken = (sum(float(tally[:, k].sum()) for tally in tallies) for k in range(2))
     return min(taken / before, 1.0) if before > 0.0 else 0.0
 
 
 class Crowd(NamedTuple):
-    """What is known of some pixels."""
+    """The two largest luminances of a group of pixels, and how many of the pixels count."""
 
     largest: hl.Expr
-    """Luminance; `UNCOUNTED` where none counts."""
+    """`UNCOUNTED` if no pixel counts."""
     second: hl.Expr
-    """The second largest."""
+    """`UNCOUNTED` if fewer than two pixels count."""
     count: hl.Expr
-    """Of those that count."""
 
     def join(self, other: Crowd) -> Crowd:
-        """Return what is known of both together."""
+        """Return the crowd of all pixels of two disjoint crowds."""
         second = hl.max(hl.min(self.largest, other.largest), hl.max(self.second, other.second))
         return Crowd(hl.max(self.largest, other.largest), second, self.count + other.count)
 
 
 def _join_all(crowds: Sequence[Crowd]) -> Crowd:
-    """Return what is known of several crowds together."""
+    """Return the crowd of all pixels of several disjoint crowds."""
     together = crowds[0]
     for crowd in crowds[1:]:
         together = together.join(crowd)
@@ -144,44 +146,21 @@ def _join_all(crowds: Sequence[Crowd]) -> Crowd:
 
 
 class Light(NamedTuple):
-    """Of both halves of a pixel."""
+    """The luminances of both halves of a pixel."""
 
     first: hl.Expr
     second: hl.Expr
-    """Luminance over albedo, `UNCOUNTED` where it does not count."""
+    """Over albedo; `UNCOUNTED` where the half is bad."""
     raw_first: hl.Expr
     raw_second: hl.Expr
-    """Luminance of the radiance itself."""
-
-
-class FireflyFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    light: hl.Func
-    both: hl.Func
-    """What a pixel is to its neighbours: the mean of its halves, or the one that it has."""
-    crowds: list[hl.Func]
-    """Of 1, 2, 4 ... pixels of a row."""
-    row: hl.Func
-    """What a row of the window holds, with the pixel in its middle and without."""
-    factor: hl.Func
-    """Of both halves."""
-    energy: hl.Func
-    sums: hl.Func
-    lane: hl.Var
-    out: hl.Func
-    tally: hl.Func
+    """Of the radiance itself; 0 where the half is bad."""
 
 
 def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
-    """Return the bounded halves and, row by row in partial sums, the luminance and what was taken, to be compiled."""
+    """Return the kernel. It writes the bounded halves, and for each row partial sums of `BoundedHalves.tally`."""
     signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
     size = "height", "width"
-    halves = [signature.image(name, *size, 3) for name in "ab"]
-    albedo = signature.image("albedo", *size, 3) if tinted else None
-    mask = signature.image("mask", *size, type=hl.UInt(8))
-    for image in (*halves, *([albedo] if albedo is not None else [])):
-        image.dim(0).set_bounds(0, 3)
+    halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("bounded_a", "bounded_b"):
         signature.output(name, *size, 3)
     for name in ("seen", "taken"):
@@ -193,23 +172,45 @@ def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     factor = _define_factor(light, row)
     energy, sums, tally, lane = _define_tally(light, factor, mask.width(), lanes)
     out = _define_bounded(halves, factor)
-    funcs = FireflyFuncs(light, both, crowds, row, factor, energy, sums, lane, out, tally)
+    funcs = FireflyFuncs(
+        light=light,
+        both=both,
+        crowds=crowds,
+        row=row,
+        factor=factor,
+        energy=energy,
+        sums=sums,
+        lane=lane,
+        out=out,
+        tally=tally,
+    )
     schedule_fireflies(funcs, lanes, target)
     return Scheduled([out, tally], signature)
 
 
+def declare_halves(
+    signature: Signature, tinted: bool
+) -> tuple[list[hl.ImageParam], hl.ImageParam | None, hl.ImageParam]:
+    """Declare two halves of the samples, the albedo if ``tinted``, and the mask."""
+    size = "height", "width"
+    colors = [signature.image(name, *size, 3) for name in ("a", "b", *["albedo"] * tinted)]
+    for image in colors:
+        image.dim(0).set_bounds(0, 3)
+    return colors[:2], colors[2] if tinted else None, signature.image("mask", *size, type=hl.UInt(8))
+
+
 def define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, mask: hl.ImageParam) -> hl.Func:
-    """Return the `Light` of every pixel; outside the image nothing counts."""
+    """Return the `Light` of every pixel; pixels outside the image do not count."""
     width, height = mask.width(), mask.height()
     inside = (X >= 0) & (width > X) & (Y >= 0) & (height > Y)
-    # Likely: in the middle of a row the loads are dense.
+    # "Likely" makes a loop of its own for the middle of a row, where loads need no clamping and are dense.
     at = hl.clamp(hl.likely(X), 0, width - 1), hl.clamp(Y, 0, height - 1)
     lights: list[hl.Expr] = []
     raw: list[hl.Expr] = []
     for half in halves:
         radiance, good = demodulate(half, albedo, at, hl.f32(ALBEDO_FLOOR))
         luminance = find_luminance(radiance)
-        # Three large channels may add up to infinity.
+        # The luminance of finite channels may overflow to infinity.
         good = good & inside & (mask[at] != 0) & (luminance < hl.f32(LARGEST_FLOAT))
         lights.append(hl.select(good, luminance, hl.f32(UNCOUNTED)))
         raw.append(hl.select(good, find_luminance([half[k, at[0], at[1]] for k in range(3)]), hl.f32(0.0)))
@@ -219,13 +220,13 @@ def define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, 
 
 
 def read_light(light: hl.Func, x: hl.Expr, y: hl.Expr) -> Light:
-    """Return what `define_light` found at a pixel."""
+    """Return the light that `define_light` computes for a pixel."""
     there = light[x, y]
     return Light(*(there[k] for k in range(len(Light._fields))))
 
 
 def define_both(light: hl.Func) -> hl.Func:
-    """Return what a pixel is to its neighbours: the mean of its halves, or the one that it has."""
+    """Return the luminance of every pixel for its neighbours: the mean of its good halves, `UNCOUNTED` if none is."""
     here, zero, half, both = read_light(light, X, Y), hl.f32(0.0), hl.f32(0.5), hl.Func("both")
     both[X, Y] = hl.select(
         (here.first >= zero) & (here.second >= zero),
@@ -241,7 +242,7 @@ def _read_crowd(crowd: hl.Func, x: hl.Expr, y: hl.Expr, first: int = 0) -> Crowd
 
 
 def _define_crowds(both: hl.Func) -> list[hl.Func]:
-    """Return crowds of 1, 2, 4 ... pixels from (x, y) on; a row of the window is a few of them."""
+    """Return the crowds of the 1, 2, 4 ... pixels from (x, y) on to the right; a few of them make up a window's row."""
     crowds = [hl.Func("crowd1")]
     crowds[0][X, Y] = hl.Tuple([both[X, Y], hl.f32(UNCOUNTED), hl.f32(both[X, Y] >= hl.f32(0.0))])
     while 1 << len(crowds) <= 2 * REACH + 1:
@@ -253,8 +254,10 @@ def _define_crowds(both: hl.Func) -> list[hl.Func]:
 
 
 def _define_row(crowds: Sequence[hl.Func]) -> hl.Func:
+    """Return the crowds of a row of the window: of all its pixels, and of all but the one in the middle."""
+
     def gather(start: int, length: int) -> list[Crowd]:
-        """Return crowds that make up ``length`` pixels of the row from x + ``start`` on."""
+        """Return disjoint crowds that cover ``length`` pixels of the row from x + ``start`` on."""
         found: list[Crowd] = []
         for power in range(len(crowds) - 1, -1, -1):
             if length >> power & 1:
@@ -269,16 +272,16 @@ def _define_row(crowds: Sequence[hl.Func]) -> hl.Func:
 
 
 def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
-    """Return what each half is multiplied by: bounded by the window, or by the other half."""
+    """Return the factor of each half, in (0, 1]."""
     window, factor = hl.Func("window"), hl.Func("factor")
     rows = [_read_crowd(row, X, Y + k) for k in range(-REACH, REACH + 1) if k != 0]
     others = _join_all([_read_crowd(row, X, Y, len(Crowd._fields)), *rows])
-    bound = hl.max(others.second, hl.f32(0.0)) * hl.f32(RATIO)
-    window[X, Y] = hl.select(others.count >= hl.f32(FEWEST_NEIGHBOURS), bound, hl.f32(LARGEST_FLOAT))
+    bound = hl.max(others.second, hl.f32(0.0)) * hl.f32(MAX_RATIO_TO_WINDOW)
+    window[X, Y] = hl.select(others.count >= hl.f32(MIN_WINDOW_PIXELS), bound, hl.f32(LARGEST_FLOAT))
     here = read_light(light, X, Y)
     scales = []
     for own, other in ((here.first, here.second), (here.second, here.first)):
-        bound = hl.max(window[X, Y], other * hl.f32(AGREEMENT))
+        bound = hl.max(window[X, Y], other * hl.f32(MAX_RATIO_TO_HALF))
         scales.append(hl.select(own > bound, bound / own, hl.f32(1.0)))
     factor[X, Y] = hl.Tuple(scales)
     return factor
@@ -287,9 +290,9 @@ def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
 def _define_tally(
     light: hl.Func, factor: hl.Func, width: hl.Expr, lanes: int
 ) -> tuple[hl.Func, hl.Func, hl.Func, hl.Var]:
-    """Return the luminance of both halves and what is taken of it; how a row of that adds up; and what is written.
+    """Return luminance before and taken away at every pixel, their partial sums along rows, the output, and its axis.
 
-    A row has as many sums as a vector holds.
+    A row has as many partial sums as a vector has lanes.
     """
     here, energy = read_light(light, X, Y), hl.Func("energy")
     parts = [here.raw_first, here.raw_second]
@@ -305,7 +308,7 @@ def _define_tally(
 
 
 def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func:
-    """Return both halves times their factor; from bits to bits where nothing changes, so that NaN stays what it is."""
+    """Return both halves times their factors. Pixels with factor 1 keep their bits, NaN included."""
     out = hl.Func("bounded")
     colours = []
     for number, half in enumerate(halves):

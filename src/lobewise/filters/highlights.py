@@ -1,13 +1,13 @@
-"""Highlights kept: small, bright spots that neighbouring pixels agree on are no noise, and no filter spreads them.
+"""Keep highlights: split small, bright spots off the samples where several neighbouring pixels are bright.
 
-A lamp in a mirror, or in the coat of a lacquer whose guide tells of the rough base alone, is a few pixels wide and far
-brighter than its surroundings. A filter whose guides see one surface spreads it as wide as its kernel, and the noise
-that the image itself tells of is large there, because a spot and a firefly look alike to a difference of pixels. What
-tells them apart is that noise strikes single pixels: that all pixels of a block are so bright by chance is improbable.
-The least value of a block of pixels, and the largest of these least values over all blocks around a pixel, is the
-morphological opening of the image: P. Soille 2003, "Morphological Image Analysis", chapter 4.
+A lamp seen in a mirror is a few pixels wide and far brighter than its surroundings. So is a lamp in the coat of a
+lacquer whose guides describe the rough base only. A filter whose guides see one surface spreads the lamp over its
+kernel. Differences of pixels cannot tell such a spot from a firefly, so the noise estimate is large there. But noise
+strikes single pixels: it is improbable that all pixels of a block are bright by chance. The smallest value of each
+block, and then the largest of these minima over all blocks that contain a pixel, is the morphological opening of the
+image: P. Soille 2003, "Morphological Image Analysis", chapter 4.
 
-The light above the surroundings is taken off the samples before they are filtered, and added to the result.
+The light above the surroundings is subtracted from the samples before they are filtered, and added to the result.
 """
 
 from __future__ import annotations
@@ -20,44 +20,45 @@ import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Image, returns_host_images, take_image, take_mask
+from lobewise.backend.buffers import Image, returns_host_images
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
-from lobewise.filters.fireflies import define_both, define_light, read_light
+from lobewise.filters.fireflies import declare_halves, define_both, define_light, read_light, take_halves
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.highlights import schedule_highlights
+from lobewise.filters.schedules.highlights import HighlightFuncs, schedule_highlights
 
 RING_RADIUS, SPOT_RADIUS = 6, 2
-"""The surroundings of a pixel are the square of the first radius without that of the second, pixels."""
-FEWEST_NEIGHBOURS = 20
-"""Pixels of the surroundings that must count."""
+"""Radii in pixels: the surroundings of a pixel are the outer square without the inner one."""
+MIN_RING_PIXELS = 20
+"""Good pixels that the surroundings need. With fewer, nothing is a highlight."""
 MIN_BLOCK_RATIO = 8.0
-"""How many times as bright as the mean of the surroundings all pixels of a block are."""
+"""Smallest luminance of a highlight's block, over the mean of the surroundings."""
 MIN_CORNER_RATIO = 16.0
-"""The same of three pixels of a block of four."""
+"""Smallest luminance of the three brightest pixels of a block of four, over the mean of the surroundings."""
 MIN_SINGLE_RATIO = 12.0
-"""The first, where a pixel has one sample; then a corner proves nothing, for a few such samples lie side by side."""
+"""Takes the place of `MIN_BLOCK_RATIO` if pixels have one sample each. Three pixels of a block prove nothing then,
+because a few bright samples lie side by side by chance."""
 MIN_PAIR_RATIO, MAX_HALVES_RATIO = 10.0, 1.25
-"""The same of two neighbours, if both halves of the samples of each agree: the brighter is at most so many times as
-bright as the darker."""
+"""Smallest luminance of two neighbours over the mean of the surroundings, if the halves of each pixel agree; and the
+largest luminance of the brighter half over that of the darker for which halves agree."""
 MIN_EDGE_RATIO = 1.5
-"""The same of a pixel beside such a block."""
+"""Smallest luminance of a highlight's edge, a pixel beside such a block, over the mean of the surroundings."""
 BLOCK, SHARED_BLOCK = 2, 3
-"""Pixels to each side of a block; where neighbours share their noise, a firefly fills the smaller one by itself."""
+"""Width of a block, pixels. The second counts if pixels share their noise, because a firefly then fills 2x2 pixels."""
 REACH = max(RING_RADIUS, SHARED_BLOCK - 1) + 1
-"""Pixels to each side that tell on a pixel."""
+"""Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
 class SplitHalves(NamedTuple):
-    """What `split_highlights` gives.
+    """The result of `split_highlights`.
 
     Parameters
     ----------
     a, b : (height, width, 3)
         The two halves without the light of highlights.
     kept : (height, width, 3)
-        That light, the mean of both halves; 0 where there is none.
+        The light of highlights, the mean of both halves; 0 where there is none.
     """
 
     a: Image
@@ -66,7 +67,7 @@ class SplitHalves(NamedTuple):
 
 
 class Kinds(NamedTuple):
-    """What is known of the samples; see `split_highlights`."""
+    """The options of `split_highlights` that change the kernel."""
 
     shared: bool
     single: bool
@@ -84,31 +85,31 @@ def split_highlights(
     paired: bool = False,
     device: str = "cpu",
 ) -> SplitHalves:
-    """Return two halves of the samples without the light of small highlights, and that light.
+    """Return two halves of the samples without the light of small highlights, and the light of the highlights.
 
-    A pixel belongs to a highlight where a block of `BLOCK` x `BLOCK` pixels that holds it is nowhere less than
-    `MIN_BLOCK_RATIO` times as bright as the mean of the surroundings, or three of its pixels are `MIN_CORNER_RATIO`
-    times as bright; or where it is beside such a pixel and `MIN_EDGE_RATIO` times as bright. Pixels count by their
-    luminance over albedo; of two halves the darker counts, so that what one half alone has seen is no highlight. Of a
-    pixel of a highlight the light above the mean of the surroundings is split off.
+    A pixel belongs to a highlight if one of these holds, all relative to the mean of the surroundings: it lies in a
+    block of `BLOCK` x `BLOCK` pixels that are all `MIN_BLOCK_RATIO` times as bright; it is one of three pixels of a
+    block that are `MIN_CORNER_RATIO` times as bright; it touches such a pixel and is `MIN_EDGE_RATIO` times as bright.
+    Luminances over albedo are compared. The darker half of a pixel counts, so that light which one half alone has seen
+    is no highlight. The light above the mean of the surroundings is split off.
 
     Parameters
     ----------
     halves : pair of array, shape (height, width, 3)
-        Linear radiance from two independent halves of the samples, >= 0. NaN where a half has no sample; such pixels,
-        infinite and negative ones neither count nor change.
+        Linear radiance from two independent halves of the samples, >= 0. NaN where a half has no sample. NaN, infinite
+        and negative pixels neither count nor change.
     albedo : array, shape (height, width, 3) or None
-        What luminance is compared over; pixels with next to none do not count.
+        Divides the radiance before luminances are compared. Pixels whose albedo is almost 0 do not count.
     mask : bool array, shape (height, width)
-        False where a pixel is no part of the layer: it neither counts nor changes.
+        False where a pixel does not belong to the layer: it neither counts nor changes.
     shared : bool
-        Whether neighbouring pixels share their noise: then blocks are `SHARED_BLOCK` pixels wide, and all of a block
-        must be bright.
+        Neighbouring pixels share their noise: blocks are `SHARED_BLOCK` pixels wide, and all their pixels must be
+        bright.
     single : bool
-        Whether pixels have a single sample: then all of a block must be `MIN_SINGLE_RATIO` times as bright.
+        Pixels have one sample each: all pixels of a block must be `MIN_SINGLE_RATIO` times as bright.
     paired : bool
-        Whether every pixel has samples in both halves: then two neighbours are a highlight as well, each of which is
-        `MIN_PAIR_RATIO` times as bright in both halves, and these agree.
+        Every pixel has samples in both halves: two neighbours also are a highlight if each is `MIN_PAIR_RATIO` times as
+        bright in both halves and its halves agree.
     device : str
         A name from `lobewise.backend.devices.list_devices`.
 
@@ -117,50 +118,16 @@ def split_highlights(
     InputError
         If an image is not real numbers of the mask's size.
     """
-    shape = (*mask.shape, 3)
-    images: dict[str, Image] = {
-        name: take_image(f"half {name}", half, shape) for name, half in zip("ab", halves, strict=True)
-    }
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, shape)
-    images["mask"] = take_mask(mask)
-    tinted = albedo is not None
+    images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kinds = Kinds(shared, single, paired)
-    kernel = get_kernel(device, (split_highlights, tinted, kinds), partial(_make_highlights, tinted, kinds))
+    kernel = get_kernel(device, ("highlights", tinted, kinds), partial(_make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
 
 
-class HighlightFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    light: hl.Func
-    both: hl.Func
-    """What a pixel is to its surroundings: the mean of its halves, or the one that it has."""
-    least: hl.Func
-    """What a pixel is to its block: the darker of its halves, or the one that it has."""
-    rows: hl.Func
-    """Sum and count of a row of the surroundings: of all its pixels, and of those beside the spot."""
-    level: hl.Func
-    """Mean of the surroundings."""
-    agreed: hl.Func
-    """The darker half of a pixel if both agree, else 0."""
-    blocks: hl.Func
-    """Of the block whose first corner is a pixel: the least value, and the least but one."""
-    core: hl.Func
-    """Whether a block around a pixel is a highlight: 1 or 0."""
-    share: hl.Func
-    """Which share of a pixel's light is split off, in [0, 1)."""
-    out: hl.Func
-
-
 def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
-    """Return both halves without highlights, and their light, to be compiled."""
+    """Return the kernel: it writes both halves without highlights, and the light of the highlights."""
     signature, size = Signature("highlights"), ("height", "width")
-    halves = [signature.image(name, *size, 3) for name in "ab"]
-    albedo = signature.image("albedo", *size, 3) if tinted else None
-    mask = signature.image("mask", *size, type=hl.UInt(8))
-    for image in (*halves, *([albedo] if albedo is not None else [])):
-        image.dim(0).set_bounds(0, 3)
+    halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("rest_a", "rest_b", "kept"):
         signature.output(name, *size, 3)
     light = define_light(halves, albedo, mask)
@@ -171,12 +138,24 @@ def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled
     core = _define_core(least, blocks, level, agreed, kinds)
     share = _define_share(both, level, core)
     out = _define_split(halves, light, share)
-    funcs = HighlightFuncs(light, both, least, rows, level, agreed, blocks, core, share, out)
+    funcs = HighlightFuncs(
+        light=light,
+        both=both,
+        least=least,
+        rows=rows,
+        level=level,
+        agreed=agreed,
+        blocks=blocks,
+        core=core,
+        share=share,
+        out=out,
+    )
     schedule_highlights(funcs, target)
     return Scheduled([out], signature)
 
 
 def _define_least(light: hl.Func) -> hl.Func:
+    """Return the luminance of a pixel for its block: the darker of its good halves."""
     here, zero, least = read_light(light, X, Y), hl.f32(0.0), hl.Func("least")
     least[X, Y] = hl.select(
         (here.first >= zero) & (here.second >= zero),
@@ -187,6 +166,7 @@ def _define_least(light: hl.Func) -> hl.Func:
 
 
 def _define_agreed(light: hl.Func) -> hl.Func:
+    """Return the luminance of the darker half if both halves agree, else 0."""
     here, agreed = read_light(light, X, Y), hl.Func("agreed")
     darker, brighter = hl.min(here.first, here.second), hl.max(here.first, here.second)
     agreed[X, Y] = hl.select(
@@ -196,6 +176,7 @@ def _define_agreed(light: hl.Func) -> hl.Func:
 
 
 def _define_rows(both: hl.Func) -> hl.Func:
+    """Return sum and count of a row of the surroundings: of all its pixels, and of those left and right of the spot."""
     zero, rows = hl.f32(0.0), hl.Func("ring_rows")
     beside = [k for k in range(-RING_RADIUS, RING_RADIUS + 1) if abs(k) > SPOT_RADIUS]
     middle = range(-SPOT_RADIUS, SPOT_RADIUS + 1)
@@ -212,20 +193,21 @@ def _define_rows(both: hl.Func) -> hl.Func:
 
 
 def _define_level(rows: hl.Func) -> hl.Func:
-    """Return the mean of the surroundings; so bright that nothing is brighter where too few of them count."""
+    """Return the mean of the surroundings; the largest float where too few of their pixels count."""
     zero, level = hl.f32(0.0), hl.Func("level")
     light, count = zero, zero
-    # Whole rows above and below the spot, and what is beside it: no difference of large sums.
+    # Add whole rows above and below the spot and parts of rows beside it: a difference of two sums would lose digits.
     for k in range(-RING_RADIUS, RING_RADIUS + 1):
         first = 2 if abs(k) <= SPOT_RADIUS else 0
         there = rows[X, Y + k]
         light, count = light + there[first], count + there[first + 1]
     mean = light / hl.max(count, hl.f32(1.0))
-    level[X, Y] = hl.select(count >= hl.f32(FEWEST_NEIGHBOURS), mean, hl.f32(LARGEST_FLOAT))
+    level[X, Y] = hl.select(count >= hl.f32(MIN_RING_PIXELS), mean, hl.f32(LARGEST_FLOAT))
     return level
 
 
 def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
+    """Return the smallest and second smallest luminance of the block whose first corner is a pixel."""
     side, blocks = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("blocks")
     values = [least[X + column, Y + row] for row in range(side) for column in range(side)]
     lowest, second = values[0], hl.f32(LARGEST_FLOAT)
@@ -236,16 +218,17 @@ def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
 
 
 def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, agreed: hl.Func, kinds: Kinds) -> hl.Func:
+    """Return whether a block or pair that contains the pixel is a highlight, 1 or 0."""
     side, core = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("core")
     whole = three = hl.f32(0.0)
     for row in range(side):
         for column in range(side):
             there = blocks[X - column, Y - row]
             whole = hl.max(whole, there[0])
-            # The dark pixel of a block is none of the three.
+            # The darkest pixel of a block is not one of the three bright ones.
             three = hl.max(three, hl.select(least[X, Y] >= there[1], there[1], hl.f32(0.0)))
     around = level[X, Y]
-    # A product could be infinite.
+    # Divide instead of multiplying: the product could overflow.
     bright = around < whole / hl.f32(MIN_SINGLE_RATIO if kinds.single else MIN_BLOCK_RATIO)
     if not kinds.shared and not kinds.single:
         bright = bright | (around < three / hl.f32(MIN_CORNER_RATIO))
@@ -261,6 +244,7 @@ def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, agreed: hl.Fun
 
 
 def _define_share(both: hl.Func, level: hl.Func, core: hl.Func) -> hl.Func:
+    """Return the share of a pixel's light that is split off, in [0, 1)."""
     share, here, around = hl.Func("share"), both[X, Y], level[X, Y]
     near = core[X - 1, Y - 1]
     for row in (-1, 0, 1):
@@ -273,7 +257,7 @@ def _define_share(both: hl.Func, level: hl.Func, core: hl.Func) -> hl.Func:
 
 
 def _define_split(halves: Sequence[hl.ImageParam], light: hl.Func, share: hl.Func) -> hl.Func:
-    """Return both halves, from bits to bits where nothing changes, so that NaN stays what it is; and what is kept."""
+    """Return both halves without highlights, and the light split off. Unchanged pixels keep their bits, also NaN."""
     out, part, here = hl.Func("split"), share[X, Y], read_light(light, X, Y)
     zero, half = hl.f32(0.0), hl.f32(0.5)
     counts = [here.first >= zero, here.second >= zero]

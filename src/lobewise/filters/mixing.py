@@ -1,16 +1,15 @@
-"""Several filtered images mixed pixel by pixel, in proportions that a small network reads off them.
+"""Mix several filtered images pixel by pixel, in shares that a small network predicts.
 
-Each candidate is a local average of its own; how noisy it is (its two halves differ), how far it is from the others
-(one of them is biased) and what surface it shows tells which of them to trust. The proportions are a softmax, so the
-mixture is a convex average again. Source of the idea: Kalantari, Bako and Sen 2015, "A Machine Learning Approach for
-Filtering Monte Carlo Noise". Departs: what is predicted are shares of candidates, not parameters of one filter.
+The filtered images are called candidates. The difference of a candidate's two halves shows its noise; the differences
+between candidates show that some are biased; the guides show the surface. From these features the network predicts how
+far to trust each candidate. The shares are a softmax, so the mixture is a convex average. Source of the idea:
+Kalantari, Bako and Sen 2015, "A Machine Learning Approach for Filtering Monte Carlo Noise". Departs: the network
+predicts shares of candidates, not the parameters of one filter.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -18,30 +17,18 @@ from typing import NamedTuple
 import halide as hl
 import numpy as np
 
-from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, returns_host_images, take_image
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
-from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
-from lobewise.filters.cross_pass import COLORS, find_luminance
-from lobewise.filters.planes import C, X, Y
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.mixing_pass import MixingKey, make_mixing
 from lobewise.filters.schedules.mixing import schedule_mixing
 from lobewise.frame import FloatArray
 
-BLUR = (1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0)
-"""Binomial weights over which squares are averaged, in rows and in columns."""
-STEPS = (1, 3)
-"""Pixels from weight to weight of the averages, and of the averages of these: one is local, the other steady."""
-REACH = len(BLUR) // 2 * sum(STEPS) + 1
-"""Pixels to each side from which a pixel's proportions are read: the averages of averages of a slope."""
-DARKEST = 0.05
-"""Squares are relative to that of the local mean, and to this share of the whole mean."""
-LEAST_SQUARE = 1e-8
-LEAST_LIGHT = 1e-3
 LAYERS = 3
-"""Of the network, two of them hidden."""
-LEAK = 0.01
-"""Slope of the network's units below 0."""
+"""Layers of a network: two hidden ones and the output."""
+MIN_LIGHT_SHARE = 0.05
+"""Squared differences are divided by the squared local mean plus the square of this share of the image's mean."""
 
 
 class Network(NamedTuple):
@@ -50,7 +37,7 @@ class Network(NamedTuple):
     Parameters
     ----------
     mean, scale : (inputs,)
-        What is subtracted from the inputs, and what they are multiplied by then.
+        Inputs become ``(input - mean) * scale``.
     weights : three arrays, (inputs, units), (units, units), (units, candidates)
     biases : three arrays, (units,), (units,), (candidates,)
     """
@@ -61,13 +48,13 @@ class Network(NamedTuple):
     biases: tuple[FloatArray, FloatArray, FloatArray]
 
     def name_arrays(self) -> dict[str, FloatArray]:
-        """Return its arrays by the names that the kernel knows them by."""
+        """Return the arrays by their names in the kernel's signature."""
         named = {"centre": self.mean, "scale": self.scale}
         named |= {f"weights{number}": each for number, each in enumerate(self.weights)}
         return named | {f"biases{number}": each for number, each in enumerate(self.biases)}
 
     def require_fit(self, inputs: int, candidates: int) -> None:
-        """Raise InputError unless the arrays fit each other: kernels read and write where shapes tell them."""
+        """Raise InputError unless the shapes of all arrays fit each other: kernels do not check them."""
         sizes = [inputs, *(bias.size for bias in self.biases[:-1]), candidates]
         expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
         arrays = self.name_arrays().values()
@@ -80,219 +67,8 @@ class Network(NamedTuple):
             )
 
 
-def count_features(candidates: int, extras: int) -> int:
-    """Return how many inputs a network has for so many candidates and extras."""
-    return len(STEPS) * (2 * candidates + 1) + extras
-
-
-@dataclass(frozen=True)
-class MixingKey:
-    """Everything that changes the code of a mixing."""
-
-    candidates: int
-    middle: int
-    extras: int
-    units: tuple[int, ...]
-    """Of the hidden layers; none where features alone are asked for."""
-
-    @property
-    def squares(self) -> int:
-        """Channels that are averaged: squares, and last the middle candidate's luminance."""
-        return 2 * self.candidates + 1
-
-    @property
-    def features(self) -> int:
-        """Inputs of the network."""
-        return count_features(self.candidates, self.extras)
-
-    @property
-    def channels(self) -> int:
-        """Of the output."""
-        return COLORS if self.units else self.features
-
-
-Pair = tuple[Sequence[hl.Expr], Sequence[hl.Expr]]
-"""The colours of both halves of a candidate."""
-
-
-class Blur(NamedTuple):
-    """An average: along rows, and of these along columns."""
-
-    rows: hl.Func
-    soft: hl.Func
-
-
-class Stage(NamedTuple):
-    """A step of the network at one pixel."""
-
-    func: hl.Func
-    channels: int
-    inputs: hl.RDom | None = None
-    """What it sums over, if it does."""
-
-
-class MixingFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    key: MixingKey
-    copies: list[hl.Func]
-    """Both halves of each candidate put together, for graphics cards."""
-    light: hl.Func
-    spread: hl.Func
-    sharp: hl.Func
-    blurs: list[Blur]
-    features: hl.Func
-    network: list[Stage]
-    out: hl.Func
-
-
-def _make_mixing(key: MixingKey, target: hl.Target) -> Scheduled:
-    """Return the features alone, or what the network makes of them, to be compiled."""
-    signature, together = Signature("mixing"), target.has_gpu_feature()
-    size = "height", "width"
-    images = [[signature.image(f"candidate{k}_{half}", *size, COLORS) for half in "ab"] for k in range(key.candidates)]
-    signature.output("mixed", *size, key.channels)
-    extras = signature.image("extras", *size, key.extras)
-    floor, level = signature.number("floor"), signature.number("level")
-    width, height = extras.dim(1).extent(), extras.dim(2).extent()
-
-    def read_pairs(x: hl.Expr, y: hl.Expr) -> list[Pair]:
-        return [([a[i, x, y] for i in range(COLORS)], [b[i, x, y] for i in range(COLORS)]) for a, b in images]
-
-    pairs = read_pairs(hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1))
-    copies: list[hl.Func] = []
-    if together:
-        # More images than a graphics card lets one kernel read.
-        copies = [hl.Func(f"pair{k}") for k in range(key.candidates)]
-        for copied, (a, b) in zip(copies, pairs, strict=True):
-            copied[X, C, Y] = hl.mux(C, [*a, *b])
-        pairs = [_read_copy(copied) for copied in copies]
-    light, spread = _define_light(pairs)
-    sharp = _define_squares(key, light, spread)
-    blurs = _define_blurs(sharp)
-    features = _define_features(key, extras, (floor, level), [soft for _, soft in blurs])
-    out = hl.Func("out")
-    network: list[Stage] = []
-    if key.units:
-        network = define_network(signature, features, (key.features, *key.units, key.candidates))
-        mixed = _mix(network[-1].func, pairs if together else read_pairs(X, Y))
-        out[C, X, Y] = hl.mux(C, mixed)
-    else:
-        out[C, X, Y] = features[X, C, Y]
-    schedule_mixing(MixingFuncs(key, copies, light, spread, sharp, blurs, features, network, out), target)
-    return Scheduled([out], signature)
-
-
-def _read_copy(copied: hl.Func) -> Pair:
-    colors = [copied[X, i, Y] for i in range(2 * COLORS)]
-    return colors[:COLORS], colors[COLORS:]
-
-
-def _define_light(pairs: Sequence[Pair]) -> tuple[hl.Func, hl.Func]:
-    """Return the luminance of every candidate's mean, and the squared difference of its halves, a quarter."""
-    light, spread = hl.Func("light"), hl.Func("spread")
-    sums = [[p + q for p, q in zip(a, b, strict=True)] for a, b in pairs]
-    squares = [[(p - q) * (p - q) for p, q in zip(a, b, strict=True)] for a, b in pairs]
-    light[X, C, Y] = hl.mux(C, [hl.f32(0.5) * find_luminance(each) for each in sums])
-    spread[X, C, Y] = hl.mux(C, [hl.f32(0.25) * find_luminance(each) for each in squares])
-    return light, spread
-
-
-def _define_squares(key: MixingKey, light: hl.Func, spread: hl.Func) -> hl.Func:
-    """Return what is averaged: variances, squares of differences and of the slope, and the middle's luminance."""
-    middle, half = key.middle, hl.f32(0.5)
-    steps = [light[X, k, Y] - light[X, middle, Y] for k in range(key.candidates) if k != middle]
-    across = half * (light[X + 1, middle, Y] - light[X - 1, middle, Y])
-    down = half * (light[X, middle, Y + 1] - light[X, middle, Y - 1])
-    squares = [spread[X, k, Y] for k in range(key.candidates)]
-    squares += [step * step for step in steps]
-    squares += [across * across + down * down, light[X, middle, Y]]
-    sharp = hl.Func("sharp")
-    sharp[X, C, Y] = hl.mux(C, squares)
-    return sharp
-
-
-def _define_blurs(source: hl.Func) -> list[Blur]:
-    """Return averages, and averages of averages."""
-    blurs: list[Blur] = []
-    for step in STEPS:
-        taps = [(step * k, hl.f32(weight)) for k, weight in enumerate(BLUR, start=-(len(BLUR) // 2))]
-        rows, soft = hl.Func(f"rows{step}"), hl.Func(f"soft{step}")
-        rows[X, C, Y] = sum((weight * source[X + k, C, Y] for k, weight in taps), hl.f32(0.0))
-        soft[X, C, Y] = sum((weight * rows[X, C, Y + k] for k, weight in taps), hl.f32(0.0))
-        blurs.append(Blur(rows, soft))
-        source = soft
-    return blurs
-
-
-def _define_features(
-    key: MixingKey, extras: hl.ImageParam, light: tuple[hl.Expr, hl.Expr], averages: Sequence[hl.Func]
-) -> hl.Func:
-    """Return what the network sees (see `find_features`); ``light`` is the least squared mean, and the level."""
-    floor, level = light
-    values: list[hl.Expr] = []
-    for soft in averages:
-        mean = soft[X, key.squares - 1, Y]
-        unit = hl.f32(1.0) / (mean * mean + floor)
-        relative = [soft[X, k, Y] * unit for k in range(key.squares - 1)]
-        values += [expressions.log2(hl.max(each, hl.f32(LEAST_SQUARE))) for each in relative]
-        values.append(expressions.log2(hl.max(mean / level, hl.f32(LEAST_LIGHT))))
-    # Vectors are moved inwards at the end of a row, and begin before it where it is narrower than they are.
-    values += [extras[k, hl.max(X, 0), Y] for k in range(key.extras)]
-    features = hl.Func("features")
-    features[X, C, Y] = hl.mux(C, values)
-    return features
-
-
-def define_network(signature: Signature, features: hl.Func, sizes: Sequence[int]) -> list[Stage]:
-    """Return the steps of a network, the last of which gives shares, not yet divided by their sum.
-
-    Parameters
-    ----------
-    signature : Signature
-        Of the kernel, which reads the network's arrays by the names of `Network.name_arrays`.
-    features : halide.Func
-        Of (x, c, y).
-    sizes : sequence of int
-        Inputs, units of every hidden layer, outputs.
-    """
-    inputs, *units, outputs = sizes
-    centre, scale = (signature.image(name, inputs) for name in ("centre", "scale"))
-    layer = hl.Func("scaled")
-    layer[X, C, Y] = (features[X, C, Y] - centre[C]) * scale[C]
-    stages, before = [Stage(layer, inputs)], inputs
-    for number, count in enumerate((*units, outputs)):
-        weights, bias = signature.image(f"weights{number}", before, count), signature.image(f"biases{number}", count)
-        over = hl.RDom([(0, before)], f"r{number}")
-        total, active = hl.Func(f"total{number}"), hl.Func(f"active{number}")
-        total[X, C, Y] = bias[C]
-        total[X, C, Y] = total[X, C, Y] + weights[C, over.x] * layer[X, over.x, Y]
-        value = total[X, C, Y]
-        active[X, C, Y] = value if number == len(units) else hl.max(value, hl.f32(LEAK) * value)
-        stages += [Stage(total, count, over), Stage(active, count)]
-        layer, before = active, count
-    scores = [layer[X, k, Y] for k in range(outputs)]
-    highest = scores[0]
-    for score in scores[1:]:
-        highest = hl.max(highest, score)
-    share = hl.Func("share")
-    share[X, C, Y] = expressions.exp2(hl.f32(math.log2(math.e)) * (layer[X, C, Y] - highest))
-    return [*stages, Stage(share, outputs)]
-
-
-def _mix(share: hl.Func, pairs: Sequence[Pair]) -> list[hl.Expr]:
-    """Return the colours of the mixture."""
-    total = sum((share[X, k, Y] for k in range(len(pairs))), hl.f32(0.0))
-    mixed = []
-    for i in range(COLORS):
-        doubled = [a[i] + b[i] for a, b in pairs]
-        weighted = sum((share[X, k, Y] * value for k, value in enumerate(doubled)), hl.f32(0.0))
-        mixed.append(hl.f32(0.5) * weighted / total)
-    return mixed
-
-
 def _require_whole(candidates: int, middle: int, extras: FloatArray) -> None:
-    """Raise InputError unless there is a middle candidate and something else is known of every pixel."""
+    """Raise InputError unless ``middle`` is a candidate and there is at least one extra."""
     if not 0 <= middle < candidates:
         raise InputError(
             "middle",
@@ -332,8 +108,15 @@ def _run(
         network.require_fit(key.features, key.candidates)
         images |= {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in network.name_arrays().items()}
     level = max(level, 1e-30)
-    kernel = get_kernel(device, key, partial(_make_mixing, key))
-    return run_kernel(kernel, device, images, floor=max((DARKEST * level) ** 2, 1e-37), level=level)["mixed"]
+    kernel = get_kernel(device, key, partial(_make_scheduled, key))
+    return run_kernel(kernel, device, images, floor=max((MIN_LIGHT_SHARE * level) ** 2, 1e-37), level=level)["mixed"]
+
+
+def _make_scheduled(key: MixingKey, target: hl.Target) -> Scheduled:
+    """Return a mixing, ready to be compiled."""
+    funcs = make_mixing(key, together=target.has_gpu_feature())
+    schedule_mixing(funcs, target)
+    return Scheduled([funcs.out], funcs.signature)
 
 
 def find_features(
@@ -343,30 +126,31 @@ def find_features(
     level: float,
     device: str = "cpu",
 ) -> Image:
-    """Return what a network sees of every pixel, shape (height, width, `count_features`).
+    """Return the inputs of a network at every pixel, shape (height, width, `count_features`).
 
-    In this order, all base-2 logarithms: variance of each candidate (a quarter of the squared difference of its
-    halves), squared difference of each other candidate to the middle one, squared slope of the middle one, all
-    averaged over `BLUR` and relative to the squared local mean; that mean over ``level``; the same of all that averaged
-    once more, over weights further apart (`STEPS`); the extras as they are.
+    In this order, all base-2 logarithms but the extras: the variance of each candidate, a quarter of the squared
+    difference of its halves; the squared difference of each other candidate to the middle one; the squared slope of the
+    middle one, all three averaged over `BLUR` and relative to the squared local mean of the middle one; the local mean
+    over ``level``; then all of these again from averages that are averaged once more, over taps further apart
+    (`STEPS`); last the extras, unchanged.
 
     Parameters
     ----------
     candidates : sequence of pairs of arrays, shape (height, width, 3)
-        Both halves of each, over their albedo, finite, >= 0.
+        Both halves of each candidate, radiance over albedo, finite, >= 0.
     middle : int
-        Which candidate the others are compared with.
+        Index of the candidate that the others are compared with.
     extras : array, shape (height, width, count)
-        What else is known, at least one number.
+        Further inputs of the network, at least one.
     level : float
-        How bright the whole image is, of which this may be a part: about the mean luminance of a candidate.
+        About the mean luminance of a candidate over the whole image, of which the candidates may be a part.
     device : str
         A name from `list_devices`.
 
     Raises
     ------
     InputError
-        If an array has none of these shapes, or ``middle`` is no candidate.
+        If an array has another shape, or ``middle`` is no candidate's index.
     """
     return _run(candidates, middle, extras, level, None, device)
 
@@ -379,7 +163,7 @@ def mix_candidates(
     network: Network,
     device: str = "cpu",
 ) -> Image:
-    """Return the mixture of the candidates, shape (height, width, 3), its shares the network's softmax.
+    """Return the mixture of the candidates, shape (height, width, 3), in shares that the network predicts.
 
     Parameters
     ----------
@@ -391,6 +175,6 @@ def mix_candidates(
     Raises
     ------
     InputError
-        If an array has none of these shapes, or ``middle`` is no candidate.
+        If an array has another shape, ``middle`` is no candidate's index, or the network does not fit.
     """
     return _run(candidates, middle, extras, level, network, device)

@@ -1,10 +1,9 @@
-"""What a dual-buffer pass compares colours by: the mean of both filtered halves' logarithms, and how noisy that is."""
+"""The colour guide of a dual-buffer pass: the mean of the logarithms of two filtered halves, and its variance."""
 
 from __future__ import annotations
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import halide as hl
 import numpy as np
@@ -18,35 +17,29 @@ from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.noise_guides import schedule_light_sums, schedule_noise_guide
+from lobewise.filters.schedules.noise_guides import (
+    LightSumFuncs,
+    NoiseGuideFuncs,
+    schedule_light_sums,
+    schedule_noise_guide,
+)
 from lobewise.frame import FloatArray
 
 BLUR_RADIUS = 3
+"""Radius of the blur of the variance, pixels."""
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
 BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
-"""Gaussian of one pixel, over which the variance is averaged."""
+"""Gaussian of standard deviation 1 pixel, which blurs the variance."""
 VARIANCE_FLOOR = 5e-4
-"""Least variance of the mean: relative differences below some 4 % are never told apart."""
+"""Smallest variance of the mean of logarithms: relative differences below about 4 % are never distinguished."""
 LONE_FLOOR = 1e-4
-"""The same for an image without halves, whose noise is known from more pixels than a difference of halves."""
-DARKEST = 0.04
-"""What is added under the logarithm, as a share of the whole image's mean light."""
-
-
-class NoiseGuideFuncs(NamedTuple):
-    """The functions of the guide's kernel, for its schedule."""
-
-    logs: hl.Func
-    """Of (x, c, y): logarithms of the three colours of one half, and then of the other."""
-    spread: hl.Func
-    """A quarter of their squared difference."""
-    rows: hl.Func
-    """The same, averaged along rows."""
-    out: hl.Func
+"""Smallest variance for an image without halves, whose noise is estimated from more pixels than with halves."""
+LOG_OFFSET_SHARE = 0.04
+"""Offset added before taking the logarithm, as a share of the mean light of the whole image."""
 
 
 def _make_noise_guide(target: hl.Target) -> Scheduled:
-    """Return the guide, to be compiled."""
+    """Return the kernel of `make_noise_guide`."""
     signature = Signature("noise guide")
     halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
     offset, floor = signature.number("offset"), signature.number("floor")
@@ -72,17 +65,8 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     return Scheduled([out], signature)
 
 
-class LightSumFuncs(NamedTuple):
-    """The function of the kernel of `measure_light`, for its schedule."""
-
-    out: hl.Func
-    """Of (lane, y): each row in as many parts as a vector has."""
-    lane: hl.Var
-    steps: hl.RDom
-
-
 def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
-    """Return the sums, to be compiled: rows in a fixed number of parts, so that they always add up in one order."""
+    """Return the kernel of `measure_light`. It sums each row in a fixed number of parts, so the order never changes."""
     signature, lanes = Signature("light sums"), target.natural_vector_size(hl.Float(32))
     lane, y = hl.Var("lane"), Y
     images = [signature.image(name, "height", "width", COLORS) for name in ("a", "b", *["albedo"] * tinted)]
@@ -96,7 +80,7 @@ def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
     for half in images[:2]:
         radiance, good = demodulate(half, images[2] if tinted else None, at, hl.f32(ALBEDO_FLOOR))
         light = find_luminance(radiance)
-        # Three large channels may add up to infinity.
+        # The luminance of finite channels may overflow to infinity.
         good = good & (light < hl.f32(LARGEST_FLOAT))
         total = total + hl.select(good, light, hl.f32(0.0))
         count = count + hl.select(good, hl.f32(1.0), hl.f32(0.0))
@@ -112,19 +96,19 @@ def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
 def measure_light(
     halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
 ) -> NDArray[np.float64]:
-    """Return for every row the luminance of radiance over albedo, summed in ``mask``, and its pixels: (height, 2).
+    """Return for every row the sum of luminance over albedo inside ``mask``, and its number of pixels: (height, 2).
 
-    A pixel counts by the mean of its halves, or by the one that it has; where the albedo tells nothing it is dark.
-    Rows add up to the same bits however an image was cut into bands of them.
+    A pixel counts with the mean of its good halves, and with 0 if it has none or its albedo is almost 0. The sums of
+    rows have the same bits however the image is cut into bands of rows.
 
     Parameters
     ----------
     halves : pair of array, shape (height, width, 3)
         Radiance. NaN, infinite and negative pixels of a half do not count.
     albedo : array, shape (height, width, 3) or None
-        What it is divided by.
+        Divides the radiance.
     mask : bool array, shape (height, width)
-        Where it has meaning.
+        True where pixels count.
     device : str
         A name from `list_devices`.
     """
@@ -136,13 +120,13 @@ def measure_light(
         images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, (measure_light, tinted), partial(_make_light_sums, tinted))
+    kernel = get_kernel(device, ("light sums", tinted), partial(_make_light_sums, tinted))
     sums = download(run_kernel(kernel, device, images)["sums"])
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
 
 def find_level(rows: NDArray[np.float64]) -> float:
-    """Return the mean light of the rows that `measure_light` gave; 0 where nothing has meaning."""
+    """Return the mean light of rows measured by `measure_light`; 0 if no pixel counts."""
     light, count = rows.sum(axis=0)
     return float(light / max(count, 1.0))
 
@@ -151,27 +135,26 @@ def find_level(rows: NDArray[np.float64]) -> float:
 def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = VARIANCE_FLOOR) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
-    ``d`` is `DARKEST` of ``level``, so that the guide of a brighter image is the same but for a constant. The variance
-    is a quarter of the squared difference of both, averaged over the colours and over `BLUR`.
+    ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
+    quarter of the squared difference of both logarithms, averaged over the colours and blurred by `BLUR`.
 
     Parameters
     ----------
     a, b : array, shape (height, width, 3)
         Two filtered halves, finite, >= 0.
     level : float
-        How bright the whole image is, >= 0: the mean light of its samples (`find_level`), which no filter need have run
-        for, and which is the same for every part of an image.
+        Mean light of the samples of the whole image (`find_level`), >= 0; the same for every part of an image.
     device : str
         A name from `list_devices`.
     floor : float
-        Least variance.
+        Added to the variance.
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
-    kernel = get_kernel(device, (make_noise_guide,), _make_noise_guide)
+    kernel = get_kernel(device, ("noise guide",), _make_noise_guide)
     return run_kernel(kernel, device, images, offset=find_dark(level), floor=floor)["guide"]
 
 
 def find_dark(level: float) -> float:
-    """Return what is added under the logarithms of an image whose mean light is ``level``."""
-    return max(DARKEST * level, 1e-30)
+    """Return the offset under the logarithms of an image with mean light ``level``."""
+    return max(LOG_OFFSET_SHARE * level, 1e-30)

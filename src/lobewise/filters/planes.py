@@ -1,7 +1,8 @@
-"""What taps read of a pixel: the features' arrays as planes, beside each other in every row.
+"""The values of a pixel that taps read: the features' arrays as planes, side by side in each row.
 
-Guides are the input channels of every feature, harmless where a pixel has no meaning; planes are what `Feature.prepare`
-makes of them. Where taps reach beyond the image, either coordinates are clamped or `Rows` fills what is there.
+Guides are the input channels of all features, replaced by neutral values where a pixel has no meaning. Planes are the
+results of `Feature.prepare` for the guides. Where taps reach beyond the image, either coordinates are clamped or `Rows`
+fills the margins.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ import halide as hl
 from lobewise.features.base import Feature, Pixel, count_channels
 
 PIXEL = X, Y, C = hl.Var("x"), hl.Var("y"), hl.Var("c")
-"""Column, row and channel of every function here."""
+"""Column, row and channel of the functions of all kernels."""
 
 
 class Layout:
-    """Where the planes of a feature lie among all, and how they are put together again.
+    """The place of a feature's planes among those of all features, and the structure to rebuild from them.
 
     Parameters
     ----------
-    prepared : what `Feature.prepare` returned
-        Says how.
+    prepared : Pixel
+        The result of `Feature.prepare`: gives the structure.
     start : int
-        The first of its planes.
+        Index of the first plane.
     """
 
     def __init__(self, prepared: Pixel, start: int = 0) -> None:
@@ -35,19 +36,19 @@ class Layout:
         self.stop = start + len(flatten(prepared))
 
     def read(self, take: Callable[[int], hl.Expr]) -> Pixel:
-        """Return the planes of a pixel as `Feature.log2_similarity` takes them; ``take`` returns the k-th of all."""
+        """Return a pixel's planes in the structure of `Feature.prepare`; ``take(k)`` returns the k-th plane of all."""
         return _rebuild(self._like, map(take, range(self.start, self.stop)))
 
 
 def flatten(prepared: Pixel) -> list[hl.Expr]:
-    """Return the planes one after the other."""
+    """Return the planes as a flat list."""
     if isinstance(prepared, (list, tuple)):
         return [value for part in prepared for value in flatten(part)]
     return [] if prepared is None else [prepared]
 
 
 def _rebuild(like: Any, values: Iterator[hl.Expr]) -> Any:
-    """Return the next values in the places of those in ``like``."""
+    """Return the structure of ``like`` with the next values in place of its own."""
     if not isinstance(like, (list, tuple)):
         return None if like is None else next(values)
     parts = [_rebuild(part, values) for part in like]
@@ -55,18 +56,18 @@ def _rebuild(like: Any, values: Iterator[hl.Expr]) -> Any:
 
 
 def begin_at_zero(image: hl.ImageParam) -> None:
-    """Let the compiler know that an image's coordinates begin at 0, as those of every array do."""
+    """Tell the compiler that an image's coordinates begin at 0."""
     for axis in range(image.dimensions()):
         image.dim(axis).set_min(0)
 
 
 def count_inputs(features: Sequence[Feature]) -> list[int]:
-    """Return the channels of the arrays of every feature, one after the other."""
+    """Return the number of channels of each array of all features."""
     return [count for feature in features for count in count_channels(feature)]
 
 
 def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: hl.Expr) -> list[hl.Expr]:
-    """Return the input channels of a pixel, harmless where it has no meaning."""
+    """Return the input channels of a pixel, or neutral values if it has no meaning."""
     neutral = [value for feature in features for value in feature.neutral]
     return [hl.select(known, value, hl.f32(other)) for value, other in zip(channels, neutral, strict=True)]
 
@@ -74,7 +75,7 @@ def neutralize(features: Sequence[Feature], channels: Sequence[hl.Expr], known: 
 def prepare_planes(
     features: Sequence[Feature], scalars: Sequence[Sequence[hl.Expr]], channels: Sequence[hl.Expr]
 ) -> tuple[list[hl.Expr], list[Layout]]:
-    """Return what taps read of a pixel, from its input channels, and where in it each feature has its planes."""
+    """Return the planes of a pixel, from its input channels, and the layout of each feature in them."""
     values: list[hl.Expr] = []
     layouts: list[Layout] = []
     given = 0
@@ -88,23 +89,23 @@ def prepare_planes(
 
 
 def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
-    """Return x within an image; inside, where most of a row is, loads are then dense."""
+    """Return x clamped to a row. "Likely" makes a loop of its own for the middle of a row, where loads are dense."""
     return hl.clamp(hl.likely(x), 0, length - 1)
 
 
 class Rows:
     """The columns of an image in parts that need no clamping, for processors.
 
-    Clamped loads are one load for every lane of a vector, and code for the left, the middle and the right of a row:
-    half of what there is to compile. Here what lies outside is filled, vectors begin at column 0, and the pixels that
-    are left behind the last whole vector go one by one.
+    A clamped load becomes one load for each lane of a vector, and needs code for the left, the middle and the right of
+    a row: half of all code to compile. So the margins outside the image are filled, vectors begin at column 0, and the
+    pixels after the last whole vector are computed one by one.
 
     Parameters
     ----------
     width : halide.Expr
-        Of the image, pixels.
+        Width of the image, pixels.
     reach : int or halide.Expr
-        How far outside taps read, pixels.
+        Distance of the farthest tap, pixels.
     lanes : int
         Pixels of a vector.
     """
@@ -114,9 +115,9 @@ class Rows:
         before = (reach + hl.i32(lanes - 1)) / lanes * lanes
         whole = width / lanes
         self.margins = [hl.RDom([(-before, before)], "before"), hl.RDom([(width, before + lanes)], "after")]
-        """Left and right of the image, as far as a vector reaches that begins inside."""
+        """Columns left and right of the image, as far as vectors that begin inside it reach."""
         self.parts = [hl.RDom([(0, lanes), (0, whole)], "whole"), hl.RDom([(whole * lanes, width % lanes)], "left")]
-        """Lane and number of the whole vectors; the pixels that are left."""
+        """Whole vectors, by lane and number; remaining pixels."""
 
     def fill(
         self,
@@ -124,7 +125,7 @@ class Rows:
         outside: hl.Expr,
         inside: Callable[[int, hl.Expr], hl.Expr],
     ) -> hl.Func:
-        """Return a function of (x, c, y) that is ``outside``, and ``inside(part, column)`` in the image's columns."""
+        """Return a function of (x, c, y): ``inside(part, column)`` inside the image, ``outside`` in the margins."""
         func = hl.Func(name)
         func[X, C, Y] = hl.undef(hl.Float(32))
         for margin in self.margins:
@@ -136,7 +137,7 @@ class Rows:
 
 
 def _stack(name: str, values: Sequence[hl.Expr]) -> hl.Func | None:
-    """Return a function whose channel c is the c-th value; None for no values."""
+    """Return a function whose channel c is the c-th value; None without values."""
     if not values:
         return None
     func = hl.Func(name)
@@ -145,7 +146,6 @@ def _stack(name: str, values: Sequence[hl.Expr]) -> hl.Func | None:
 
 
 def _choose(values: Sequence[hl.Expr]) -> hl.Expr:
-    """Return the value of channel C."""
     return hl.mux(C, list(values)) if len(values) > 1 else values[0]
 
 
@@ -158,9 +158,9 @@ class GuidePlanes:
     planes: hl.Func | None
     plane_count: int
     layouts: list[Layout]
-    """Of every feature."""
+    """Layout of each feature."""
     row_guides: list[hl.Func] = field(default_factory=list)
-    """In place of guides, one for each part of `Rows.parts`."""
+    """Guides by part of `Rows.parts`, if there are rows; ``guides`` is None then."""
 
     def read(self, layout: Layout, x: hl.Expr, y: hl.Expr) -> Pixel:
         """Return the planes of one feature at a pixel."""
@@ -178,9 +178,10 @@ def make_guide_planes(
     inside: bool = False,
     rows: Rows | None = None,
 ) -> GuidePlanes:
-    """Return the planes of every feature on the grid of ``mask``; ``inside`` it all pixels are that are asked for.
+    """Return the planes of every feature on the grid of ``mask``.
 
-    ``arrays`` are what `lobewise.features.arrays.declare_features` returned.
+    ``arrays`` come from `lobewise.features.arrays.declare_features`. ``inside`` promises that only pixels inside the
+    image are read, so that coordinates need no clamping.
     """
     count = sum(count_inputs(features))
 
@@ -214,9 +215,9 @@ def make_image(
     rows: Rows | None,
     take: Callable[[tuple[hl.Expr, hl.Expr], hl.Expr], hl.Expr],
 ) -> hl.Func:
-    """Return a function of (x, c, y) from ``take(pixel, usable)``: a pixel of the image, and whether it has a meaning.
+    """Return a function of (x, c, y) from ``take(pixel, usable)``, called with a pixel and whether it has meaning.
 
-    Outside the image the pixel is the nearest one and not usable; where there are rows, the function is 0.
+    Outside the image ``take`` gets the nearest pixel, not usable; with ``rows`` the margins are 0 instead.
     """
     line = hl.clamp(Y, 0, mask.height() - 1)
     inside = (Y >= 0) & (mask.height() > Y)
@@ -236,7 +237,7 @@ def _make_guides(
     arrays: Sequence[hl.ImageParam],
     at: tuple[hl.Expr, hl.Expr],
 ) -> hl.Func | None:
-    """Return the input channels of every feature side by side."""
+    """Return the input channels of all features as one function."""
     channels: list[hl.Expr] = []
     for array, count in zip(arrays, count_inputs(features), strict=True):
         deep = array.dimensions() == 3

@@ -1,15 +1,13 @@
-"""Specks of blurred lights: single bright pixels beside a light out of focus are shared out among their neighbours.
+"""Share out the light of specks, single bright pixels at blurred lights, among their neighbours.
 
 Light that no surface scatters (emission, background) has no noise where a pixel shows one object. Where depth of field
-or motion mixes objects in a pixel, it is as noisy as the choice of the object, which is one of a few samples: the disc
-of a lamp out of focus has a rim of dots. No guide tells such a pixel from its neighbours, so it is not filtered. Only
-what stands out is moved: light above the fourth brightest of the eight neighbours goes to the 5x5 pixels around, in
-proportion to what they have, so that none is lost and none reaches dark pixels.
+or motion mixes several objects in a pixel, few samples choose among them: the disc of a lamp out of focus gets a rim of
+dots. No guide distinguishes such a pixel from its neighbours, so filters do not help. Only excess light is moved: light
+above the fourth brightest of the eight neighbours goes to the 5x5 pixels around, in proportion to their own light. No
+light is lost, and none reaches dark pixels.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import halide as hl
 import numpy as np
@@ -20,29 +18,29 @@ from lobewise.backend.pointwise import LARGEST_FLOAT, is_finite
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import find_luminance
 from lobewise.filters.planes import X, Y
-from lobewise.filters.schedules.specks import schedule_specks
+from lobewise.filters.schedules.specks import SpeckFuncs, schedule_specks
 from lobewise.frame import FloatArray
 
 MAX_MIXED_SHARE = 0.97
-"""Largest share of a pixel's area that one object has in a mixed pixel."""
+"""Largest share of its area that one object covers in a pixel that counts as mixed."""
 WINDOW_RADIUS, MIN_MIXED = 3, 0.6
-"""Where more than this share of a window is mixed, objects are blurred: edges in focus are two pixels wide at most.
-What lies within another such radius of a blurred pixel may show a dot."""
+"""Radius of a window, pixels, and the share of mixed pixels above which its centre is blurred. Edges in focus have
+less, because they are at most two pixels wide. Pixels within the same radius of a blurred pixel may be specks."""
 RANK = 4
-"""Which of the eight neighbours, from the brightest, bounds a pixel."""
+"""Rank, from the brightest, of the neighbour that bounds a pixel's luminance."""
 SPREAD_RADIUS = 2
-"""Over how many pixels to each side the light above is shared out."""
+"""Radius of the square that excess light is shared out over, pixels."""
 REACH = max(2 * SPREAD_RADIUS + 1, 2 * SPREAD_RADIUS + 2 * WINDOW_RADIUS)
-"""Pixels to each side that tell on a pixel."""
+"""Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
 def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str = "cpu") -> FloatArray:
-    """Return what the light of every pixel is multiplied by, (height, width), >= 0, so that no speck stands out.
+    """Return the gain of every pixel's light, (height, width), >= 0, that removes specks.
 
     Parameters
     ----------
     light : array, shape (height, width, 3)
-        Linear radiance, >= 0; what is NaN, infinite or negative is 0 here.
+        Linear radiance, >= 0. NaN, infinite and negative pixels count as 0.
     object_share : array, shape (height, width)
         As in `lobewise.GBuffer`.
     device : str
@@ -55,8 +53,7 @@ def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str
 
     Notes
     -----
-    Luminance times the gain has the sum of luminance, up to rounding: light is moved, not taken. Without mixed pixels
-    the gain is 1 everywhere.
+    The gain moves light and keeps the sum of luminances, up to rounding. Without mixed pixels it is 1 everywhere.
     """
     images: dict[str, Image] = {
         "light": take_image("light", light, (*object_share.shape, 3)),
@@ -65,31 +62,12 @@ def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str
     if not (object_share < MAX_MIXED_SHARE).any():
         return np.ones(object_share.shape, np.float32)
     with device_scope():
-        kernel = get_kernel(device, (share_out_specks,), _make_specks)
+        kernel = get_kernel(device, ("specks",), _make_specks)
         return download(run_kernel(kernel, device, images)["gain"])
 
 
-class SpeckFuncs(NamedTuple):
-    """The functions of the kernel, for its schedule."""
-
-    bright: hl.Func
-    """Luminance; 0 outside the image."""
-    mixed: hl.Func
-    """Whether a pixel shows several objects, 1 or 0, and 1 for being inside the image."""
-    rows: hl.Func
-    """Sums of `mixed` along rows of the window."""
-    blurred: hl.Func
-    near: hl.Func
-    """Whether a blurred pixel is near, by rows."""
-    low: hl.Func
-    """Luminance up to the bound, the light above it, and what takes part in sharing."""
-    quotient: hl.Func
-    """Light above the bound over the sum of what takes it."""
-    out: hl.Func
-
-
 def _make_specks(target: hl.Target) -> Scheduled:
-    """Return the gain, to be compiled."""
+    """Return the kernel of `share_out_specks`."""
     signature, size = Signature("specks"), ("height", "width")
     light, share = signature.image("light", *size, 3), signature.image("share", *size)
     light.dim(0).set_bounds(0, 3)
@@ -120,7 +98,7 @@ def _make_specks(target: hl.Target) -> Scheduled:
     steps = range(-SPREAD_RADIUS, SPREAD_RADIUS + 1)
     spread = [(i, j) for j in steps for i in steps]
     taken = sum((low[X + i, Y + j][2] for i, j in spread), zero)
-    # Where nothing takes it, a pixel keeps what it has.
+    # Where no pixel around takes light, the excess stays.
     quotient[X, Y] = hl.Tuple(
         [
             hl.select(taken > zero, low[X, Y][1] / hl.max(taken, hl.f32(1e-30)), zero),
@@ -130,7 +108,10 @@ def _make_specks(target: hl.Target) -> Scheduled:
     given = low[X, Y][2] * sum((quotient[X + i, Y + j][0] for i, j in spread), zero)
     total = low[X, Y][0] + quotient[X, Y][1] + given
     out[X, Y] = hl.select(here > zero, total / hl.max(here, hl.f32(1e-30)), one)
-    schedule_specks(SpeckFuncs(bright, mixed, rows, blurred, near, low, quotient, out), target)
+    funcs = SpeckFuncs(
+        bright=bright, mixed=mixed, rows=rows, blurred=blurred, near=near, low=low, quotient=quotient, out=out
+    )
+    schedule_specks(funcs, target)
     return Scheduled([out], signature)
 
 
@@ -142,7 +123,7 @@ def _find_largest(values: list[hl.Expr]) -> hl.Expr:
 
 
 def _find_rank(values: list[hl.Expr], rank: int) -> hl.Expr:
-    """Return the value of a rank, 1 for the largest: a list of so many is kept in order while values are put in."""
+    """Return the value of a rank, 1 for the largest, by insertion into a sorted list of ``rank`` values."""
     best = [hl.f32(-LARGEST_FLOAT)] * rank
     for value in values:
         for place in range(rank):

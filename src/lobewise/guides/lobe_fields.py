@@ -17,7 +17,7 @@ from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
 from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe
 from lobewise.lobes.directions import face_viewer, find_tangent, reflect
-from lobewise.lobes.gaussian import LAMBERT_SHARPNESS, find_ggx_variance
+from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, find_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
 
 
@@ -271,9 +271,9 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:
         return hl.select(which == 1, value, which == 2, diffuse, hl.f32(harmless))
 
-    flat: list[hl.Expr] = [hl.f32(LAMBERT_SHARPNESS)]
+    flat: list[hl.Expr] = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)]
     if similarity != "sg":
-        variance = hl.f32(1.0 / LAMBERT_SHARPNESS)
+        variance = hl.f32(1.0 / LAMBERT_SIMILARITY_SHARPNESS)
         flat = [*find_round_covariance(variance, normal), variance * variance]
     axis = [choose(value, diffuse, 0.0) for value, diffuse in zip(axis, normal, strict=True)]
     shape = [choose(*each) for each in zip(shape, flat, neutral, strict=True)]

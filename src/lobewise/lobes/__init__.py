@@ -1,1 +1,1 @@
-"""The mathematics of reflection lobes: each formula once, for numbers of any kind, without images."""
+"""The mathematics of reflection lobes: one text per formula, for numbers of any kind, without images."""

@@ -1,4 +1,4 @@
-"""How much a glossy surface reflects: the directional albedo of GGX."""
+"""The directional albedo of GGX: the share of light that a glossy surface reflects."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 def ggx_directional_albedo_terms(cos_view: Any, alpha: Any) -> tuple[Any, Any]:
     """Return (bias, scale): the directional albedo of single-scatter GGX is ``bias + scale f0``. Approximate.
 
-    Only operators are used, so that numbers of any kind pass through.
+    The formula uses only operators, so numbers of any kind work.
 
     Parameters
     ----------

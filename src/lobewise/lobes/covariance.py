@@ -1,14 +1,14 @@
-"""Covariance lobes: a reflection lobe as an axis and a 2x2 covariance in the plane across it.
+"""Covariance lobes: a reflection lobe as an axis and a 2x2 covariance in the plane across the axis.
 
 The covariance is stored as a symmetric 3x3 matrix of rank 2 in world space, six numbers ``xx, xy, xz, yy, yz, zz``,
-with the determinant of its 2x2 part beside it. No frame is stored, so that no two pixels have to agree on one.
+and the determinant of its 2x2 part. No tangent frame is stored, so neighbouring pixels need no common frame.
 
-The reflected shape follows from the shape of the microfacet normals in the plane across the dominant visible normal m:
-moving a normal by d there turns the reflection by ``2 (v.d) m + 2 (v.m) d``, which is the whole Jacobian.
+The shape of the reflected lobe follows from the distribution of microfacet normals in the plane across the dominant
+visible normal m: moving a normal by d in this plane turns the reflection by ``2 (v.d) m + 2 (v.m) d`` (the Jacobian).
 
 Source: dominant visible normal and projected roughness ``alpha^2 / (1 - alpha^2)`` as in Tokuyoshi's public shaders
 (Tokuyoshi and Kaplanyan 2021); the covariance, the limits of rough lobes and the scale of the dominant normal are this
-library's, fitted to quadrature. `weights.shader` in exporting/ says the same in the words of shaders; a test compares.
+library's, fitted to quadrature. `weights.shader` in exporting/ has the same formulas for shaders; a test compares them.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from lobewise.lobes.vectors import Vector, combine, cross, dot, scale
 GGX_LIMIT = 0.35
 """Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
 BECKMANN_LIMIT = 0.5
-"""The same for Beckmann."""
-MIN_COSINE = 0.03
-"""Floor of v.m in the Jacobian: below it the lobe would have no width across the plane of incidence."""
+"""Inverse variance added to rough Beckmann lobes."""
+MIN_VIEW_COSINE = 0.03
+"""Smallest v.m in the Jacobian; at 0 the lobe would have no width across the plane of incidence."""
 GGX_SHARPNESS = GGX_MIXTURES[1][0][0]
-"""Of the Gaussian nearest in L2 to ``(1 + q)^-2``, over that with its curvature at 0 (one lobe of the mixtures)."""
+"""Sharpness of the L2-best Gaussian of ``(1 + q)^-2``, over that of the Gaussian with the same curvature at 0."""
 
 
 class CovarianceLobe(NamedTuple):
-    """A reflection lobe as a covariance in the plane across its axis, by component."""
+    """A reflection lobe as a covariance in the plane across its axis."""
 
     axis: Vector
     """Unit vector, three components."""
@@ -55,7 +55,7 @@ def _add_outer(covariance: Vector, weight: Any, a: Vector) -> list[Any]:
 
 
 def find_dominant_normal(xp: Namespace, view: Vector, alphas: Vector) -> list[Any]:
-    """Return the direction that stands for the visible GGX normals: the lobe is reflected about it. Approximate.
+    """Return the dominant visible normal of GGX, about which the lobe is reflected. Approximate.
 
     Source: Tokuyoshi's public shaders: ``m = normalize(au^2 vx, av^2 vy, sqrt(au^2 vx^2 + av^2 vy^2 + vz^2) + vz)``.
     Departs: both squares are scaled by ``min(1, 0.7 + 0.6 sqrt(au av))``, because the plain form turns the axis of
@@ -110,15 +110,14 @@ def make_covariance_lobe(
     noise : number
         Variance added to both principal ones, square radians (band-limit).
     beckmann : truth
-        Beckmann normals instead of GGX.
+        Whether normals follow Beckmann instead of GGX.
     gaussian : bool
-        The covariance of the Gaussian that is nearest in L2 to the lobe's shape, which for GGX is narrower by
-        `GGX_SHARPNESS`.
+        Return the covariance of the L2-best Gaussian of the lobe; for GGX it is narrower by `GGX_SHARPNESS`.
     """
     limit = xp.where(beckmann, BECKMANN_LIMIT, xp.number(GGX_LIMIT))
     deficits = [xp.where(beckmann, 1.0, 1.0 - alpha * alpha) for alpha in alphas]
     sharper = xp.where(beckmann, 1.0, xp.number(GGX_SHARPNESS)) if gaussian else 1.0
-    # What is scaled afterwards holds the band-limit, which must not be.
+    # The lobe is scaled by 1 / sharper below, but its band-limit must not be: scale the band-limit up beforehand.
     noise = sharper * noise
     if tangents is None:
         lobe = _make_isotropic_lobe(xp, normal, view, cosine, alphas[0], deficits[0], limit, noise)
@@ -139,8 +138,8 @@ def _make_isotropic_lobe(
 
     The dominant normal lies in the plane of n and v, so the principal axes are known: with
     ``A_x = 4 (v.m)^2 a^2 / (m.n)`` across and ``A_y = 4 (m.n) a^2`` along the plane of incidence, each over
-    ``deficit``, the variances are ``A / (1 + limit A) / 2``. Written over common denominators nothing is divided by 0
-    from alpha 0 to 1.
+    ``deficit``, the variances are ``A / (1 + limit A) / 2``. Common denominators avoid divisions by 0 for alpha from 0
+    to 1.
     """
     square = alpha * alpha
     # m = normalize(a v + b n)
@@ -153,16 +152,16 @@ def _make_isotropic_lobe(
     twice = 2.0 * view_cosine * inverse
     axis = combine((twice * a - 1.0, view), (twice * b, normal))
 
-    floored = xp.maximum(view_cosine, xp.number(MIN_COSINE))
+    floored = xp.maximum(view_cosine, xp.number(MIN_VIEW_COSINE))
     floored_square = floored * floored
     across_part, along_part = 4.0 * square * floored_square, 4.0 * square * normal_cosine
-    # alpha 0 has variance 0 even where both terms of its scale are 0, which they never are: the deficit is 1 there
+    # Neither scale is 0: where alpha, and so the limit's term, is 0, the deficit is 1.
     across_scale = normal_cosine * deficit + limit * across_part
     along_scale = deficit + limit * along_part
     across = 0.5 * across_part / across_scale + noise
     along = 0.5 * along_part / along_scale + noise
-    # across - along, over the squared length of v x n, whose direction carries it: free of cancellation and of 0/0 at
-    # n = v
+    # ``excess`` is across - along over |v x n|^2, the weight of the outer product of v x n. This form has no
+    # cancellation, and no 0/0 at n = v.
     lifted = (floored_square - view_cosine * view_cosine) / xp.maximum(1.0 - cosine * cosine, 0.5)
     excess = 2.0 * square * deficit * ((a * a - b * b) * inverse_square + lifted) / (across_scale * along_scale)
     covariance = _add_outer(find_round_covariance(along, axis), excess, cross(view, normal))
@@ -193,7 +192,7 @@ def _make_anisotropic_lobe(
     view_cosine = mu * cosine_u + mv * cosine_v + mn * cosine
     axis = combine((2.0 * view_cosine, m), (-1.0, view))
 
-    floored = xp.maximum(view_cosine, xp.number(MIN_COSINE))
+    floored = xp.maximum(view_cosine, xp.number(MIN_VIEW_COSINE))
     lift = floored - view_cosine
     product = 16.0 * floored * floored * squares[0] * squares[1]
     covariance = find_round_covariance(limit * product, axis)
@@ -202,9 +201,9 @@ def _make_anisotropic_lobe(
         (tangent, mu, cosine_u, squares[0] * deficits[1]),
         (bitangent, mv, cosine_v, squares[1] * deficits[0]),
     ):
-        # where a step along this tangent takes the reflection: its image under the Jacobian
+        # Compute the image of the tangent under the Jacobian: how a step along it turns the reflection.
         on_m = 2.0 * (along - 2.0 * component * view_cosine)
-        # the floor of v.m widens only the part across the plane of incidence
+        # The floor of v.m must widen only the part across the plane of incidence.
         on_view = (along - component * view_cosine) / xp.maximum(1.0 - view_cosine * view_cosine, 0.5)
         on_m = on_m - 2.0 * lift * (component - on_view * view_cosine)
         image = combine((on_m, m), (2.0 * floored, vector), (-2.0 * lift * on_view, view))
@@ -214,7 +213,7 @@ def _make_anisotropic_lobe(
     inverse = 1.0 / (deficits[0] * deficits[1] + limit * trace + limit * limit * product)
     blur = find_round_covariance(noise, axis)
     covariance = [0.5 * inverse * value + more for value, more in zip(covariance, blur, strict=True)]
-    # determinant and trace of the 2x2 part before the noise
+    # Compute determinant and trace of the 2x2 part before the band-limit is added.
     plain = 0.25 * product * inverse
     spread = 0.5 * inverse * (trace + 2.0 * limit * product)
     return CovarianceLobe(axis, covariance, plain + noise * (spread + noise))

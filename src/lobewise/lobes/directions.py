@@ -1,4 +1,4 @@
-"""Normals and tangents made fit for a lobe: what guides hold is interpolated, mapped, or not there."""
+"""Repair normals and tangents of guides, which may be interpolated, normal-mapped or missing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import Vector, combine, dot, scale
 
 MIN_COSINE = 0.01
-"""Normals that face away from the viewer are bent until n.v is at least about this."""
+"""Approximate smallest n.v. Normals that face farther away are bent towards the viewer."""
 
 
 def face_viewer(xp: Namespace, normal: Vector, view: Vector) -> tuple[list[Any], Any]:
@@ -24,9 +24,9 @@ def face_viewer(xp: Namespace, normal: Vector, view: Vector) -> tuple[list[Any],
 
 
 def find_tangent(xp: Namespace, raw: Vector, normal: Vector) -> tuple[list[Any], Any]:
-    """Return the tangent made perpendicular to the unit normal, of unit length, and whether there was one.
+    """Return the tangent made perpendicular to the unit normal, of unit length, and whether the raw one was usable.
 
-    Where there was none, or none across the normal, it is any vector perpendicular to the normal.
+    If the raw tangent is 0 or along the normal, the result is an arbitrary vector perpendicular to the normal.
     """
     along = dot(raw, normal)
     tangent = [t - along * n for t, n in zip(raw, normal, strict=True)]

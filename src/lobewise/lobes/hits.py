@@ -1,9 +1,9 @@
-"""The hit-distance term: comparing what two lobes see, and not only where they point.
+"""The hit-distance term: compare the points that two lobes see, not only their directions.
 
-Two pixels of a flat mirror have nearly the same lobe, but see different points of a thing that is near. At distance t
-the footprint of a lobe is ``t^2 S``, centred at ``x + t z``; the offset of two footprints over t is
-``(z_j - z_i) + P (x_j - x_i) / t`` with P the projection across the lobes. Putting that in place of the difference of
-the axes narrows the kernel where the reflected thing is near and leaves it where it is far.
+Two pixels of a flat mirror have nearly the same lobe, but see different points of a near object. At distance t the
+footprint of a lobe is ``t^2 S``, centred at ``x + t z``. The offset of two footprints over t is
+``(z_j - z_i) + P (x_j - x_i) / t`` with the projection P across the lobes. Using it in place of the difference of the
+axes narrows the kernel where the reflected object is near and does not change it where the object is far.
 """
 
 from __future__ import annotations
@@ -15,33 +15,32 @@ from lobewise.lobes.vectors import Vector, dot
 
 
 class HitField(NamedTuple):
-    """Where the surfaces of an image are and how far away is what their lobes see."""
+    """The surface points of an image, and the inverse distances to what their lobes hit."""
 
     position: FloatArray
     """Surface points, world space, shape (height, width, 3)."""
     inverse_distance: FloatArray
-    """1/t, shape (height, width); 0 where nothing is seen or known, which leaves the lobes as they are."""
+    """1/t, shape (height, width); 0 where nothing is hit or known, which switches the term off."""
 
 
 def find_hit_shift(
     axis_i: Vector, axis_j: Vector, hit_i: tuple[Vector, Any], hit_j: tuple[Vector, Any], square: Any
 ) -> list[Any]:
-    """Return what the hits add to ``z_j - z_i``: the step between the surface points over t, across the lobes.
+    """Return the shift added to ``z_j - z_i``: the step between the surface points over t, projected across the lobes.
 
     Parameters
     ----------
     axis_i, axis_j : Vector
         Unit lobe axes.
     hit_i, hit_j : pair of Vector and number
-        Surface point, and inverse hit distance; the mean of both distances counts, which keeps the weight symmetric.
+        Surface point, and inverse hit distance; the mean of both inverses is used, which keeps the weight symmetric.
     square : number
         ``|axis_i - axis_j|^2``.
 
     Notes
     -----
-    Source: this library, after the "secondary-ray information" that Tokuyoshi 2015 names as a remedy; for a flat mirror
-    at infinity's other end it is the footprint ``t / (D + t)`` of the virtual image. Perpendicular to ``z_i + z_j`` to
-    first order in ``square / 4``: the lobes of a tap that counts are near.
+    Source: this library, after the "secondary-ray information" that Tokuyoshi 2015 names as a remedy. The result is
+    perpendicular to ``z_i + z_j`` to first order in ``square / 4``. This suffices, because distant lobes weigh nothing.
     """
     (place_i, inverse_i), (place_j, inverse_j) = hit_i, hit_j
     inverse = 0.5 * (inverse_i + inverse_j)

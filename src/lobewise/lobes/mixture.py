@@ -1,7 +1,7 @@
-"""Sums of spherical Gaussians that stand for GGX: the paper's several lobes per pixel.
+"""Sums of spherical Gaussians that approximate GGX: the paper's several lobes per pixel.
 
-GGX normals are ``(1 + q)^-2`` with ``q = (1 / alpha^2 - 1) sin^2``, for every roughness, so that one table of exponents
-and weights serves all of them. The similarity of two mixtures is in `lobewise.features.sg_mixture`.
+The GGX distribution of normals is ``(1 + q)^-2`` with ``q = (1 / alpha^2 - 1) sin^2`` for every roughness, so one table
+of exponents and weights serves all. The similarity of two mixtures is in `lobewise.features.sg_mixture`.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ GGX_MIXTURES = {
 area of the plane. Relative L2 errors 0.140, 0.031, 0.0085, 0.0027."""
 
 MIN_SHARPNESS = 1.5
-"""Floor of the sharpness of a GGX lobe before its band-limit: the hemisphere is no wider (fitted to quadrature)."""
+"""Smallest sharpness of a GGX lobe before its band-limit, as wide as the hemisphere (fitted to quadrature)."""
 
 LAMBERT_SHARPNESS = 2.1438
 LAMBERT_AMPLITUDE = 1.1766
 """The least-squares spherical Gaussian of ``max(n.w, 0)`` over the sphere; relative L2 error 0.177."""
 
-SMALLEST_AREA = 1e-12
-"""Below this a lobe is a mirror's, of which nothing is missing on the sphere."""
+MIN_AREA = 1e-12
+"""Smallest divisor for the area of a lobe, square radians. A smaller lobe lies entirely on the sphere."""
 
 
 def spread_ggx_mixture(
@@ -44,23 +44,23 @@ def spread_ggx_mixture(
     alpha_square : number
         Product of the two alphas, in [0, 1].
     lobes : {1, 2, 3, 4}
-        How many.
+        Number of lobes.
     noise : number
-        Added to every ``1 / sharpness``, square radians, > 0 (band-limit); the integral of each lobe is kept.
+        Band-limit, added to every ``1 / sharpness``, square radians, > 0; the integral of each lobe is preserved.
 
     Returns
     -------
     two lists of ``lobes`` numbers
-        Sharpness, inverse square radians, and amplitude, 1/sr. The integral over the sphere is ``sum w / b``, which is
-        all of GGX but what no number of lobes reaches: 0.760, 0.918, 0.967 or 0.985 of it.
+        Sharpness, inverse square radians, and amplitude, 1/sr. The integral over the sphere is ``sum w / b``: 0.760,
+        0.918, 0.967 or 0.985 of that of GGX for 1 to 4 lobes.
 
     Notes
     -----
     Normals of sharpness ``2 b k``, ``k = 1 / alpha^2 - 1``, reflected by the warp of Wang et al. 2009, are lobes of
-    sharpness ``b k / (2 n.v)``, which is not taken below `MIN_SHARPNESS`. Their amplitudes are ``w`` times one peak.
-    Written over common denominators nothing is divided by 0 from alpha 0 to 1.
-    Validity: the similarity of lobes with the shape of GGX normals is right to 0.003 with three lobes; that of GGX
-    reflections is limited by the shape and the axis of the lobe, see the theory page.
+    sharpness ``b k / (2 n.v)``, which is at least `MIN_SHARPNESS`. Their amplitudes are ``w`` times a common peak.
+    Common denominators avoid divisions by 0 for alpha from 0 to 1.
+    Validity: with three lobes the similarity of lobes with the shape of GGX normals has an error of 0.003; that of GGX
+    reflections is limited by the shape and the axis of the lobe, see docs/theory.md.
     """
     deficit = 1.0 - alpha_square
     rows = [[xp.number(value) for value in row] for row in zip(*GGX_MIXTURES[lobes], strict=True)]
@@ -69,8 +69,8 @@ def spread_ggx_mixture(
         # 1 / sharpness = area / (b (1 - alpha^2)) + tau^2
         steepness = xp.maximum(exponent * deficit, MIN_SHARPNESS * area)
         sharpness.append(steepness / (area + noise * steepness))
-        # the integrals of the lobes before the band-limit, over the area, which is 0 for a mirror
-        inside = find_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(SMALLEST_AREA)))
+        # Compute the integral of the lobe before the band-limit, over ``area``, which is 0 for a mirror.
+        inside = find_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(MIN_AREA)))
         shares.append(weight * inside / steepness)
     total, reached = sum(shares), sum(weight / exponent for exponent, weight in rows)
     amplitude = [

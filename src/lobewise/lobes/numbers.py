@@ -1,4 +1,4 @@
-"""What the formulas ask of the numbers they are given: one text serves NumPy, Halide and Dr.Jit."""
+"""The functions that formulas need of numbers, so that one text serves NumPy, Halide and Dr.Jit."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 
 class Namespace(Protocol):
-    """The functions of one kind of numbers, by NumPy's names. Operators are the numbers' own.
+    """The functions of one kind of numbers, with NumPy's names. Operators belong to the numbers themselves.
 
-    NumPy arrays, Halide expressions and Dr.Jit values are such numbers; a formula takes its namespace first, as ``xp``.
-    The text of a formula is that of the image kernels: the order of its operations is what their bits rest on.
+    The numbers are NumPy arrays, Halide expressions or Dr.Jit values. A formula takes its namespace first, as ``xp``.
+    Image kernels use the same formulas: the order of operations in a formula determines their bits.
     """
 
     def number(self, value: float, /) -> Any:
-        """Return a constant that float32 does not hold exactly as the numbers' own kind."""
+        """Return a constant as a number of this kind; needed for constants that float32 does not hold exactly."""
 
     def where(self, condition: Any, first: Any, second: Any, /) -> Any:
         """Return ``first`` where the condition holds, else ``second``."""
@@ -33,7 +33,7 @@ class Namespace(Protocol):
 
 
 class _Numpy:
-    """Arrays; constants are of type ``number``."""
+    """The functions of arrays; ``number`` is the type of constants."""
 
     where = staticmethod(np.where)
     sqrt = staticmethod(np.sqrt)
@@ -47,6 +47,6 @@ class _Numpy:
 
 
 NUMPY: Namespace = _Numpy(float)
-"""Arrays of any floats: Python's floats take the type of the arrays that they meet."""
+"""For arrays of any float type: Python's floats adopt the type of the arrays."""
 NUMPY_SINGLE: Namespace = _Numpy(np.float32)
-"""Arrays of float32, and constants that are rounded before they meet."""
+"""For arrays of float32, with constants rounded to float32."""

@@ -7,7 +7,7 @@ from typing import Any
 from lobewise.lobes.numbers import Namespace
 
 MIN_ALPHA = 1e-3
-"""The least alpha of usual "principled" implementations."""
+"""Smallest alpha of common implementations of the "principled" BSDF."""
 
 
 def find_principled_alphas(xp: Namespace, roughness: Any, anisotropy: Any) -> tuple[Any, Any]:

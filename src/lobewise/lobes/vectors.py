@@ -1,4 +1,4 @@
-"""Vectors by component: the few operations that lobes, features and guides share, of numbers of any kind."""
+"""Operations on vectors given as lists of components, which may be numbers of any kind."""
 
 from __future__ import annotations
 

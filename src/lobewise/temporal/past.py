@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, LobewiseError, require_kind
-from lobewise.filters.history.reprojection import AGREEMENT, run_reprojection
+from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places

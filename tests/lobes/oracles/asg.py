@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.covariance import MIN_COSINE
+from lobewise.lobes.covariance import MIN_VIEW_COSINE
 
 from .brdf import ggx_dominant_visible_normal
 from .roughness import GGX_SHARPNESS_SCALES, asg_sharpness_from_sg
@@ -326,13 +326,13 @@ def reflect_asg(view: ArrayLike, normal: ArrayLike, sharpness: ArrayLike) -> Asg
 
     Source: Xu et al. 2013, the spherical warp: axis ``2 (n.v) n - v``, sharpness ``s / (4 (n.v)^2)`` across the plane
     of incidence and ``s / 4`` in it. Exact to first order.
-    Departs: ``n.v`` is not taken below 0.03 (`MIN_COSINE`). Written with ``v x n`` instead of
+    Departs: ``n.v`` is not taken below 0.03 (`MIN_VIEW_COSINE`). Written with ``v x n`` instead of
     its direction: nothing is 0/0 at n = v.
     """
     view, normal, sharpness = as_reals(view, normal, sharpness)
     cosine = dot(normal, view)
     axis, cross = reflect(view, normal), np.cross(view, normal)
-    square = np.maximum(cosine, MIN_COSINE) ** 2
+    square = np.maximum(cosine, MIN_VIEW_COSINE) ** 2
     # (1 / square - 1) / |v x n|^2, which is 1 / square above the floor
     excess = (1.0 - (square - cosine * cosine) / np.maximum(1.0 - cosine * cosine, 0.5)) / square
     quarter = 0.25 * sharpness
@@ -346,7 +346,7 @@ def _reflect_step(step: Array, view: Array, normal: Array) -> Array:
     step = step - dot(step, normal)[..., None] * normal
     along = dot(step, view)[..., None]
     # the floor of v.m widens only the part across the plane of incidence
-    lift = np.maximum(cosine, MIN_COSINE) - cosine
+    lift = np.maximum(cosine, MIN_VIEW_COSINE) - cosine
     across = step - along / np.maximum(1.0 - cosine * cosine, 0.5) * (view - cosine * normal)
     return np.asarray(2.0 * along * normal + 2.0 * cosine * step + 2.0 * lift * across)
 
@@ -365,7 +365,7 @@ def reflect_anisotropic_asg(
     axis = reflect(view, normal)
     # the covariance times lu lv, and its inverse in two dimensions: (trace I - C) / det, det J = 4 n.v
     shape = sharpness_v[..., None] * _outer(step_u) + sharpness_u[..., None] * _outer(step_v)
-    jacobian = 16.0 * np.maximum(dot(normal, view), MIN_COSINE) ** 2
+    jacobian = 16.0 * np.maximum(dot(normal, view), MIN_VIEW_COSINE) ** 2
     precision = (_trace(shape)[..., None] * _across(axis) - shape) / jacobian[..., None]
     return AsgLobe(axis, precision, sharpness_u * sharpness_v / jacobian)
 
@@ -434,7 +434,7 @@ def make_ggx_asg(
     weight_u, weight_v = scale * square_u * deficit_v, scale * square_v * deficit_u
     inverse = weight_u[..., None] * _outer(step_u) + weight_v[..., None] * _outer(step_v)
     # across m the two steps of the normal span m.n
-    area = 16.0 * (np.maximum(dot(view, m), MIN_COSINE) * slope * scale) ** 2 * square_u * square_v
+    area = 16.0 * (np.maximum(dot(view, m), MIN_VIEW_COSINE) * slope * scale) ** 2 * square_u * square_v
     # (U^-1 + c I)^-1 = (U g + c det I) / (g + c tr + c^2 det), its determinant det over the same
     trace = _trace(inverse)
     half = 0.5 / (deficit_u * deficit_v + GGX_LIMIT * (trace + GGX_LIMIT * area))

@@ -14,7 +14,7 @@ from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
-from lobewise.filters.mixing import REACH as MIXING_REACH
+from lobewise.filters.mixing_pass import REACH as MIXING_REACH
 from lobewise.filters.noise.residuals import REACH as RESIDUAL_REACH
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.guides.lobe_fields import SPREAD_REACH

@@ -1,1 +1,1 @@
-"""What pixels remember from frame to frame: reprojection of their history, and accumulation of samples into it."""
+"""The history of pixels over frames: reproject it, and accumulate samples into it."""

@@ -1,9 +1,10 @@
-"""Accumulation over space and time: what samples say of a history, and what both give together."""
+"""Accumulate samples over space and time: how far samples confirm a history, and their sum with it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import halide as hl
@@ -27,7 +28,7 @@ from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
     Sums,
-    count_lanes,
+    count_host_lanes,
     fill,
     run_planes,
     split_history,
@@ -37,19 +38,19 @@ from lobewise.filters.schedules.accumulation import schedule_accumulation
 from lobewise.frame import FloatArray
 
 TRUST_RADIUS = 2
-"""Samples from the centre to the edge of the window in which history and samples are compared."""
+"""Radius of the window in which history and samples are compared, samples."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AccumulatedOutput(FilterOutput):
-    """What samples and a history give together; its weight sum is one over what a sample counts that matches fully.
+    """The result of samples and history together. The weight sum is in units of a sample that matches fully.
 
     Parameters
     ----------
     sums : array, shape (height, width, 7)
-        What it all follows from; see `lobewise.filters.history.sums`.
+        The new history; see `lobewise.filters.history.sums`.
     variance : array, shape (height, width)
-        Of the mean's luminance.
+        Variance of the luminance of the mean.
     """
 
     sums: FloatArray
@@ -59,17 +60,17 @@ class AccumulatedOutput(FilterOutput):
 class SampleGrid:
     """Guides of an image of which one pixel in every block of ``scale`` times ``scale`` is shaded.
 
-    A shaded sample at (row Y, column X) stands for the full-resolution pixel (Y scale + place[0], X scale + place[1]);
-    its weight for another pixel is the product of the features' similarities between these two pixels.
+    The sample at (row Y, column X) belongs to pixel (Y scale + place[0], X scale + place[1]) of the full image. Its
+    weight for another pixel is the product of the features' similarities between the two pixels.
 
     Parameters
     ----------
     mask : bool array, shape (height, width)
-        False where a pixel has no meaning for these features: it neither gives nor takes.
+        False where a pixel has no meaning for the features: it has weight 0 and its result is 0.
     features : sequence of Feature
-        On the full grid.
+        Features of the full image.
     scale : int
-        Pixels from sample to sample, >= 1.
+        Distance of neighbouring samples, pixels, >= 1.
     place : (int, int)
         Row and column of the shaded pixel within each block.
     albedo : array, shape (height, width, 3), optional
@@ -101,16 +102,16 @@ class SampleGrid:
         self._whole = {name: widen(image) for name, image in whole.items()}
 
     def _pick(self, image: HostImage) -> HostImage:
-        """Return an image at the pixels that are shaded."""
+        """Return an image at the shaded pixels."""
         return np.ascontiguousarray(image[self.shaded]) if self._scale > 1 else image
 
     @device_scope()
     def find_trust(self, samples: FloatArray, history: FloatArray, own: float) -> FloatArray:
-        """Return how far samples bear out the history, 0 to 1, at the pixels that were shaded, (rows, columns).
+        """Return how far samples confirm the history, 0 to 1, at the shaded pixels, (rows, columns).
 
-        Guides tell that a surface or a lobe is another one; they do not tell that a light went out, or that something
-        else is reflected. Samples do, through their noise: the mean of many differences between sample and history must
-        be as small as their deviation allows. What holds for the samples holds for the pixels that resemble them.
+        Guides show a change of surface or lobe, but not a light that went out or a change in a reflection. Samples do:
+        the mean of many differences between sample and history must be as small as their deviation allows. The result
+        for a sample also holds for the pixels that are similar to its own.
 
         Parameters
         ----------
@@ -138,22 +139,22 @@ class SampleGrid:
         growth: float = 0.0,
         own: float = 1.0,
     ) -> AccumulatedOutput:
-        """Bring samples to every pixel and add them to its history; see `lobewise.filters.history.accumulation_pass`.
+        """Spread samples over all pixels and add them to the history; see `lobewise.filters.history.accumulation_pass`.
 
         Parameters
         ----------
         samples : array, shape (rows, columns, 3)
-            Radiance; ``rows = ceil((height - place[0]) / scale)`` and so for columns. Bad ones get weight 0.
+            Radiance; ``rows = ceil((height - place[0]) / scale)``, columns alike. Bad samples have weight 0.
         radius : int
-            Samples from the centre to the edge of the kernel, >= 0: (2 radius + 1)^2 of them are looked at.
+            Radius of the kernel in samples, >= 0.
         history : array, shape (height, width, 7 or more), optional
-            Sums that are added.
+            Sums to add to.
         trust : array, shape (rows, columns), optional
-            How far each sample bears out its pixel's history, 0 to 1.
+            How far each sample confirms its pixel's history, 0 to 1.
         growth : float
-            How the kernel narrows as the history grows, 0 (not) to 1.
+            How much the kernel narrows as the history grows, 0 (not at all) to 1.
         own : float
-            What a shaded pixel's own sample counts there, >= 1; a borrowed one that matches fully counts 1.
+            Weight of a shaded pixel's own sample, >= 1; a sample of another pixel that matches fully has weight 1.
 
         Returns
         -------
@@ -162,7 +163,7 @@ class SampleGrid:
         Raises
         ------
         InputError
-            If the samples are not as many as the grid has, or another array is of another shape.
+            If an array has another shape.
         """
         images = {
             "samples": self._take_samples(samples),
@@ -189,9 +190,9 @@ class SampleGrid:
         growth: float = 0.0,
         own: float = 1.0,
     ) -> AccumulatedOutput:
-        """Filter samples, one for every pixel, by a form of `run_filter` and add them to the history.
+        """Filter samples, one per pixel, by a form of `run_filter` and add the result to the history; for scale 1.
 
-        Parameters and what is returned and raised are those of `accumulate` and `run_filter`; the scale is 1.
+        See `accumulate` and `run_filter` for parameters, result and errors.
         """
         share = unit = fill(1.0, self.shape)
         if history is not None and trust is not None:
@@ -222,14 +223,14 @@ class SampleGrid:
         images = {name: widen(np.asarray(image)) for name, image in given.items()}
         images |= {"history": self._take_history(history), "own_mask": self._whole["own_mask"]}
         images |= {} if albedo is None else {"own_albedo": albedo}
-        # In NumPy's order: the sums are those of several passes, and differ by no more than these do.
+        # Strict order of floats: the sums come from several passes, and must not differ more than the passes do.
         accumulated = self._run(
             images, {"own": own, "bonus": own - 1.0}, self.shape, make_filtered_accumulation, self._tinted, strict=True
         )
         return _split_output(accumulated)
 
     def _narrow(self, history: FloatArray, trust: FloatArray, growth: float) -> FloatArray:
-        """Return what of the history counts at every pixel, and what a sample counts there, (height, width, 2)."""
+        """Return trust in the history and unit of every pixel, (height, width, 2)."""
         frames = self._take_history(history)[Sums._fields.index("frames")]
         images = {"frames": frames, "trust": self._take_trust(trust), **self._taps, **self._whole}
         images = {name: image for name, image in images.items() if not name.endswith("albedo")}
@@ -238,7 +239,7 @@ class SampleGrid:
 
     @property
     def _trust_radius(self) -> int:
-        """Samples from the centre to the edge of the window from which a pixel takes its trust."""
+        """Radius of the window over which a pixel averages the trust of samples."""
         return TRUST_RADIUS if self.size == self.shape else 1
 
     def _take_samples(self, samples: FloatArray) -> FloatArray:
@@ -257,11 +258,11 @@ class SampleGrid:
         return fill(1.0, self.size) if trust is None else take_image("trust", trust, self.size)
 
     def _take_history(self, history: FloatArray | None) -> FloatArray:
-        wide = self.shape[0], max(self.shape[1], count_lanes())
+        wide = self.shape[0], max(self.shape[1], count_host_lanes())
         return fill(0.0, (HISTORY_CHANNELS, *wide), 1) if history is None else split_history(history, self.shape)
 
     def _place_samples(self, factor: int, place: tuple[int, int]) -> dict[str, float]:
-        """Return where samples lie among the pixels of a call, and the scalars of their features."""
+        """Return the numbers that place samples among pixels, and the scalars of the features."""
         where = {"factor": factor, "row": place[0], "column": place[1], "spacing": float(self._scale)}
         return {**where, **give_scalars(self._features)}
 
@@ -274,20 +275,21 @@ class SampleGrid:
         *options: Any,
         strict: bool = False,
     ) -> FloatArray:
-        """Return what a pass writes, (rows, columns, planes); ``make`` and its options are what it is."""
-
-        def make_scheduled(target: hl.Target) -> Scheduled:
-            funcs = make(*options)
-            schedule_accumulation(funcs, target)
-            return Scheduled([funcs.out], funcs.signature)
-
+        """Return the output of the pass ``make(*options)``, (rows, columns, planes)."""
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
-        kernel = get_kernel(self._device, (make, *told), make_scheduled, strict=strict)
+        kernel = get_kernel(self._device, (make, *told), partial(_make_scheduled, make, options), strict=strict)
         return run_planes(kernel, self._device, images, numbers, size)
 
 
+def _make_scheduled(make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target) -> Scheduled:
+    """Return a pass, ready to be compiled."""
+    funcs = make(*options)
+    schedule_accumulation(funcs, target)
+    return Scheduled([funcs.out], funcs.signature)
+
+
 def _split_output(accumulated: FloatArray) -> AccumulatedOutput:
-    """Return the planes of an accumulation by what they are."""
+    """Return the output planes of an accumulation by name."""
     first = HISTORY_CHANNELS + 3
     weight_sum, effective, variance = (np.ascontiguousarray(accumulated[..., first + k]) for k in range(3))
     sums, mean = accumulated[..., :HISTORY_CHANNELS], accumulated[..., HISTORY_CHANNELS:first]
@@ -305,10 +307,9 @@ def run_upsampling(
     albedo: FloatArray | None = None,
     device: str = "cpu",
 ) -> FilterOutput:
-    """Bring radiance that was shaded at every ``scale``-th pixel to every pixel, by what the pixels have in common.
+    """Upsample radiance that was shaded at every ``scale``-th pixel, weighted by the similarity of pixels.
 
-    With scale 1 this is the full form of `run_filter`; parameters are those of `SampleGrid` and
-    `SampleGrid.accumulate`.
+    With scale 1 this is the full form of `run_filter`. See `SampleGrid` and `SampleGrid.accumulate` for parameters.
     """
     grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo, device=device)
     out = grid.accumulate(radiance, radius=radius)

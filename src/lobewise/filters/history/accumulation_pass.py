@@ -1,17 +1,18 @@
-"""Accumulation of samples over space and time, as Halide algorithms: from samples and history to sums.
+"""Accumulate samples over space and time, as Halide algorithms: from samples and history to sums.
 
-A shaded sample stands for one pixel of a block of ``factor`` times ``factor`` pixels. For every pixel i
+One pixel in each block of ``factor`` x ``factor`` pixels is shaded and has a sample. For every pixel i
 
-- the history's trust is the mean of the samples' trust t: ``sum_j w(i, j) t_j / sum_j w(i, j)`` over a few taps, w the
-  product of the features' similarities; the history counts as much less;
-- its unit is ``(frames + 1)**growth``, frames those that the history is then worth: what a sample counts that matches
-  fully, and the power to which the pixel raises its weights, so that the kernel narrows as the history grows;
-- the sums are ``unit sum_j w(i, j)**unit I_j`` over all taps, the history's, and those of the pixel's own sample, where
-  it has one, so that it counts ``own`` times as much as one that was borrowed.
+- the trust in its history is the mean trust t of samples around, ``sum_j w(i, j) t_j / sum_j w(i, j)`` over a few taps,
+  w the product of the features' similarities; the weights of the history are multiplied by it;
+- its unit is ``(frames + 1)**growth``, frames being the number in the history after that. The unit is the weight of a
+  sample that matches fully, and the power to which the pixel raises its weights: the kernel narrows as the history
+  grows;
+- the sums are ``unit sum_j w(i, j)**unit I_j`` over all taps, plus the history, plus a bonus if the pixel has a sample
+  of its own, which then counts ``own`` times as much as a sample of another pixel.
 
-Sparse frames have all of it in one pass. The filter of whole frames may be several passes: they have the same stages in
-two, trust and unit before the filter, and what follows the sums behind it. What the trust is comes first: a pass of its
-own. Channels of a sum: see `lobewise.filters.history.sums`.
+Sparse frames compute all of this in one pass. For whole frames a filter of several passes gathers the samples: one pass
+before the filter computes trust and unit, one pass after it adds up the sums. In both cases a first pass computes the
+trust of the samples. Channels of the sums: see `lobewise.filters.history.sums`.
 """
 
 from __future__ import annotations
@@ -47,16 +48,16 @@ from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.planes import X, Y
 
 ACCUMULATED = (*Sums._fields, *Summary._fields)
-"""The planes that an accumulation writes."""
+"""The output planes of an accumulation."""
 NARROWED = "share", "unit"
-"""Those that are known before a filter: what of the history counts, and what a sample counts that matches fully."""
+"""The output planes of the pass before a filter: trust in the history, and unit."""
 
 
 def make_accumulation(features: Sequence[Feature], tinted: bool) -> AccumulationFuncs:
-    """Return the pass that gathers samples and adds them to the history; ``tinted`` ones are divided by an albedo.
+    """Return the pass that gathers samples and adds them to the history; ``tinted`` divides samples by an albedo.
 
-    Of its numbers ``column`` and ``row`` place the shaded pixel in its block, and ``spacing`` is in pixels of the
-    screen from sample to sample. Images of all pixels are at least as wide as a vector, here and in the other passes.
+    The numbers ``column`` and ``row`` place the shaded pixel in its block; ``spacing`` is the distance of samples,
+    pixels. In all passes images of the full grid must be at least as wide as a vector.
     """
     signature = Signature("accumulation")
     samples = signature.image("samples", "rows", "columns", 3)
@@ -93,7 +94,7 @@ def make_accumulation(features: Sequence[Feature], tinted: bool) -> Accumulation
 
 
 def make_narrowing(features: Sequence[Feature]) -> AccumulationFuncs:
-    """Return the pass that finds what of a history counts, and the unit, before a filter."""
+    """Return the pass before a filter, which computes trust in the history and the unit."""
     signature = Signature("narrowing")
     trust = signature.image("trust", "rows", "columns")
     frames = signature.image("frames", "height", "width")
@@ -106,7 +107,7 @@ def make_narrowing(features: Sequence[Feature]) -> AccumulationFuncs:
     grid = make_tap_grid(signature, features, take)
     trusted, share = gather_trust(grid, radius, lambda tap: Trust(*tap))
     kept = frames[X, Y] * share
-    # The usual power is a root, which is exact: what the passes of a filter make of it must not depend on an estimate.
+    # Use the exact square root for the usual growth 0.5: the filter's results must not depend on an estimate of `pow`.
     unit = hl.select(growth == hl.f32(0.5), hl.sqrt(kept + hl.f32(1.0)), find_unit(kept, growth))
     out = hl.Func("out")
     out[X, Y] = hl.Tuple([share, unit])
@@ -115,7 +116,7 @@ def make_narrowing(features: Sequence[Feature]) -> AccumulationFuncs:
 
 
 def make_filtered_accumulation(tinted: bool) -> AccumulationFuncs:
-    """Return the pass that adds to the history what a filter gathered of a whole frame."""
+    """Return the pass after a filter, which adds the filtered frame to the history."""
     signature = Signature("filtered_accumulation")
     samples, mean = (signature.image(name, "height", "width", 3) for name in ("samples", "mean"))
     albedo = signature.image("own_albedo", "height", "width", 3) if tinted else None
@@ -137,10 +138,10 @@ def make_filtered_accumulation(tinted: bool) -> AccumulationFuncs:
 
 
 def make_trust(features: Sequence[Feature], tinted: bool) -> AccumulationFuncs:
-    """Return the pass that finds how far samples bear out the history of their pixels, at the pixels that were shaded.
+    """Return the pass that computes at each shaded pixel how far the samples confirm the history, 0 to 1.
 
-    There sample and history are two estimates of one thing, and around each of them the lobe-weighted mean of their
-    difference is held against its own deviation, colour by colour.
+    Sample and history estimate the same radiance. The lobe-weighted mean of their differences around a pixel is
+    compared with its standard error, colour by colour.
     """
     signature = Signature("trust")
     samples = signature.image("samples", "rows", "columns", 3)
@@ -153,7 +154,7 @@ def make_trust(features: Sequence[Feature], tinted: bool) -> AccumulationFuncs:
     def take(at: Place, usable: hl.Expr) -> list[hl.Expr]:
         light, good = demodulate(samples, albedo, at, hl.f32(ALBEDO_FLOOR) / own)
         past = Sums(*(history[(*at, k)] for k in range(HISTORY_CHANNELS)))
-        # A history that was only ever borrowed is not held against samples that have no noise.
+        # Ignore a history without own samples of the pixel: it is blurred, and samples without noise would reject it.
         known = good & usable & (past.weight > hl.f32(0.5) * own)
         before = [hl.select(past.weight > zero, value / past.weight, zero) for value in past.light]
         steps = [value - old for value, old in zip(light, before, strict=True)]

@@ -1,4 +1,4 @@
-"""The stages of an accumulation: what is computed of a pixel, one after the other; see `accumulation_pass`."""
+"""The stages of an accumulation, from which `accumulation_pass` builds its passes."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
-from lobewise.features.base import Feature
+from lobewise.features.base import Feature, Stage
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance, make_stage
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
 
-TRUST_FROM, TRUST_TO = 6.0, 2.0
-"""Standard errors between samples and history from which it counts nothing, and up to which it counts whole."""
-TRUST_FLOOR = 0.02
-"""Relative difference that is no change."""
-SMALLEST_WEIGHT = 1e-12
-"""Weight sum to which a smaller one is raised: a pixel that resembles nothing keeps the little that it has."""
+NO_TRUST_ERRORS, FULL_TRUST_ERRORS = 6.0, 2.0
+"""Difference of samples and history, in standard errors: from the first on the trust is 0, up to the second it is 1."""
+IGNORED_DIFFERENCE = 0.02
+"""Relative difference that does not count as a change; it is added to the standard error."""
+MIN_WEIGHT = 1e-12
+"""Smallest weight sum. Smaller ones above 0 are raised to it, so that a pixel unlike all samples keeps its light."""
 
 Place = tuple[hl.Expr, hl.Expr]
 """Column and row of a pixel."""
 
 
 class Summary(NamedTuple):
-    """What sums tell of a pixel: mean radiance, weight sum over unit, effective samples, variance of the luminance."""
+    """The results of a pixel. The weight sum is over the unit; the variance is that of the mean's luminance."""
 
     mean_red: Any
     mean_green: Any
@@ -39,14 +39,14 @@ class Summary(NamedTuple):
 
 
 class Trust(NamedTuple):
-    """What taps read of a sample that bears out its pixel's history: how far, and 1 where that counts."""
+    """The values of a sample that taps read for the trust: its trust, and 1; both 0 if the sample has no meaning."""
 
     trust: hl.Expr
     told: hl.Expr
 
 
 class Sample(NamedTuple):
-    """What taps read of a sample: radiance over albedo, 1 where it is good, 0 all where not; and its trust."""
+    """The values of a sample that taps read: radiance over albedo, and 1, all 0 if it is bad; and its `Trust`."""
 
     red: hl.Expr
     green: hl.Expr
@@ -59,13 +59,13 @@ class Sample(NamedTuple):
 
 @dataclass
 class Pixels:
-    """The pixels of one grid while a pass is defined: their place, and what is computed once for each of them."""
+    """Collects the functions that a pass computes once per pixel."""
 
     once: list[hl.Func] = field(default_factory=list)
-    """What many expressions of a pixel have in common, in the order in which they need it."""
+    """The functions, each after those that it reads."""
 
     def keep(self, name: str, *values: hl.Expr) -> list[hl.Expr]:
-        """Compute values once for each pixel; what many expressions repeat takes the compiler long."""
+        """Compute values once per pixel. Expressions that repeat them would compile slowly."""
         func = hl.Func(name)
         func[X, Y] = hl.Tuple(list(values))
         self.once.append(func)
@@ -74,7 +74,7 @@ class Pixels:
 
 @dataclass(frozen=True)
 class TapSum:
-    """A sum over taps, its taps and their weights."""
+    """A sum over taps, the taps, and their weights."""
 
     func: hl.Func
     taps: hl.RDom
@@ -83,38 +83,38 @@ class TapSum:
 
 @dataclass
 class AccumulationFuncs:
-    """The Halide functions of a pass, for the schedules."""
+    """The Halide functions of a pass, for its schedules."""
 
     out: hl.Func
     signature: Signature
     pixels: Pixels
     sums: list[TapSum] = field(default_factory=list)
     grid: TapGrid | None = None
-    """What taps read, if there are any."""
+    """The functions that taps read, if the pass has taps."""
 
 
-@dataclass
+@dataclass(kw_only=True)
 class TapGrid:
-    """Samples and pixels as taps read them, and the logarithms of their weights."""
+    """The functions that taps read of samples and pixels, and the logarithms of their weights."""
 
     tap_mask: hl.ImageParam
     mask: hl.ImageParam
     wide: hl.Func
-    """Planes and values of the samples' pixels, repeated for every pixel of a block's width."""
+    """Planes and values of shaded pixels, repeated over the width of their blocks."""
     values: hl.Func
     value_count: int
     taps: GuidePlanes
-    """Guides and planes of the samples' pixels."""
+    """Guides and planes of the shaded pixels."""
     own: GuidePlanes
-    """Those of all pixels."""
+    """Guides and planes of all pixels."""
     log_weight: hl.Func
     stages: list[hl.Func]
     read: Callable[[hl.Expr, hl.Expr], list[hl.Expr]]
-    """Values of a tap."""
+    """Returns the values of the tap at an offset in samples."""
     block: Place
-    """The block that a pixel lies in."""
+    """Column and row of the block that a pixel lies in."""
     shift: Place
-    """From the pixel to the shaded one of its block."""
+    """Columns and rows from a pixel to the shaded pixel of its block."""
 
 
 def read_history(history: hl.ImageParam) -> Sums:
@@ -123,7 +123,7 @@ def read_history(history: hl.ImageParam) -> Sums:
 
 
 def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
-    """Declare a whole number; what is known not to be negative makes plainer loops."""
+    """Declare a whole number with a known range, which makes simpler loops."""
     count = signature.count(name, least)
     count.set_range(least, 1 << 16)
     return count
@@ -132,9 +132,9 @@ def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
 def make_tap_grid(
     signature: Signature, features: Sequence[Feature], take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]
 ) -> TapGrid:
-    """Declare both grids, of the shaded pixels and of all, and return what taps read of them.
+    """Declare the grids of shaded pixels and of all pixels, and define the functions that taps read.
 
-    That is planes of every feature, the values that ``take`` gives, and the logarithms of weights.
+    ``take`` returns the values of a sample, beside the planes of its features.
     """
     tap_mask = signature.image("tap_mask", "rows", "columns", type=hl.UInt(8))
     mask = signature.image("own_mask", "height", "width", type=hl.UInt(8))
@@ -154,7 +154,7 @@ def make_tap_grid(
     values, wide = hl.Func("tap_values"), hl.Func("wide")
     values[X, C, Y] = hl.mux(C, given)
 
-    # Pixels centres have halves, so that rounding cannot lead into another block.
+    # Divide pixel centres, which have a fraction of one half: rounding cannot lead into another block.
     def find_block(at: hl.Expr) -> hl.Expr:
         return hl.i32(hl.floor((hl.f32(at) + hl.f32(0.5)) / hl.f32(factor)))
 
@@ -165,18 +165,42 @@ def make_tap_grid(
     u, v = hl.Var("u"), hl.Var("v")
     offset = spacing * hl.f32(u) + hl.f32(shift[0]), spacing * hl.f32(v) + hl.f32(shift[1])
     stages: list[hl.Func] = []
-    stage = make_stage(stages, (X, Y, u, v))
-    exponent: hl.Expr = hl.f32(0.0)
-    for feature, layout, parameters in zip(features, taps.layouts, scalars, strict=True):
-        j = layout.read(lambda k: wide[X + u * factor, k, block[1] + v])
-        exponent = exponent + feature.log2_similarity(own.read(layout, X, Y), j, parameters, offset, stage)
+    tap_planes = [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count)]
+    pairs = [(own.read(layout, X, Y), layout.read(tap_planes.__getitem__)) for layout in taps.layouts]
     log_weight = hl.Func("log_weight")
-    log_weight[X, Y, u, v] = exponent
+    log_weight[X, Y, u, v] = _compare(features, pairs, scalars, offset, make_stage(stages, (X, Y, u, v)))
 
     def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
         return [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count, len(given))]
 
-    return TapGrid(tap_mask, mask, wide, values, len(given), taps, own, log_weight, stages, read, block, shift)
+    return TapGrid(
+        tap_mask=tap_mask,
+        mask=mask,
+        wide=wide,
+        values=values,
+        value_count=len(given),
+        taps=taps,
+        own=own,
+        log_weight=log_weight,
+        stages=stages,
+        read=read,
+        block=block,
+        shift=shift,
+    )
+
+
+def _compare(
+    features: Sequence[Feature],
+    pairs: Sequence[tuple[Any, Any]],
+    scalars: Sequence[Sequence[hl.Expr]],
+    offset: tuple[hl.Expr, hl.Expr],
+    stage: Stage,
+) -> hl.Expr:
+    """Return the base-2 logarithm of the similarity of a pixel and a tap, given each feature's planes of both."""
+    exponent: hl.Expr = hl.f32(0.0)
+    for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True):
+        exponent = exponent + feature.log2_similarity(i, j, parameters, offset, stage)
+    return exponent
 
 
 def _sum_taps(
@@ -186,7 +210,7 @@ def _sum_taps(
     power: hl.Expr | None,
     take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
 ) -> tuple[TapSum, list[hl.Expr]]:
-    """Return sums over taps of what ``take`` gives of a weight, raised to a power, and a tap's values."""
+    """Return the sums over taps of ``take(weight, values)``; weights are raised to ``power``."""
     u, v = grid.log_weight.args()[2:]
     exponent = grid.log_weight[X, Y, u, v]
     weights = hl.Func(f"{name}_weights")
@@ -200,7 +224,7 @@ def _sum_taps(
 
 
 def gather_trust(grid: TapGrid, radius: hl.Expr, get_trust: Callable[[list[hl.Expr]], Trust]) -> tuple[TapSum, hl.Expr]:
-    """Return what of the history counts, as far as the samples near a pixel bear it out; 1 where there are none."""
+    """Return the mean trust of the samples near a pixel, the factor of its history; 1 without samples."""
 
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
         return [weight * value for value in get_trust(tap)]
@@ -210,21 +234,22 @@ def gather_trust(grid: TapGrid, radius: hl.Expr, get_trust: Callable[[list[hl.Ex
 
 
 def find_unit(frames: hl.Expr, growth: hl.Expr) -> hl.Expr:
-    """Return what a sample counts that matches fully where the history is worth so many frames."""
+    """Return the weight of a sample that matches fully, for a history of so many frames."""
     one = hl.f32(1.0)
     return hl.select(frames == hl.f32(0.0), one, hl.pow(frames + one, growth))
 
 
 class Gathered(NamedTuple):
-    """What this frame gives a pixel: sums or means of light and moment, how they are scaled, and their support."""
+    """The contribution of this frame to a pixel."""
 
     light: list[hl.Expr]
     moment: hl.Expr
     total: hl.Expr
     """Sum of weights."""
     effective: hl.Expr
-    """Samples that it is worth."""
+    """Effective number of samples."""
     are_means: bool
+    """Whether light and moment are weighted means; otherwise they are sums."""
 
 
 def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapSum, Gathered]:
@@ -240,7 +265,7 @@ def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapS
 
 
 def compare_with_history(grid: TapGrid, pixels: Pixels, radius: hl.Expr, usable: hl.Expr) -> tuple[TapSum, hl.Expr]:
-    """Return how far samples and history near a shaded pixel differ by no more than their deviation allows, 0 to 1."""
+    """Return the trust of a shaded pixel, 0 to 1: 1 if samples and history around differ by no more than noise."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
@@ -255,21 +280,21 @@ def compare_with_history(grid: TapGrid, pixels: Pixels, radius: hl.Expr, usable:
         above, below, square, count = pixels.keep(f"mean{k}", *mean, effective)
         step = hl.abs(above - below)
         error = hl.sqrt(hl.max(square - step * step, zero) / (count - one))
-        high = hl.strict_float(step / (error + hl.f32(TRUST_FLOOR) * (old + step)))
-        # One sample alone tells nothing of its deviation.
+        high = hl.strict_float(step / (error + hl.f32(IGNORED_DIFFERENCE) * (old + step)))
+        # A single sample does not show its deviation.
         tells = ~expressions.is_bad(high) & (count > hl.f32(1.5)) & (known != zero)
         excess = hl.select(tells, hl.max(excess, high), excess)
-    share = (hl.f32(TRUST_FROM) - excess) / hl.f32(TRUST_FROM - TRUST_TO)
+    share = (hl.f32(NO_TRUST_ERRORS) - excess) / hl.f32(NO_TRUST_ERRORS - FULL_TRUST_ERRORS)
     return compared, hl.clamp(hl.strict_float(share), zero, one)
 
 
 def weigh_gathered(found: Gathered, unit: hl.Expr, usable: hl.Expr) -> Sums:
-    """Return what this frame adds to the history: sums in which a full match counts a unit, 0 where nothing is."""
+    """Return this frame's contribution to the history as sums in which a full match has weight ``unit``."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     weight = found.total * unit
     alive = usable & (weight > zero)
-    weight = hl.max(weight, hl.f32(SMALLEST_WEIGHT))
-    # Rearranged, a product of two small numbers would come first and vanish.
+    weight = hl.max(weight, hl.f32(MIN_WEIGHT))
+    # Strict: rearranged, a product of two small numbers would come first and underflow.
     scale = weight if found.are_means else hl.strict_float(weight / found.total)
     light = [value * scale for value in found.light]
     squares = weight * weight / hl.max(found.effective, one)
@@ -285,10 +310,10 @@ def weigh_own_sample(
     counts: tuple[hl.Expr, hl.Expr],
     unit: hl.Expr,
 ) -> Sums:
-    """Return what the pixel's own sample adds, beside what it counts among those that were gathered.
+    """Return the bonus of the pixel's own sample, beyond its weight among the gathered samples.
 
-    ``counts`` are what it counts in all, and how much more that is than 1. Without noise a lower albedo still tells of
-    the light.
+    ``counts`` are the total weight of an own sample, and the total minus 1. A larger weight lowers the smallest usable
+    albedo, because the sample then is less noisy.
     """
     zero = hl.f32(0.0)
     own, bonus = counts
@@ -304,7 +329,7 @@ def weigh_own_sample(
 def accumulate(
     pixels: Pixels, kept: Sums, new: Sums, bonus: Sums, unit: hl.Expr, albedo: hl.ImageParam | None
 ) -> hl.Func:
-    """Return the sums of history, frame and own sample, and what they tell, times the albedo if there is one."""
+    """Return the sums of history, frame and own sample, and their `Summary`, times the albedo if there is one."""
     sums = Sums(*pixels.keep("joined", *(p + q + r for p, q, r in zip(kept, new, bonus, strict=True))))
     mean, effective, variance = summarize(sums)
     if albedo is not None:
@@ -320,14 +345,14 @@ def accumulate(
 
 
 def summarize(sums: Sums) -> tuple[list[hl.Expr], hl.Expr, hl.Expr]:
-    """Return mean light over albedo, effective samples and the variance of the mean's luminance; 0 for no weight."""
+    """Return mean radiance over albedo, effective samples and variance of the mean's luminance; 0 without weight."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     some = sums.weight > zero
     mean = [hl.select(some, value / sums.weight, zero) for value in sums.light]
     luminance = find_luminance(mean)
     spread = hl.select(some, sums.moment / sums.weight - luminance * luminance, zero)
-    # In two steps, because the square of a large weight overflows; between the pixels of a history the sums are
-    # interpolated one by one, which does not keep the count at 1.
+    # Divide before multiplying, because the square of a large weight overflows. Bound the number below by 1, because
+    # interpolation between pixels of a history may take it lower.
     effective = hl.max(sums.weight / hl.max(sums.squared_weight, hl.f32(1e-30)) * sums.weight, one)
     variance = hl.max(spread, zero) / effective
     return mean, hl.select(some, effective, zero), variance

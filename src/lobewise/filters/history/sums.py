@@ -1,4 +1,4 @@
-"""The sums that a pixel's history consists of, by name; and images as the kernels over time take and give them."""
+"""The sums that make up a pixel's history, and conversions of images for the kernels that read and write them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from lobewise.frame import FloatArray
 
 
 class Sums(NamedTuple):
-    """What is known of a pixel: sums over its samples, as expressions or as images; the last axis of a history.
+    """Sums over the samples of a pixel, as expressions or images; in this order the channels of a history.
 
     Parameters
     ----------
     red, green, blue
-        Of weight times radiance over albedo.
+        Sums of weight times radiance over albedo.
     weight, squared_weight
-        Of weights, and of their squares.
+        Sums of weights, and of squared weights.
     moment
-        Of weight times the squared luminance over albedo.
+        Sum of weight times the squared luminance of radiance over albedo.
     frames
-        How many frames they stand for.
+        Number of frames that were added.
     """
 
     red: Any
@@ -43,7 +43,7 @@ class Sums(NamedTuple):
         return [self.red, self.green, self.blue]
 
     def fade(self, share: Any) -> Sums:
-        """Return the sums when every weight is ``share`` times what it was."""
+        """Return the sums after multiplying every weight by ``share``."""
         faded = Sums(*(value * share for value in self))
         return faded._replace(squared_weight=faded.squared_weight * share)
 
@@ -56,33 +56,33 @@ def split_sums(history: FloatArray) -> Sums:
     return Sums(*np.moveaxis(history, -1, 0))
 
 
-def count_lanes() -> int:
-    """Return the pixels of this machine's vectors, which images of the kernels over time are at least as wide as."""
+def count_host_lanes() -> int:
+    """Return the number of pixels of this machine's vectors: the smallest width of images for these kernels."""
     return int(hl.get_host_target().natural_vector_size(hl.Float(32)))
 
 
 def widen(image: HostImage) -> HostImage:
-    """Return an image that is at least as wide as a vector; its last column is repeated."""
-    missing = count_lanes() - image.shape[1]
+    """Return an image that is at least as wide as a vector, by repeating its last column."""
+    missing = count_host_lanes() - image.shape[1]
     if missing <= 0:
         return image
     return np.pad(image, [(0, 0), (0, missing), *[(0, 0)] * (image.ndim - 2)], mode="edge")
 
 
 def fill(value: float, shape: tuple[int, ...], axis: int = 0) -> FloatArray:
-    """Return an image of one value whose entries along ``axis`` share their memory."""
+    """Return an image of one value. Entries along ``axis`` share one place in memory."""
     row = np.full([1 if k == axis else length for k, length in enumerate(shape)], value, np.float32)
     strides = [0 if k == axis else stride for k, stride in enumerate(row.strides)]
     return np.lib.stride_tricks.as_strided(row, shape, strides)
 
 
 def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return the channels of sums one after the other, each wide enough; nothing is copied if they lie so already.
+    """Return a history channels first and at least as wide as a vector, without a copy if it is so in memory.
 
     Raises
     ------
     InputError
-        If they are not of an image of this size.
+        If the history has another size.
     """
     if history.shape[:2] != size or history.ndim != 3 or history.shape[2] < HISTORY_CHANNELS:
         raise InputError(
@@ -100,9 +100,9 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
 def run_planes(
     kernel: Kernel, device: str, images: Mapping[str, HostImage], numbers: Mapping[str, float], size: tuple[int, int]
 ) -> FloatArray:
-    """Run a kernel and return the planes that it writes as an image of that size, (height, width, count)."""
-    # One memory for all of them: who reads the image finds its channels one after the other.
-    memory = np.empty((len(kernel.outputs), size[0], max(size[1], count_lanes())), np.float32)
+    """Run a kernel and return its output planes as an image of a size, (height, width, count)."""
+    # All planes lie in one array, channel by channel, so that the next kernel reads them without a copy.
+    memory = np.empty((len(kernel.outputs), size[0], max(size[1], count_host_lanes())), np.float32)
     planes = {
         each.name: make_output(plane.shape, device, plane) for each, plane in zip(kernel.outputs, memory, strict=True)
     }

@@ -1,1 +1,1 @@
-"""How noisy an image is, and what that says of a result."""
+"""Estimates of the noise of an image, and of the error of a filtered image."""

@@ -1,9 +1,8 @@
-"""What the samples say of two filtered images: how far they are apart, and which of them the noisy image is nearer to.
+"""Compare two filtered images by the samples: how different they are, and which one is nearer to the noisy image.
 
-Moving from one image towards the other pays where the noisy image lies on that side: the mean of
-``(other - one) (noisy - one)`` over that of ``(other - one)^2`` is the best step, up to noise. How certain it is, how
-large noise and differences are and how bright the place is, at three widths, are the features from which a small
-network tells the step (`lobewise.denoising.combining`).
+The best step from one image towards the other is, up to noise, the mean of ``(other - one) (noisy - one)`` over the
+mean of ``(other - one)^2``. A small network predicts the step (`lobewise.denoising.combining`). Its features, at three
+widths, are this quotient, its certainty, the noise, the differences and the brightness.
 """
 
 from __future__ import annotations
@@ -27,15 +26,16 @@ from lobewise.filters.noise.pooling import (
 from lobewise.frame import FloatArray
 
 LEVELS = (0, 2, 3)
-"""Which blurs are looked at, of `blur_image` with taps 1, 2, 4 and 8 pixels apart in turn."""
+"""Blurs whose results become features: `blur_image` runs in turn with taps 1, 2, 4 and 8 pixels apart."""
 FEATURES_PER_LEVEL = 7
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 3
 """Features of a pixel."""
-LEAST_SQUARE = 1e-8
-LARGEST_ERRORS = 6.0
-"""Standard errors beyond which a difference is as certain as any."""
-LARGEST = 1e6
-"""Relative squares are bounded by this: a few pixels may not rule a neighbourhood for ever."""
+MIN_RELATIVE_SQUARE = 1e-8
+"""Smallest square over the squared local luminance that a logarithm distinguishes."""
+MAX_STANDARD_ERRORS = 6.0
+"""Largest certainty of a step, standard errors."""
+MAX_RELATIVE_SQUARE = 1e6
+"""Largest square over the squared local luminance: a few pixels must not dominate their neighbourhood."""
 
 
 def find_agreement(
@@ -47,20 +47,20 @@ def find_agreement(
     level: float,
     shared: bool = False,
 ) -> FloatArray:
-    """Return what is known of a mixture of two images at every pixel, shape (height, width, `COUNT`).
+    """Return features for a mixture of two images at every pixel, shape (height, width, `COUNT`).
 
-    At each width, base-2 logarithms unless said otherwise, all relative to the squared local luminance: the squared
-    difference of the images; the variance of the noisy one; the best step from one to the other, in [-1, 2]; that step
-    in standard errors, in plus or minus `LARGEST_ERRORS`; the squared difference of the noisy image to the one, and to
-    the other; the squared slope of the one. Then local luminance over ``level``; whether there are halves, and
-    whether neighbours share noise, 1 or 0.
+    Features are base-2 logarithms unless a range is given, of squares over the squared local luminance. At each width:
+    the squared difference of the images; the variance of the noisy image; the best step from ``one`` to ``other``, in
+    [-1, 2]; the step in standard errors, within +-`MAX_STANDARD_ERRORS`; the squared difference of the noisy image to
+    ``one``, and to ``other``; the squared slope of ``one``. Then, once: the local luminance over ``level``; whether
+    there are halves, and whether neighbours share noise, each 1 or 0.
 
     Parameters
     ----------
     one, other : array, shape (height, width, 3)
         Two results, finite, >= 0.
     noisy : array, shape (height, width, 3)
-        What both were made from; bad pixels take no part.
+        The image that both were made from. NaN, infinite and negative pixels do not count.
     halves : two arrays, shape (height, width, 3), optional
         As in `lobewise.filters.noise.evidence.find_noisy_share`.
     level : float
@@ -102,7 +102,7 @@ def _define_sums(grid: Grid) -> list[Vector]:
     luminance = average_light(grid, "one")
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
     product = add_channels([p * q for p, q in zip(apart, to_one, strict=True)]) * unit
-    product = hl.clamp(product, hl.f32(-LARGEST), hl.f32(LARGEST))
+    product = hl.clamp(product, hl.f32(-MAX_RELATIVE_SQUARE), hl.f32(MAX_RELATIVE_SQUARE))
     values = [
         add_channels([p * p for p in apart]) * unit,
         add_channels(squares) * unit,
@@ -112,7 +112,7 @@ def _define_sums(grid: Grid) -> list[Vector]:
         add_channels([p * p for p in to_other]) * unit,
         find_slope(grid, "one") * unit,
     ]
-    bounded = [value if k in (2, 3) else hl.min(value, hl.f32(LARGEST)) for k, value in enumerate(values)]
+    bounded = [value if k in (2, 3) else hl.min(value, hl.f32(MAX_RELATIVE_SQUARE)) for k, value in enumerate(values)]
     return [[hl.select(good, value, hl.f32(0.0)) for value in bounded], [luminance]]
 
 
@@ -121,15 +121,15 @@ def _define_features(grid: Grid) -> list[Vector]:
     for count, number in zip(grid.get("counts"), LEVELS, strict=True):
         apart, noise, product, square, to_one, to_other, slope = grid.read(f"sums{number}")
         error = hl.sqrt(hl.max(square, hl.f32(1e-20)) / count)
-        bound = hl.f32(LARGEST_ERRORS)
+        bound = hl.f32(MAX_STANDARD_ERRORS)
         values += [
-            take_logarithm(apart, LEAST_SQUARE),
-            take_logarithm(noise, LEAST_SQUARE),
-            hl.clamp(product / hl.max(apart, hl.f32(LEAST_SQUARE)), hl.f32(-1.0), hl.f32(2.0)),
+            take_logarithm(apart, MIN_RELATIVE_SQUARE),
+            take_logarithm(noise, MIN_RELATIVE_SQUARE),
+            hl.clamp(product / hl.max(apart, hl.f32(MIN_RELATIVE_SQUARE)), hl.f32(-1.0), hl.f32(2.0)),
             hl.clamp(product / error, -bound, bound),
-            take_logarithm(to_one, LEAST_SQUARE),
-            take_logarithm(to_other, LEAST_SQUARE),
-            take_logarithm(slope, LEAST_SQUARE),
+            take_logarithm(to_one, MIN_RELATIVE_SQUARE),
+            take_logarithm(to_other, MIN_RELATIVE_SQUARE),
+            take_logarithm(slope, MIN_RELATIVE_SQUARE),
         ]
     values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], 1e-4))
     values += [hl.f32(1.0) * flag for flag in grid.get("flags")]

@@ -1,11 +1,11 @@
-"""What tells noise from detail in the difference of a noisy image and what a filter made of it.
+"""Distinguish noise from detail in the difference of a noisy image and its filtered image.
 
-Noise of neighbouring pixels is independent. What a filter blurred away is not: light and dark lie beside each other in
-some order. So products of the difference with itself, a pixel or two apart, over its square are 0 in the mean where all
-is noise. Of tiles and stripes they may cancel out in the mean over directions, so the features also tell how far
-directions are apart. The others are how certain the products are, how large the difference is beside the noise that the
-samples show, and how steep the result is, at three widths. From these a small network tells how much of the noisy image
-a result takes back (`lobewise.denoising.evidence`).
+Noise of neighbouring pixels is independent; detail that a filter blurred away is not. The correlations of the
+difference with itself, shifted by a pixel or two, therefore have mean 0 where the difference is noise. For tiles and
+stripes the correlations may cancel in the mean over directions, so the features also hold the differences between
+directions. Further features are the certainty of the correlations, the size of the difference relative to the noise
+that the samples show, and the slope of the filtered image, all at three widths. From the features a small network
+predicts how much of the noisy image the result takes back (`lobewise.denoising.evidence`).
 
 Source: the correlation of residuals is the classical test of whiteness (Ljung and Box 1978, "On a Measure of Lack of
 Fit in Time Series Models", Biometrika 65(2)), here in two dimensions and at every pixel.
@@ -43,22 +43,23 @@ OFFSETS = (
     ((1, 2), (2, -1)),
     ((2, 2), (2, -2)),
 )
-"""Which neighbours a pixel's difference is multiplied with, columns and rows: pairs at a right angle."""
+"""Shifts of the correlations, columns and rows, in pairs at a right angle."""
 LEVELS = (0, 1, 3)
-"""Which blurs are looked at, of `blur_image` with taps 1, 2, 4 and 8 pixels apart in turn."""
+"""Blurs whose results become features: `blur_image` runs in turn with taps 1, 2, 4 and 8 pixels apart."""
 FEATURES_PER_LEVEL = 6 + 3 * len(OFFSETS)
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 4
 """Features of a pixel."""
 REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(LEVELS) + 1) - 1)
-"""Pixels to each side that tell on a pixel's features."""
-LARGEST_DIFFERENCE = 1e3
-"""Relative differences are bounded by this: a few pixels may not rule a neighbourhood for ever."""
-LARGEST_ERRORS = 8.0
-"""Standard errors beyond which a mean is as certain as any."""
-LEAST_SQUARE, LEAST_RATIO, LEAST_LIGHT = 1e-8, 1e-3, 1e-4
-"""Below which logarithms do not fall: of relative squares, of ratios of squares, of luminance over the image's."""
+"""Distance of the farthest pixel that affects a pixel's features, rows or columns."""
+MAX_RELATIVE_DIFFERENCE = 1e3
+"""Largest difference over the local luminance: a few pixels must not dominate their neighbourhood."""
+MAX_STANDARD_ERRORS = 8.0
+"""Largest certainty of a mean, standard errors."""
+MIN_RELATIVE_SQUARE, MIN_RATIO, MIN_RELATIVE_LIGHT = 1e-8, 1e-3, 1e-4
+"""Smallest arguments of logarithms: a square over squared local luminance, a ratio of squares, a luminance over the
+image's."""
 BAND_ROWS, STRIP_ROWS = 256, 64
-"""Rows whose neighbourhoods are averaged at a time, and rows whose features are held at a time."""
+"""Rows whose neighbourhoods are averaged at once, and rows whose features are held in memory at once."""
 
 
 def find_detail(
@@ -69,27 +70,27 @@ def find_detail(
     level: float,
     shared: bool = False,
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield what is known of the difference of two images: some rows, and their features.
+    """Yield the features of the difference of two images for some rows after others.
 
-    The features of a pixel are base-2 logarithms unless said otherwise. At each width they are: the squared difference
-    over squared local luminance; of each pair of `OFFSETS` the mean product of differences over the mean square, in
-    [-1, 1], this mean in standard errors, in plus or minus `LARGEST_ERRORS`, and by how many the two of the pair are
-    apart; the sum of all squared correlations; the variance of the noisy image over the squared difference; what the
-    squared difference exceeds that variance by, over itself, in [-1, 1], and in standard errors; the squared slope of
-    the filtered image over squared local luminance. Then follow the pixel's own squared difference, local luminance
-    over ``level``, whether there are halves, and whether neighbours share noise, 1 or 0.
+    Features are base-2 logarithms unless a range is given. At each width: the squared difference over squared local
+    luminance; for each pair of `OFFSETS` the mean correlation of both shifts, in [-1, 1], this mean in standard errors,
+    within +-`MAX_STANDARD_ERRORS`, and half the distance of the two correlations in standard errors; the sum of all
+    squared correlations; the variance of the noisy image over the squared difference; the excess of the squared
+    difference over the variance, over the squared difference, in [-1, 1], and in standard errors; the squared slope of
+    the filtered image over squared local luminance. Then, once: the pixel's own squared difference; local luminance
+    over ``level``; whether there are halves, and whether neighbours share noise, each 1 or 0.
 
     Parameters
     ----------
     filtered : array, shape (height, width, 3)
         Finite, >= 0.
     noisy : array, shape (height, width, 3)
-        What it was filtered from. Pixels that are NaN, infinite or negative are bad: they take no part.
+        The image that was filtered. NaN, infinite and negative pixels do not count.
     halves : two arrays, shape (height, width, 3), optional
-        Means of one half of the samples each, whose mean is ``noisy``. Without them the variance is that of the
-        difference's residual.
+        Means of one half of the samples each; their mean is ``noisy``. Without them the variance is estimated from the
+        residual of the difference.
     level : float
-        About the mean luminance of the whole image, of which this may be a part.
+        About the mean luminance of the whole image, of which the images may be a part.
     shared : bool
         Whether neighbouring pixels share their noise.
 
@@ -125,7 +126,7 @@ def find_detail(
 
 
 def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[str, FloatArray]:
-    """Return what features are made of: own squared difference, local light, and what is averaged at each width."""
+    """Return the images that features are computed from: squared difference, local light, averages at each width."""
     bounds = {"floor": floor}
     apart, noise, light = run_pointwise(_define_difference, images, bounds)
     held = {"apart": apart, "noise": noise, "light": light, "filtered": images["filtered"]}
@@ -139,12 +140,12 @@ def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[st
 
 
 def _define_difference(grid: Grid) -> list[Vector]:
-    """Define the difference over local luminance, the squared noise over its square, and local luminance."""
+    """Define the difference over local luminance, the squared noise over squared local luminance, local luminance."""
     filtered, noisy = grid.read("filtered"), grid.read("noisy")
     squares, known = estimate_noise(grid, "filtered")
     luminance = average_light(grid, "filtered")
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
-    scale, bound = hl.sqrt(unit), hl.f32(LARGEST_DIFFERENCE)
+    scale, bound = hl.sqrt(unit), hl.f32(MAX_RELATIVE_DIFFERENCE)
     good = is_good(noisy) & is_good(filtered)
     apart = [hl.clamp((p - q) * scale, -bound, bound) for p, q in zip(noisy, filtered, strict=True)]
     noise = hl.min(add_channels(squares) * unit, bound * bound)
@@ -157,7 +158,7 @@ def _define_difference(grid: Grid) -> list[Vector]:
 
 
 def _define_products(grid: Grid) -> list[Vector]:
-    """Define what is averaged: squares, products with neighbours, their mean square, noise, its excess, slope."""
+    """Define the channels to average: square, products with neighbours, their mean square, noise, excess, slope."""
     apart = grid.read("apart")
     square = add_channels([value * value for value in apart])
     products = []
@@ -168,7 +169,7 @@ def _define_products(grid: Grid) -> list[Vector]:
     noise, luminance = grid.read_one("noise"), grid.read_one("light")
     excess = square - noise
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
-    slope = hl.min(find_slope(grid, "filtered") * unit, hl.f32(LARGEST_DIFFERENCE**2))
+    slope = hl.min(find_slope(grid, "filtered") * unit, hl.f32(MAX_RELATIVE_DIFFERENCE**2))
     values = [square, *products, spread, noise, excess, excess * excess, slope]
     return [values]
 
@@ -176,7 +177,7 @@ def _define_products(grid: Grid) -> list[Vector]:
 def _define_features(grid: Grid) -> list[Vector]:
     values: list[hl.Expr] = []
     (factor,) = grid.get("factor")
-    bound, one = hl.f32(LARGEST_ERRORS), hl.f32(1.0)
+    bound, one = hl.f32(MAX_STANDARD_ERRORS), hl.f32(1.0)
     for count, number in zip(grid.get("counts"), LEVELS, strict=True):
         square, *products, spread, noise, excess, excess_square, slope = grid.read(f"sums{number}")
         whole = hl.max(square, hl.f32(1e-12))
@@ -184,22 +185,22 @@ def _define_features(grid: Grid) -> list[Vector]:
         def find_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
             return hl.clamp(mean / hl.sqrt(hl.max(square, hl.f32(1e-20)) / count), -bound, bound)
 
-        values.append(take_logarithm(square, LEAST_SQUARE))
-        # The mean of two products, and half their difference, vary half as much as one of them.
+        values.append(take_logarithm(square, MIN_RELATIVE_SQUARE))
+        # The variance of the mean of two products, and of half their difference, is half that of one product.
         varies = hl.f32(0.5) * spread
         for first, second in zip(products[::2], products[1::2], strict=True):
             mean, half = hl.f32(0.5) * (first + second), hl.f32(0.5) * hl.abs(first - second)
             values.append(hl.clamp(mean / whole, -one, one))
             values += [find_certainty(mean, varies, count), find_certainty(half, varies, count)]
-        values.append(take_logarithm(_add_squares(products) / (whole * whole), LEAST_RATIO))
+        values.append(take_logarithm(_add_squares(products) / (whole * whole), MIN_RATIO))
         values += [
-            take_logarithm(noise / whole, LEAST_RATIO),
+            take_logarithm(noise / whole, MIN_RATIO),
             hl.clamp(excess / whole, -one, one),
             find_certainty(excess, excess_square, count / factor),
-            take_logarithm(slope, LEAST_SQUARE),
+            take_logarithm(slope, MIN_RELATIVE_SQUARE),
         ]
-    values.append(take_logarithm(grid.read_one("own"), LEAST_SQUARE))
-    values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], LEAST_LIGHT))
+    values.append(take_logarithm(grid.read_one("own"), MIN_RELATIVE_SQUARE))
+    values.append(take_logarithm(grid.read_one("light") / grid.get("level")[0], MIN_RELATIVE_LIGHT))
     return [values + [one * flag for flag in grid.get("flags")]]
 
 

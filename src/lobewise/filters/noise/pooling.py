@@ -1,4 +1,4 @@
-"""What estimates of noise share: sums over neighbourhoods of growing width, residuals of a difference, local light."""
+"""Common parts of noise estimates: blurs of growing width, residuals of a difference, local light."""
 
 from __future__ import annotations
 
@@ -10,48 +10,49 @@ import numpy as np
 from lobewise.backend import expressions
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
-from lobewise.filters.noise.residuals import DIFFERENCES
+from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE
 from lobewise.frame import FloatArray
 
 BLUR_WEIGHTS = (0.0625, 0.25, 0.375, 0.25, 0.0625)
-"""Of one pass along a row or column: a cubic B-spline, whose variance is 1 in squared steps."""
+"""Weights of five taps along a row or column: a cubic B-spline, variance 1 in squared steps."""
 RESIDUAL_STEP = 2
-"""Pixels between the taps of a residual: a pixel filter may share a sample among neighbours, hardly any further."""
+"""Pixels between the taps of a residual: pixel filters share samples among neighbours, hardly farther."""
 RESIDUAL_VARIANCE = 6.0
-"""How many times larger the variance of a mean counts where residuals tell the noise: they share taps, and neighbours
+"""Factor of the variance of a mean of residuals, compared with independent pixels: residuals share taps, and neighbours
 may share samples."""
 DARK_SHARE = 0.03
-"""Of features of a network: differences are relative to local luminance, and to this share of the whole image's."""
-SHARED_VARIANCE = 3.2
-"""The same with halves, where neighbours share samples: the sum of correlations, see `residuals.SHARED`."""
+"""Share of the image's mean luminance that features of a network add, in square, to the squared local luminance that
+they divide by."""
 REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
-"""Pixels to each side that a residual or the local light looks at."""
+"""Distance of the farthest pixel that a residual or the local light reads, rows or columns."""
 
 
 def gather_noise(
     halves: tuple[FloatArray, FloatArray] | None, variance: FloatArray | None, *, shared: bool
 ) -> tuple[dict[str, FloatArray | None], float]:
-    """Return the images that `estimate_noise` reads, and the variance of a mean over that of independent pixels.
+    """Return the images that `estimate_noise` reads, and the factor of the variance of a mean of its noise.
+
+    The factor is 1 for independent pixels.
 
     Parameters
     ----------
     halves : two arrays, shape (height, width, 3), optional
         Means of one half of the samples each.
     variance : array, shape (height, width, 3), optional
-        Of the noisy image; looked at without halves.
+        Of the noisy image; read if there are no halves.
     shared : bool
         Whether neighbouring pixels share their noise.
     """
     if halves is not None:
-        return {"half_a": halves[0], "half_b": halves[1]}, SHARED_VARIANCE if shared else 1.0
+        return {"half_a": halves[0], "half_b": halves[1]}, SHARED_NOISE_VARIANCE if shared else 1.0
     return {"variance": variance}, RESIDUAL_VARIANCE
 
 
 def estimate_noise(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return the squared noise of every channel of the noisy image, and whether all pixels that tell it are good.
+    """Return the squared noise of each channel of the noisy image, and whether all pixels that were read are good.
 
-    Halves of the samples tell it; without them the residual of the difference to the image ``name``, and at least what
-    a variance says.
+    The noise is half the difference of the halves. Without halves it is the residual of the difference to the image
+    ``name``, or the variance if there is one and it is larger.
     """
     if grid.has("half_a"):
         a, b = grid.read("half_a"), grid.read("half_b")
@@ -66,15 +67,15 @@ def estimate_noise(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
 
 
 def count_weights(level: int) -> float:
-    """Return as how many equal weights a blur counts, the ``level``-th in turn from 0, of taps twice as far apart each.
+    """Return the effective number of pixels that the first ``level + 1`` blurs average, taps twice as far apart each.
 
-    Variances of steps add up: 1 + 4 + 16 + ... A Gaussian of variance s averages as much as 4 pi s equal weights.
+    The variances of the blurs add up: 1 + 4 + 16 + ... A Gaussian of variance s averages like 4 pi s equal weights.
     """
     return 4.0 * math.pi * (4.0 ** (level + 1) - 1.0) / 3.0
 
 
 def clamp_to_image(grid: Grid, dx: int, dy: int) -> tuple[hl.Expr, hl.Expr]:
-    """Return where the pixel (dx, dy) away from the grid's own is, or the nearest one inside the image."""
+    """Return column and row of the pixel (dx, dy) away, clamped to the image."""
     width, height = grid.size
     return hl.clamp(grid.x + dx, 0, width - 1), hl.clamp(grid.y + dy, 0, height - 1)
 
@@ -100,7 +101,7 @@ def find_slope(grid: Grid, name: str) -> hl.Expr:
 
 
 def take_logarithm(value: hl.Expr, least: float) -> hl.Expr:
-    """Return the base-2 logarithm of a value, of ``least`` where the value is smaller."""
+    """Return the base-2 logarithm of a value, or of ``least`` if the value is smaller."""
     return expressions.log2(hl.max(value, hl.f32(least)))
 
 
@@ -110,9 +111,9 @@ def add_channels(values: Vector) -> hl.Expr:
 
 
 def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return the squared residual of the noisy image minus another one, and whether all pixels that it takes are good.
+    """Return the squared residual of the noisy image minus another one, and whether all pixels that were read are good.
 
-    Taps outside the image are those at the same distance inside: one that repeats the pixel itself would hide noise.
+    Taps outside the image are mirrored: a tap that repeated the pixel itself would hide noise.
     """
     width, height = grid.size
     totals, good = [hl.f32(0.0)] * 3, hl.cast(hl.Bool(), True)
@@ -130,12 +131,12 @@ def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
 
 
 def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
-    """Return a coordinate outside [0, size) as far inside, mirrored about the first or the last pixel."""
+    """Return a coordinate, mirrored about the first or the last pixel if it is outside [0, size)."""
     return hl.select(place < 0, -place, hl.select(place > size - 1, 2 * (size - 1) - place, place))
 
 
 def blur_image(image: FloatArray, step: int) -> FloatArray:
-    """Return an image averaged along rows and columns over five taps ``step`` pixels apart."""
+    """Return an image blurred along rows and columns with five taps ``step`` pixels apart."""
     for along_rows in (True, False):
         (image,) = run_pointwise(_define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
     return np.asarray(image)

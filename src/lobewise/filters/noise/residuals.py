@@ -1,9 +1,9 @@
-"""The noise of an image that has no halves: what is left of a pixel when its surroundings are taken from it.
+"""Estimate the noise of an image without halves from residuals: a pixel minus a prediction from its surroundings.
 
-Second differences along both axes cancel whatever is linear along either, so edges along rows and columns and slopes of
-any direction, and leave white noise with 36 times its variance. Source: J. Immerkaer 1996, "Fast noise variance
-estimation", Computer Vision and Image Understanding 64(2). Filtered by the weights of a pass, the squared residual is
-the variance of that pass's samples; the variance of their mean is that over their count.
+Second differences along both axes cancel everything that is linear along one axis, so edges along rows and columns and
+all slopes. They leave white noise with 36 times its variance. Source: J. Immerkaer 1996, "Fast noise variance
+estimation", Computer Vision and Image Understanding 64(2). The squared residual, filtered by the weights of a pass, is
+the variance of the samples of the pass; over the number of samples it is the variance of their mean.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
 from lobewise.frame import FloatArray
 
 REACH = SHARED_STEP = 2
-"""Pixels to each side that a residual is taken from at most: 1, or this where neighbours share their noise."""
-SHARED = 3.2
-"""How many times larger the variance of a mean is where they do: the sum of the correlations with all pixels around for
-a Gaussian pixel filter of half a pixel's deviation."""
-SHARE = 0.5
-"""How much of the squared residual counts as noise: the rest is detail that no difference cancels, and the mean of a
-few squares that one of them rules. Tuned on ``showroom`` and ``parlour`` (docs/quality.md)."""
+"""Pixels between the taps of a residual if neighbours share their noise, otherwise 1; and the farthest pixel read."""
+SHARED_NOISE_VARIANCE = 3.2
+"""Factor of the variance of a mean if neighbours share their noise: the sum of a pixel's correlations with all pixels,
+for a Gaussian pixel filter of standard deviation 0.5 pixels."""
+RESIDUAL_NOISE_SHARE = 0.5
+"""Share of the squared residual that counts as noise. The rest is detail that differences do not cancel, and outliers
+that dominate the mean of a few squares. Tuned on ``showroom`` and ``parlour`` (docs/quality.md)."""
 DIFFERENCES = (1.0, -2.0, 1.0)
-_SMALLEST = 1e-12
+"""Weights of a second difference."""
+_MIN_LIGHT = 1e-12
 
 
 def find_squared_residual(
@@ -35,17 +36,17 @@ def find_squared_residual(
 ) -> FloatArray:
     """Return the squared residual of radiance over albedo, times albedo, so that it is filtered like radiance.
 
-    A pixel stands for a neighbour that is bad, or in which the layer has no meaning. Where neighbours share their noise
-    the residual is taken `SHARED_STEP` pixels apart, and its square is `SHARED` times as large.
+    A bad or masked neighbour is replaced by the pixel itself. Where neighbours share their noise, taps are
+    `SHARED_STEP` pixels apart, and the square is multiplied by `SHARED_NOISE_VARIANCE`.
 
     Parameters
     ----------
     image : array, shape (height, width, 3)
         Radiance; NaN, infinite and negative pixels are bad.
     albedo : array, shape (height, width, 3) or None
-        What it is divided by.
+        Divides the radiance.
     mask : bool array, shape (height, width)
-        Where the layer has meaning.
+        True where a pixel belongs to the layer.
     shared : bool
         Whether neighbouring pixels share their noise.
 
@@ -60,7 +61,7 @@ def find_squared_residual(
 
 def _define_residual(grid: Grid, shared: bool) -> list[Vector]:
     residual, _, good = _find_residual(grid, SHARED_STEP if shared else 1)
-    scale = hl.f32(SHARED if shared else 1.0)
+    scale = hl.f32(SHARED_NOISE_VARIANCE if shared else 1.0)
     floor = hl.f32(ALBEDO_FLOOR)
     tints = [hl.max(tint, floor) for tint in grid.read("albedo")] if grid.has("albedo") else [hl.f32(1.0)] * COLORS
     return [[select_or_nan(good, scale * value * value * tint) for value, tint in zip(residual, tints, strict=True)]]
@@ -69,7 +70,7 @@ def _define_residual(grid: Grid, shared: bool) -> list[Vector]:
 def _find_residual(
     grid: Grid, step: int, convert: Callable[[hl.Expr], hl.Expr] = lambda value: value
 ) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
-    """Return the residual of a pixel's light, that light, radiance over albedo, converted, and whether it is good."""
+    """Return residual, value and whether the pixel is good; the value is radiance over albedo, converted."""
     width, height = grid.size
     image, albedo = (grid.images[name][0] if grid.has(name) else None for name in ("image", "albedo"))
     assert image is not None, "the caller gives one"
@@ -96,17 +97,17 @@ def _find_residual(
 def split_samples(
     image: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], dark: float, *, shared: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two images around the samples, radiance over albedo, as far apart in logarithms as their noise says.
+    """Return two images around the samples, radiance over albedo, whose logarithms differ by the noise.
 
-    The residual is that of the logarithms: a pixel that is far brighter than those around it makes their noise no
-    larger than its own. The images may be negative, down to ``-dark``; they are to be compared, not averaged.
+    The residual is that of logarithms, so that a pixel much brighter than its neighbours does not make their noise
+    large. The images may be negative, down to ``-dark``; they serve to be compared, not averaged.
 
     Parameters
     ----------
     image, albedo, mask, shared
         As in `find_squared_residual`.
     dark : float
-        What is added under the logarithm, > 0.
+        Offset under the logarithm, > 0.
     """
     images = {"image": image, "albedo": albedo, "mask": mask}
     first, second = run_pointwise(_define_samples, images, {"dark": np.float32(dark)}, shared)
@@ -129,19 +130,19 @@ def _define_samples(grid: Grid, shared: bool) -> list[Vector]:
 def split_by_noise(
     mean: FloatArray, residual: FloatArray, worth: FloatArray, dark: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two images around a filtered one that are as far apart as halves of its samples would be.
+    """Return two images around a filtered image that differ like filtered halves of its samples.
 
-    The quarter of the squared difference of their logarithms (`lobewise.filters.noise_guides`) is the variance of the
-    mean; the mean of both is the filtered image.
+    A quarter of the squared difference of their logarithms (`lobewise.filters.noise_guides`) is the variance of the
+    mean. Their mean is the filtered image.
 
     Parameters
     ----------
     mean, residual : array, shape (height, width, 3)
-        The image and its squared residual, filtered by the same weights, over their albedo.
+        The image and its squared residual, filtered by the same weights, over albedo.
     worth : array, shape (height, width)
-        How many samples the mean is worth.
+        Effective number of samples of the mean.
     dark : float
-        What is added under the logarithm, > 0.
+        Offset under the logarithm, > 0.
     """
     images = {"mean": mean, "residual": residual, "worth": worth}
     first, second = run_pointwise(_define_split, images, {"dark": np.float32(dark)})
@@ -156,9 +157,9 @@ def _define_split(grid: Grid) -> list[Vector]:
     for mean, residual in zip(grid.read("mean"), grid.read("residual"), strict=True):
         offset = mean + dark
         # Half the difference of the logarithms ln(1 + t) and ln(1 - t) is the inverse hyperbolic tangent of t.
-        spread = hl.sqrt(hl.f32(SHARE) * hl.max(residual, hl.f32(0.0)) / worth) / offset
+        spread = hl.sqrt(hl.f32(RESIDUAL_NOISE_SHARE) * hl.max(residual, hl.f32(0.0)) / worth) / offset
         double = hl.exp(hl.f32(2.0) * hl.min(spread, hl.f32(20.0)))
-        apart = hl.min((double - one) / (double + one), mean / hl.max(offset, hl.f32(_SMALLEST)))
+        apart = hl.min((double - one) / (double + one), mean / hl.max(offset, hl.f32(_MIN_LIGHT)))
         above.append(mean + apart * offset)
         below.append(hl.max(mean - apart * offset, hl.f32(0.0)))
     return [above, below]

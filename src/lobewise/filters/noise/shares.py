@@ -1,4 +1,4 @@
-"""In which proportions images are mixed: a small network that reads features pixel by pixel."""
+"""Shares of images in a mixture, predicted by a small network from features of each pixel."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
-from lobewise.filters.mixing import Network, define_network
+from lobewise.filters.mixing import Network
+from lobewise.filters.mixing_pass import define_network
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.mixing import schedule_network
 from lobewise.frame import FloatArray
@@ -23,12 +24,12 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
     seen : array, shape (height, width, features)
     network : Network
     count : int
-        Of its outputs, at least 2.
+        Outputs of the network, at least 2.
 
     Raises
     ------
     InputError
-        If the network reads another number of features, or has another number of outputs.
+        If the network has another number of inputs or outputs.
     """
     network.require_fit(seen.shape[-1], count)
     sizes = seen.shape[-1], *(len(bias) for bias in network.biases)
@@ -39,7 +40,7 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
 
 
 def _make_shares(sizes: tuple[int, ...], target: hl.Target) -> Scheduled:
-    """Return the network's function, scheduled by rows and vectors."""
+    """Return the kernel, scheduled by rows and vectors."""
     signature = Signature("shares")
     seen = signature.image("seen", "height", "width", sizes[0])
     signature.output("shares", "height", "width", sizes[-1])

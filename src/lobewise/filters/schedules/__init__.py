@@ -1,1 +1,1 @@
-"""How the filters are computed, per device."""
+"""Schedules of the kernels: how they are computed on processors and on graphics cards."""

@@ -1,23 +1,32 @@
-"""How sums over the neighbours of the affinity filter are computed, on processors and on graphics cards."""
+"""Schedule of kernels that sum over the neighbours of the affinity filter, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 
-if TYPE_CHECKING:
-    from lobewise.filters.affinity import AffinityFuncs
-
 STRIP_ROWS = 16
-"""Rows of an image that a thread of the processor takes at a time: crops of training have only 128."""
+"""Rows that a thread of the processor takes at a time: few, because the crops that train the network have 128 rows."""
+
+
+class AffinityFuncs(NamedTuple):
+    """The functions of a kernel that sums over the neighbours of a pixel."""
+
+    pixels: hl.Func
+    """All values of a pixel; 0 left and right of the image, where vectors and taps reach."""
+    pixel_channels: int
+    sums: hl.Func
+    window: hl.RDom
+    out: hl.Func
+    out_channels: int
 
 
 def schedule_affinity(funcs: AffinityFuncs, target: hl.Target) -> None:
-    """Let every vector of pixels, or thread of a card, gather all its sums; what is read of pixels lies in memory."""
+    """Let each vector of pixels, or thread of a card, compute all its sums. Keep the values of pixels in memory."""
     (x, y, c), (out, sums) = PIXEL, (funcs.out, funcs.sums)
     if target.has_gpu_feature():
         thread = spread_channels(out, funcs.out_channels, PIXEL)
@@ -28,7 +37,7 @@ def schedule_affinity(funcs: AffinityFuncs, target: hl.Target) -> None:
     strip, row, xo, xi = (hl.Var(name) for name in ("strip", "row", "xo", "xi"))
     out.bound(c, 0, funcs.out_channels).split(x, xo, xi, lanes, tail).split(y, strip, row, STRIP_ROWS, tail)
     out.reorder(c, xi, xo, row, strip).unroll(c).vectorize(xi).parallel(strip).never_partition_all()
-    # Whole vectors of sums, also where a row ends in the midst of one: both stages then have the same pixels.
+    # Compute whole vectors of sums, also where a row ends inside a vector: both stages then cover the same pixels.
     sums.compute_at(out, xo).align_bounds(x, lanes).vectorize(x, lanes).bound_storage(x, lanes).bound_storage(y, 1)
     sums.update().reorder(x, funcs.window.x, funcs.window.y).vectorize(x, lanes)
     pixels = funcs.pixels.compute_root().bound(c, 0, funcs.pixel_channels).reorder_storage(x, c, y)

@@ -1,4 +1,4 @@
-"""How a pass of the cross filter is computed, on processors and on graphics cards."""
+"""Schedules of a pass of the cross filter, for processors and graphics cards."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
 
 
 def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
-    """Rows in parallel, columns in vectors, the log-similarity of one row of taps at a time in cache.
+    """Run strips of rows in parallel and columns in vectors. Keep log-similarities of one row of taps in cache.
 
-    What it takes, and what was tried: docs/performance.md.
+    Times, and alternatives that were tried: docs/performance.md. Reasons:
 
-    What it rests on: every stage of the log-similarity has a loop of its own over a row of taps, whose results stay in
-    the first-level cache, so that neither loop runs out of vector registers; planes of a strip lie row by row beside
-    each other, padded to whole vectors, because planes a power of two apart would share cache sets; strips of rows
-    are independent, so memory is bounded and threads change nothing; a column of taps goes down vector by vector, whose
-    rows stay in the first-level cache; what a tile sums has a size known beforehand and lies on the stack, because
-    asking for memory in a loop costs as much as a dozen taps.
+    - Each stage of the log-similarity has its own loop over a row of taps, so that no loop runs out of vector
+      registers. Its results stay in the first-level cache.
+    - The planes of a row lie side by side, padded to whole vectors. Planes a power of two apart would share cache sets.
+    - Strips of rows are independent: memory is bounded, and the number of threads changes no bit.
+    - A column of taps goes down vector by vector. The rows of a vector stay in the first-level cache.
+    - The sums of a tile have a fixed size and lie on the stack. Allocating memory in a loop costs as much as 12 taps.
     """
     x, y, c = PIXEL
     lanes = target.natural_vector_size(hl.Float(32))
@@ -49,12 +49,13 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
         out.output_buffer().dim(1).set_stride(written)
     if funcs.rest is not None:
         assert funcs.finish is not None
-        # They are as large as each other; where the compiler does not know that, it writes every loop three times.
+        # Tell the compiler that all outputs have one size; otherwise it emits every loop three times.
         whole, beside = out.output_buffer(), funcs.rest.output_buffers()[0]
         for axis in (0, 1):
             beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
         funcs.rest.compute_with(out, xv)
-        # It reads mask and albedo, which a vector that is moved inwards would leave where a row is narrower than it.
+        # Guard its vectors instead of moving them inwards: in a row narrower than a vector they would read mask and
+        # albedo outside the image.
         finish = funcs.finish.compute_at(out, xv).vectorize(x, lanes, tail)
         finish.bound_storage(x, lanes).bound_storage(y, 1)
     sums = funcs.sums.compute_at(out, xo).vectorize(x, lanes).bound_storage(x, columns).bound_storage(y, rows)
@@ -74,7 +75,7 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
 
 
 def _schedule_blocks(funcs: PassFuncs) -> None:
-    """One thread for one pixel of the sums; planes and image in memory."""
+    """Give each pixel of the sums a thread. Keep planes and image in memory."""
     thread = spread_channels(funcs.out, funcs.key.channels, PIXEL)
     funcs.sums.compute_at(funcs.out, thread)
     funcs.row.compute_at(funcs.sums, funcs.outer.x)

@@ -1,4 +1,4 @@
-"""How the pass over two halves of the samples is computed, on processors and on graphics cards."""
+"""Schedules of the pass over two halves of the samples, for processors and graphics cards."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def schedule_dual_buffer(funcs: DualBufferFuncs, target: hl.Target) -> None:
 
 
 def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
-    """Strips of rows in parallel, columns in vectors, one row of taps at a time.
+    """Run strips of rows in parallel, columns in vectors, one row of taps at a time.
 
-    What it rests on: the sums of a row of taps stay in registers, and those of a tile are updated once for each row;
-    logarithms of all weights of a row of taps, which all variants share, lie in the first-level cache.
+    The sums of a row of taps stay in registers, and the sums of a tile are updated once per row of taps. The logarithms
+    of a row's weights, which all variants share, lie in the first-level cache.
     """
     x, y, c = PIXEL
     lanes = target.natural_vector_size(hl.Float(32))
@@ -51,7 +51,7 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
 
 
 def _schedule_blocks(funcs: DualBufferFuncs) -> None:
-    """One thread for one pixel: both halves and all variants of it."""
+    """Give each pixel a thread, which computes both halves and all variants."""
     for buffer in funcs.out.output_buffers():
         buffer.dim(1).set_stride(COLORS)
     thread = spread_channels(funcs.out, COLORS, PIXEL)

@@ -1,8 +1,8 @@
-"""How fireflies are bounded, on processors and on graphics cards."""
+"""Schedules of the kernel that bounds fireflies, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import halide as hl
 
@@ -10,12 +10,25 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.fireflies import FireflyFuncs
+
+@dataclass(frozen=True, kw_only=True)
+class FireflyFuncs:
+    """The functions of the kernel; `lobewise.filters.fireflies` defines them."""
+
+    light: hl.Func
+    both: hl.Func
+    crowds: list[hl.Func]
+    row: hl.Func
+    factor: hl.Func
+    energy: hl.Func
+    sums: hl.Func
+    lane: hl.Var
+    out: hl.Func
+    tally: hl.Func
 
 
 def schedule_fireflies(funcs: FireflyFuncs, lanes: int, target: hl.Target) -> None:
-    """Schedule the bounding of fireflies for a target."""
+    """Schedule the kernel for a target whose vectors have ``lanes`` pixels."""
     for buffer in funcs.out.output_buffers():
         buffer.dim(1).set_stride(3)
     if target.has_gpu_feature():
@@ -25,10 +38,10 @@ def schedule_fireflies(funcs: FireflyFuncs, lanes: int, target: hl.Target) -> No
 
 
 def _schedule_rows(funcs: FireflyFuncs, lanes: int) -> None:
-    """Strips of rows in parallel, columns in vectors, the planes of a strip in cache; sums beside the pixels.
+    """Run strips of rows in parallel and columns in vectors. Keep a strip's planes in cache.
 
     Measured (EPYC with AVX-512), 1920x1080, processor time of one thread: 26 ms, with albedo 32 ms. A kernel compiles
-    in 1.3 s. What a row of the window holds is found once and serves every row of centres that it is near.
+    in 1.3 s. The crowd of a window's row is computed once and serves all windows that contain the row.
     """
     (x, y, c), lane, out, tally = PIXEL, funcs.lane, funcs.out, funcs.tally
     ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
@@ -47,7 +60,7 @@ def _schedule_rows(funcs: FireflyFuncs, lanes: int) -> None:
 
 
 def _schedule_blocks(funcs: FireflyFuncs, lanes: int) -> None:
-    """One thread for one pixel of everything that several pixels read, and for every partial sum."""
+    """Give each pixel of every stage that other pixels read a thread, and each partial sum a thread."""
     x, y, _ = PIXEL
     spread_channels(funcs.out, 3, PIXEL)
     funcs.sums.compute_at(funcs.tally, spread_pixels(funcs.tally.bound(funcs.lane, 0, lanes), funcs.lane, y))

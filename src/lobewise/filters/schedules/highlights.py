@@ -1,8 +1,8 @@
-"""How highlights are found, on processors and on graphics cards."""
+"""Schedule of the kernel that splits highlights off, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import halide as hl
 
@@ -10,12 +10,25 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.highlights import HighlightFuncs
+
+@dataclass(frozen=True, kw_only=True)
+class HighlightFuncs:
+    """The functions of the kernel; `lobewise.filters.highlights` defines them."""
+
+    light: hl.Func
+    both: hl.Func
+    least: hl.Func
+    rows: hl.Func
+    level: hl.Func
+    agreed: hl.Func
+    blocks: hl.Func
+    core: hl.Func
+    share: hl.Func
+    out: hl.Func
 
 
 def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:
-    """Let strips of rows run in parallel, planes in cache; on cards give every pixel a thread, planes in memory."""
+    """Run strips of rows in parallel, planes in cache; on graphics cards give each pixel a thread, planes in memory."""
     (x, y, c), out = PIXEL, funcs.out
     for buffer in out.output_buffers():
         buffer.dim(1).set_stride(3)

@@ -1,26 +1,22 @@
-"""How candidates are mixed, on processors and on graphics cards."""
+"""Schedules of the kernel that mixes candidates, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import halide as hl
 
 from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.mixing_pass import MixingFuncs, Stage
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from lobewise.filters.mixing import MixingFuncs, Stage
-
 STRIP_ROWS = 16
-"""Rows of an image that a thread takes at a time: fewer than elsewhere, for many planes of a strip lie in cache."""
+"""Rows that a thread takes at a time: fewer than in other kernels, because a strip has many planes in cache."""
 
 
 def schedule_mixing(funcs: MixingFuncs, target: hl.Target) -> None:
-    """Schedule the features alone, or all of the mixing, for a target."""
+    """Schedule the kernel for a target."""
     if target.has_gpu_feature():
         _schedule_blocks(funcs)
     else:
@@ -28,7 +24,7 @@ def schedule_mixing(funcs: MixingFuncs, target: hl.Target) -> None:
 
 
 def _schedule_blocks(funcs: MixingFuncs) -> None:
-    """Planes of what several pixels read in memory; the network of a pixel in one thread's registers."""
+    """Keep planes that several pixels read in memory, and the network of a pixel in one thread's registers."""
     key, c = funcs.key, PIXEL[2]
     thread = spread_channels(funcs.out, key.channels, PIXEL)
     for copied in funcs.copies:
@@ -43,7 +39,7 @@ def _schedule_blocks(funcs: MixingFuncs) -> None:
 
 
 def _schedule_rows(funcs: MixingFuncs, lanes: int) -> None:
-    """Strips of rows in parallel, columns in vectors; averages of a strip and one vector's network in cache."""
+    """Run strips of rows in parallel, columns in vectors. Keep a strip's averages and a vector's network in cache."""
     (x, y, c), key, out = PIXEL, funcs.key, funcs.out
     ys, yi, xo, xi, tail = hl.Var("ys"), hl.Var("yi"), hl.Var("xo"), hl.Var("xi"), hl.TailStrategy.GuardWithIf
     out.bound(c, 0, key.channels).reorder(c, x, y).unroll(c).split(y, ys, yi, STRIP_ROWS, tail)
@@ -53,7 +49,7 @@ def _schedule_rows(funcs: MixingFuncs, lanes: int) -> None:
         func.vectorize(x, lanes).unroll(c).never_partition_all()
     for blur in funcs.blurs:
         blur.rows.compute_at(out, ys).reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
-        # What is averaged again is needed some rows away.
+        # The next average reads this one some rows away, so keep a whole strip of it.
         blur.soft.compute_at(out, yi if blur is funcs.blurs[-1] else ys)
         blur.soft.reorder_storage(x, c, y).reorder(x, c, y).vectorize(x, lanes)
     funcs.sharp.compute_at(funcs.blurs[0].rows, y).bound(c, 0, key.squares).reorder_storage(x, c, y).reorder(c, x, y)

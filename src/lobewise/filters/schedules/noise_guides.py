@@ -1,8 +1,8 @@
-"""How guides of the dual-buffer passes, and the sums of light, are computed on processors and on graphics cards."""
+"""Schedules of the kernels of colour guides and of sums of light, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import halide as hl
 
@@ -12,12 +12,30 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, COLUMNS, ROWS, keep_planes, spread_channels, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.noise_guides import LightSumFuncs, NoiseGuideFuncs
+
+class NoiseGuideFuncs(NamedTuple):
+    """The functions of the guide's kernel."""
+
+    logs: hl.Func
+    """Logarithms of the three colours of one half, then of the other; a function of (x, c, y)."""
+    spread: hl.Func
+    """A quarter of the mean squared difference of both logarithms."""
+    rows: hl.Func
+    """``spread`` blurred along rows."""
+    out: hl.Func
+
+
+class LightSumFuncs(NamedTuple):
+    """The functions of the kernel of `measure_light`."""
+
+    out: hl.Func
+    """Partial sums of each row, one per lane of a vector; a function of (lane, y)."""
+    lane: hl.Var
+    steps: hl.RDom
 
 
 def schedule_noise_guide(funcs: NoiseGuideFuncs, target: hl.Target) -> None:
-    """Strips of rows in parallel, logarithms of a strip in cache; on cards in memory."""
+    """Run strips of rows in parallel, their logarithms in cache; on graphics cards keep logarithms in memory."""
     x, y, c = PIXEL
     out, rows = funcs.out, funcs.rows
     out.output_buffer().dim(1).set_stride(GUIDE_CHANNELS)
@@ -38,11 +56,11 @@ def schedule_noise_guide(funcs: NoiseGuideFuncs, target: hl.Target) -> None:
 
 
 def schedule_light_sums(funcs: LightSumFuncs, lanes: int, target: hl.Target) -> None:
-    """Rows in parallel, the parts of one in a vector."""
+    """Run rows in parallel, the partial sums of a row in a vector."""
     out, lane, y = funcs.out, funcs.lane, PIXEL[1]
     out.bound(lane, 0, lanes)
     if target.has_gpu_feature():
-        # A processor of narrow vectors has fewer lanes than a tile has columns: what is beyond is not written.
+        # A tile may have more columns than a vector has lanes: threads beyond the lanes write nothing.
         names = [hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")]
         for stage in (out, out.update()):
             stage.gpu_tile(lane, y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)

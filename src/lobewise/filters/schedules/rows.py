@@ -1,4 +1,4 @@
-"""What schedules of processors have in common: strips of rows in parallel, planes of a strip in vectors."""
+"""Common parts of schedules for processors: strips of rows in parallel, planes of a strip in vectors."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import halide as hl
 from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y
 
 STRIP_ROWS = 32
-"""Rows of an image that a thread of the processor takes at a time."""
+"""Rows that a thread takes at a time."""
 
 
 def count_lanes(target: hl.Target) -> int:
-    """Return the pixels of a processor's vector; 0 for graphics cards, which have none."""
+    """Return the number of pixels of a target's vector; 0 for graphics cards, which have no vectors."""
     return 0 if target.has_gpu_feature() else int(target.natural_vector_size(hl.Float(32)))
 
 
 def fill_planes(planes: GuidePlanes, rows: Rows, strips: tuple[hl.Func, hl.Var]) -> None:
-    """Let planes lie row by row beside each other, in memory of every one of ``strips``.
+    """Compute planes per strip, the planes of a row side by side; ``strips`` is the loop over strips.
 
-    Channels of a pixel lie together in memory; a vector of them is taken apart once, and not once per plane.
+    In the input the channels of a pixel lie together: a vector of pixels is deinterleaved once, not once per plane.
     """
     if planes.planes is None:
         return
@@ -33,7 +33,7 @@ def fill_planes(planes: GuidePlanes, rows: Rows, strips: tuple[hl.Func, hl.Var])
 
 
 def fill_rows(func: hl.Func, channels: int, rows: Rows) -> None:
-    """Let the channels of a function lie row by row beside each other, from whole vectors where there are."""
+    """Compute a function of `Rows`, the channels of a row side by side, in whole vectors as far as possible."""
     func.bound(C, 0, channels).reorder_storage(X, C, Y).align_storage(X, rows.lanes).align_bounds(X, rows.lanes)
     for number, domain in enumerate((*rows.margins, *rows.parts)):
         update = func.update(number).unroll(C)
@@ -41,16 +41,16 @@ def fill_rows(func: hl.Func, channels: int, rows: Rows) -> None:
             vectors, lane = hl.RVar("vectors"), hl.RVar("lane")
             update.split(domain.x, vectors, lane, rows.lanes).reorder(C, lane, vectors, Y).vectorize(lane)
         elif domain.dimensions() == 2:
-            # No two lanes are one column.
+            # No two lanes write the same column.
             update.reorder(C, domain.x, domain.y, Y).allow_race_conditions().vectorize(domain.x)
         else:
             update.reorder(C, domain.x, Y)
 
 
 def keep_rows(func: hl.Func, channels: int, lanes: int) -> None:
-    """Let the channels of a function lie row by row beside each other, computed vector by vector.
+    """Compute a function vector by vector, the channels of a row side by side.
 
-    One loop for all channels: a loop for each would take the compiler several times as long.
+    All channels share one loop: with a loop for each, compiling takes several times as long.
     """
     func.bound(C, 0, channels).reorder_storage(X, C, Y).align_storage(X, lanes).reorder(C, X, Y)
     func.vectorize(X, lanes).unroll(C).never_partition([Y])

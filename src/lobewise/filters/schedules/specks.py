@@ -1,8 +1,8 @@
-"""How specks are shared out, on processors and on graphics cards."""
+"""Schedule of the kernel that shares out specks, for processors and graphics cards."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import halide as hl
 
@@ -10,12 +10,29 @@ from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS
 
-if TYPE_CHECKING:
-    from lobewise.filters.specks import SpeckFuncs
+
+@dataclass(frozen=True, kw_only=True)
+class SpeckFuncs:
+    """The functions of the kernel."""
+
+    bright: hl.Func
+    """Luminance; 0 outside the image."""
+    mixed: hl.Func
+    """Whether a pixel shows several objects, and whether it lies inside the image; each 1 or 0."""
+    rows: hl.Func
+    """Sums of ``mixed`` along rows of the window."""
+    blurred: hl.Func
+    near: hl.Func
+    """Whether a row of the window has a blurred pixel, 1 or 0."""
+    low: hl.Func
+    """Luminance up to the bound, luminance above the bound, and the weight with which the pixel takes light."""
+    quotient: hl.Func
+    """Luminance above the bound over the sum of weights around; luminance that no pixel takes."""
+    out: hl.Func
 
 
 def schedule_specks(funcs: SpeckFuncs, target: hl.Target) -> None:
-    """Let strips of rows run in parallel, planes in cache; on cards give every pixel a thread, planes in memory."""
+    """Run strips of rows in parallel, planes in cache; on graphics cards give each pixel a thread, planes in memory."""
     x, y, _ = PIXEL
     planes = (funcs.bright, funcs.mixed, funcs.rows, funcs.blurred, funcs.near, funcs.low, funcs.quotient)
     if target.has_gpu_feature():
