@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import MerlBrdf, make_merl
+from lobewise.fitting.merl import MerlBrdf
 from lobewise.render import load_mitsuba
 from lobewise.render.loading import build_scene
 from lobewise.scenes import parts
+from tests.fitting.merl_tables import make_merl
 
 DIFFUSE_SHARE = 0.35
 """How many samples follow the cosine."""

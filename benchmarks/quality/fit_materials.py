@@ -21,10 +21,10 @@ import numpy as np
 from benchmarks.common import describe_machine, write_json
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import make_merl
 from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.io.materials import write_merl
+from tests.fitting.merl_tables import make_merl
 
 ALPHAS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.3, 0.5, 0.8)
 KINDS = ("sg", "asg")

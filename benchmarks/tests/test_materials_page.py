@@ -11,8 +11,8 @@ import pytest
 from lobewise.cli.commands import app
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import lobe_table_to_json, write_merl
+from tests.fitting.merl_tables import make_merl
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "materials.md").read_text()

@@ -1,4 +1,4 @@
-"""Where a pixel's surface was in the frame before: cameras that look at points, and the motion between two of them."""
+"""Projection of points by a camera, and the motion of surface points between two cameras, in NumPy."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lobewise.frame import FloatArray
 def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int, height: int) -> FloatArray:
     """Return the pixel coordinates of world points, shape (..., 2): column and row, pixel centres at .5.
 
-    A point behind the camera has no image; its coordinates are not finite.
+    The coordinates of a point behind the camera are not finite.
     """
     half_width, half_height = camera.get_half_extent(width, height)
-    # Points that are not finite have no image either.
+    # Coordinates of points that are not finite are not finite either.
     with np.errstate(invalid="ignore", over="ignore"):
         offset = points - camera.position
         ahead = offset @ camera.forward
@@ -31,22 +31,20 @@ def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int
 def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth: FloatArray) -> FloatArray:
     """Return where each pixel's surface point was in the previous frame, relative to the pixel.
 
-    Where there is no surface (depth 0) the background counts as infinitely far: it turns with the camera and does not
-    shift. A point that lay behind the previous camera has no place there; it moves by twice the image, so that it is
-    outside.
+    A pixel without a surface (depth 0) shows the background, which is infinitely far. A point that lay behind the
+    previous camera moves by twice the size of the image, so that it is outside.
 
     Parameters
     ----------
     position : (height, width, 3)
-        Where the surface points were then, in the world: where they are now, unless an object moved. Ignored where the
-        depth is 0.
+        World positions of the surface points in the previous frame; ignored where the depth is 0.
     depth : (height, width)
-        Distances along the rays; 0, or not finite, where there is no surface.
+        Distances along the rays; 0, or not finite, for the background.
 
     Returns
     -------
     (height, width, 2)
-        Pixels, previous minus current, x right and y down.
+        Pixels, previous minus current place, x right and y down.
     """
     height, width = depth.shape
     found = (depth > 0) & np.isfinite(depth)

@@ -13,9 +13,10 @@ from lobewise.cli.fitting import choose_plot
 from lobewise.cli.main import run
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import FILE_BYTES, make_merl
+from lobewise.fitting.merl import FILE_BYTES
 from lobewise.io.materials import read_lobe_table, write_merl
 from lobewise.reporting.fit_plot import draw_fit
+from tests.fitting.merl_tables import make_merl
 from tests.lobes.oracles.brdf import lambert_brdf
 
 

@@ -12,11 +12,11 @@ from scipy.integrate import quad
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.fitting.fit import COSINES, fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import make_merl
 from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.mixture import GGX_MIXTURES
+from tests.fitting.merl_tables import make_merl
 from tests.lobes.oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
 from tests.lobes.oracles.sg import sg_integral
 

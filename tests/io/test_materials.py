@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.fitting.merl import make_merl
 from lobewise.io.materials import (
     lobe_table_from_json,
     lobe_table_to_json,
@@ -19,6 +18,7 @@ from lobewise.io.materials import (
     write_merl,
 )
 from lobewise.lobe_table import LobeTable
+from tests.fitting.merl_tables import make_merl
 from tests.lobes.oracles.brdf import lambert_brdf
 
 

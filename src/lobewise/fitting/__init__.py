@@ -1,1 +1,1 @@
-"""Measured materials become lobes."""
+"""Lobes fitted to measured materials."""

@@ -1,4 +1,4 @@
-"""Directions and dtypes: the few operations on arrays of vectors that measured materials share."""
+"""Operations on arrays of vectors that the code of measured materials shares."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ Array = NDArray[np.floating[Any]]
 
 
 def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
-    """Return ``values`` as arrays of one real dtype: float32 where every given array is float32, else float64.
+    """Return ``values`` as arrays of one dtype: float32 if every given array is float32, otherwise float64.
 
-    Python numbers do not count, so that ``float32 array, 2.0`` stays float32.
+    Python numbers do not count: ``float32 array, 2.0`` gives float32.
     """
     given = [value.dtype for value in values if isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "f"]
     mixed = any(isinstance(value, np.ndarray | np.generic) and value.dtype.kind != "f" for value in values)

@@ -1,9 +1,9 @@
-"""Measured reflection becomes lobes: for each view the sum of a few that is nearest in the sense of least squares.
+"""Fits lobes to measured reflection: for each view the sum of a few lobes that is nearest in least squares.
 
-The nearness of two reflection lobes is their product integral, so the lobes of a material are fitted in the same
-space: squared differences over the sphere of luminance times cosine. What is 0 below the horizon counts as well,
-because a lobe may reach there. The shapes are searched for by non-linear least squares; their amplitudes follow from
-each trial of shapes by non-negative least squares (variable projection, Golub and Pereyra 1973).
+The filters compare two reflection lobes by their product integral. So a fit minimises squared differences, integrated
+over the whole sphere, of luminance of BRDF times cosine. Below the horizon the target is 0; this half counts too,
+because a lobe may reach there. Non-linear least squares search for the shapes. The amplitudes follow from each trial of
+shapes by non-negative least squares (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import MAX_LOBES
 
 Evaluate = Callable[[Array, Array], Any]
-"""``evaluate(view, light)``: BRDF in 1/sr, shape (n, 3) or (n,), of local unit vectors of shape (n, 3)."""
+"""``evaluate(view, light)`` returns the BRDF in 1/sr, shape (n, 3) or (n,), for local unit vectors of shape (n, 3)."""
 COSINES = tuple(float((math.sqrt(0.05) + (1.0 - math.sqrt(0.05)) * i / 19.0) ** 2) for i in range(20))
-"""n.v of the default views: 20 from 0.05 to 1, equally spaced in the square root, denser where lobes change faster."""
-# Range of log alpha: nothing sharper is resolved.
-_LOG_ALPHA = (math.log(0.003), 0.0)
-# How much better, in squared sine, a cold start must be than the neighbour's lobes: continuity over views is worth it.
-_COLD_GAIN = 2e-4
-# Step of the shapes' derivatives; and the norm, over the nodes, below which a lobe of height 1 falls between them.
-_STEP = 1e-6
-_MIN_SIZE = 1e-6
+"""n.v of the 20 default views, 0.05 to 1: equally spaced in the square root, denser where lobes change faster."""
+# Range of the logarithm of alpha. The nodes do not resolve sharper lobes.
+_LOG_ALPHA_RANGE = (math.log(0.003), 0.0)
+# Error, as a squared sine, by which a cold start must beat a start from the neighbour's lobes. This keeps lobes
+# continuous over the views.
+_MIN_GAIN_OF_COLD_START = 2e-4
+# Step of the finite differences for the derivatives by the shapes.
+_DERIVATIVE_STEP = 1e-6
+# Norm over the nodes below which a lobe of amplitude 1 lies between the nodes.
+_MIN_LOBE_NORM = 1e-6
 
 
 def fit_lobes(
@@ -55,34 +57,34 @@ def fit_lobes(
     Parameters
     ----------
     evaluate : callable
-        See `Evaluate`; the frame's x is the tangent, z the normal. A negative or non-finite value means that there is
-        no measurement: it has no weight in the fit. It is called with lights above the horizon only.
+        See `Evaluate`; x of the local frame is the tangent, z the normal. A negative or non-finite value counts as not
+        measured and has no weight in the fit. All lights are above the horizon.
     lobes : int
-        1 to 4.
+        Number of lobes per view, 1 to 4.
     kind : {"sg", "asg"}
         Spherical Gaussians or anisotropic ones.
     cosines : array_like, shape (V,)
         n.v of the views, ascending, in (0, 1].
     azimuths : array_like, shape (P,), optional
         Azimuths of the views for an anisotropic material, radians, ascending, in [0, 2 pi). By default the material
-        is isotropic and its lobes are kept in the plane of incidence.
+        is isotropic and its lobes lie in the plane of incidence.
     progress : callable, optional
-        Called with the number of finished views and of all.
+        Called with the number of finished views and the number of all views.
     name : str
-        What the material is called.
+        Name of the material.
 
     Returns
     -------
     LobeTable
-        Its `alpha` are those of the GGX lobe that is nearest to the data at each view, in the same space. Where there
-        is no measurement, the albedo is completed by the fitted lobes. A view without data, or where more
-        than half of its neighbour's lobes (in square) falls on directions that were not measured, takes the lobes of
-        that neighbour, turned, with 0 for `cosine_l2`.
+        Its `alpha` belongs to the GGX lobe that is nearest to the data of each view, in the same least squares. The
+        fitted lobes complete the albedo in directions that were not measured. A view takes the lobes of its neighbour,
+        turned, with `cosine_l2` 0, if it has no data, or if more than half of the squared energy of the neighbour's
+        lobes falls on directions that were not measured.
 
     Raises
     ------
     InputError
-        If an argument is out of range, ``evaluate`` returns another shape, or nothing is reflected at the first view.
+        If an argument is out of range, ``evaluate`` returns a wrong shape, or the first view reflects nothing.
     MissingDependencyError
         If SciPy is not installed.
     """
@@ -121,7 +123,7 @@ def _fit_views(
     turns: Array,
     progress: Callable[[int, int], None] | None,
 ) -> dict[tuple[int, int], _Found]:
-    """Return the lobes of every view, by its places among the cosines and the azimuths."""
+    """Return the lobes of every view, by its indices into the cosines and the azimuths."""
     views, columns = grid.size, turns.size
     found: dict[tuple[int, int], _Found] = {}
     samples: dict[tuple[int, int], _Data] = {}
@@ -130,14 +132,14 @@ def _fit_views(
         if progress is not None:
             progress(done, 2 * views * columns)
 
-    # Down to grazing, then back up: a better set of lobes that is found on the way down reaches the views above it.
+    # Fit down to grazing, then back up: better lobes found on the way down then reach the views above.
     for v in range(views - 1, -1, -1):
         nodes = make_nodes(float(grid[v]), angular=64 if family.flat else 96)
         for p, azimuth in enumerate(turns):
             samples[v, p] = _sample(evaluate, float(grid[v]), float(azimuth), nodes)
             neighbour = found.get((v + 1, p))
             if neighbour is None and p > 0:
-                # Seen from above the azimuths show the same lobes, turned.
+                # Seen from above, all azimuths show the same lobes, turned.
                 last = found[v, p - 1]
                 neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
             found[v, p] = _fit_view(samples[v, p], family, lobes, neighbour)
@@ -151,16 +153,19 @@ def _fit_views(
 
 @dataclass(frozen=True)
 class _Data:
-    """What one view reflects, at its nodes: all arrays over the nodes but the first three."""
+    """The reflection of one view, sampled at its nodes."""
 
     cosine: float
+    """n.v of the view."""
     albedo: Array
+    """Directional albedo over the measured directions, linear RGB."""
     missing: NDArray[np.bool_]
+    """Whether a node lies above the horizon and was not measured."""
     nodes: Nodes
     root: Array
-    """Square root of the solid angle; 0 where there is no measurement."""
+    """Square root of the solid angle of each node; 0 if it was not measured."""
     target: Array
-    """Luminance of the BRDF times the cosine, times ``root``."""
+    """Luminance of BRDF times cosine, times ``root``, at each node."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +181,7 @@ class _Found:
 
 
 def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> _Data:
-    """Evaluate the material at the nodes that are above the horizon."""
+    """Evaluate the material at the nodes above the horizon."""
     above = nodes.light[:, 2] > 0.0
     turn = np.asarray(
         [[math.cos(azimuth), -math.sin(azimuth), 0.0], [math.sin(azimuth), math.cos(azimuth), 0.0], [0.0, 0.0, 1.0]]
@@ -200,7 +205,7 @@ def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> 
 
 
 def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | None) -> _Found:
-    """Return the lobes of one view; the neighbour's lobes are a start, and kept in order unless much worse."""
+    """Return the lobes of one view. The search from the neighbour's lobes wins unless a cold start is much better."""
     if neighbour is None:
         if not data.target.any():
             expected = "values above 0"
@@ -216,23 +221,23 @@ def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | N
     best = _search_lobes(data, family, family.make_start(data.cosine, alpha, ellipse, lobes))
     if start is not None:
         warm = _search_lobes(data, family, start)
-        best = warm if warm.error <= best.error + _COLD_GAIN else _match(data, family, best, start)
+        best = warm if warm.error <= best.error + _MIN_GAIN_OF_COLD_START else _match(data, family, best, start)
     return _finish(data, family, best, alpha)
 
 
 def _refit_view(data: _Data, family: LobeFamily, found: _Found, neighbour: _Found) -> _Found:
-    """Return the lobes of one view, searched once more from those of the view below it."""
+    """Return the lobes of one view, searched again from the lobes of the view below it."""
     if not (data.target.any() and neighbour.cosine_l2 > 0.0):
         return found
     start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
     warm = _search_lobes(data, family, start)
-    if warm.error <= 1.0 - found.cosine_l2**2 + _COLD_GAIN:
+    if warm.error <= 1.0 - found.cosine_l2**2 + _MIN_GAIN_OF_COLD_START:
         return _finish(data, family, warm, found.alpha)
     return found
 
 
 def _is_seen(data: _Data, family: LobeFamily, rows: Array, amplitude: Array) -> bool:
-    """Return whether most of what these lobes reflect, in square, goes where there are measurements."""
+    """Return whether most of the squared energy of these lobes goes into measured directions."""
     above = data.nodes.light[:, 2] > 0.0
     light, weight = data.nodes.light[above], data.nodes.weight[above]
     energy = weight * sum(a * family.evaluate(row, light) for a, row in zip(amplitude, rows, strict=True)) ** 2
@@ -244,19 +249,19 @@ def _search_lobes(data: _Data, family: LobeFamily, start: Array) -> _Trial:
 
 
 def _match(data: _Data, family: LobeFamily, trial: _Trial, neighbour: Array) -> _Trial:
-    """Return the lobes of ``trial`` in the order and the names of x and y that are nearest to the neighbour's."""
+    """Return ``trial`` with its lobes ordered, and their x and y named, like the neighbour's lobes."""
     ours, theirs = (
         np.stack([data.root * family.evaluate(row, data.nodes.light) for row in rows])
         for rows in (trial.shapes, neighbour)
     )
     sizes = np.linalg.norm(theirs, axis=1)[:, None] * np.linalg.norm(ours, axis=1)
-    overlap = (theirs @ ours.T) / np.maximum(sizes, _MIN_SIZE**2)
+    overlap = (theirs @ ours.T) / np.maximum(sizes, _MIN_LOBE_NORM**2)
     order = max(permutations(range(len(ours))), key=lambda p: float(overlap[range(len(ours)), p].sum()))
     return _Trial(family.align(trial.shapes[list(order)], neighbour), trial.amplitude[list(order)], trial.error)
 
 
 def _finish(data: _Data, family: LobeFamily, trial: _Trial, alpha: Array) -> _Found:
-    """Complete the albedo by the lobes where there is no measurement."""
+    """Return the result of a view, with the albedo of unmeasured directions estimated from the lobes."""
     light = data.nodes.light[data.missing]
     model = sum(a * family.evaluate(row, light) for a, row in zip(trial.amplitude, trial.shapes, strict=True))
     unseen = float(np.sum(data.nodes.weight[data.missing] * model))
@@ -265,7 +270,7 @@ def _finish(data: _Data, family: LobeFamily, trial: _Trial, alpha: Array) -> _Fo
 
 
 def _fit_ggx(data: _Data, neighbour: Array | None) -> Array:
-    """Return the roughness (along x, along y) of the GGX lobe that is nearest to the data."""
+    """Return the alphas (along x, along y) of the GGX lobe that is nearest to the data."""
     view = np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
 
     def evaluate(row: Array) -> Array:
@@ -279,18 +284,18 @@ def _fit_ggx(data: _Data, neighbour: Array | None) -> Array:
         start = np.full((1, 2), trials[int(np.argmax(nearness))])
     else:
         start = np.log(neighbour)[None]
-    low, high = np.full(2, _LOG_ALPHA[0]), np.full(2, _LOG_ALPHA[1])
+    low, high = np.full(2, _LOG_ALPHA_RANGE[0]), np.full(2, _LOG_ALPHA_RANGE[1])
     return np.asarray(np.exp(_search(data, evaluate, start, low, high).shapes[0]))
 
 
 def _measure_half_vectors(data: _Data) -> Array:
     """Return the covariance (2, 2) of the half vectors' x and y, weighted by the square of the target.
 
-    The square leaves the tails out. Where all is in one spot the covariance is kept from being singular.
+    The square suppresses the tails. A small multiple of the identity keeps the covariance invertible.
     """
     half = data.nodes.light + np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
     half = half[:, :2] / np.linalg.norm(half, axis=1, keepdims=True)
-    # The nodes' solid angles are of lights; those of half vectors are 4 v.h times smaller, which is slow to vary.
+    # Solid angles of half vectors are 4 v.h times smaller than those of lights; v.h varies slowly and is left out.
     share = data.target**2 / np.sum(data.target**2)
     half = half - share @ half
     return np.asarray((half * share[:, None]).T @ half + 1e-9 * np.eye(2))
@@ -298,7 +303,7 @@ def _measure_half_vectors(data: _Data) -> Array:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Shapes, their best amplitudes, and the squared sine between them and the data."""
+    """Shapes, their best amplitudes, and the squared sine of the angle between their sum and the data."""
 
     shapes: Array
     amplitude: Array
@@ -308,8 +313,8 @@ class _Trial:
 def _search(data: _Data, evaluate: Callable[[Array], Array], start: Array, low: Array, high: Array) -> _Trial:
     """Return the shapes near ``start`` whose non-negative combination is nearest to the target.
 
-    The derivative of the residual is that of the lobes at fixed amplitudes, less what the amplitudes can follow
-    (Kaufman 1975).
+    The derivative of the residual is that of the lobes at fixed amplitudes, without the part that a change of the
+    amplitudes can make up for (Kaufman 1975).
     """
     from scipy.optimize import least_squares, nnls
 
@@ -321,13 +326,13 @@ def _search(data: _Data, evaluate: Callable[[Array], Array], start: Array, low: 
         """Return (lobes at the nodes, best amplitudes, distance from the target)."""
         columns = np.stack([root * evaluate(row) for row in rows])
         size = np.linalg.norm(columns, axis=1)
-        # A lobe between the nodes is none, whatever its amplitude.
-        scale = np.where(size > _MIN_SIZE, 1.0 / np.maximum(size, _MIN_SIZE), 0.0)
+        # Give a lobe that lies between the nodes no amplitude.
+        scale = np.where(size > _MIN_LOBE_NORM, 1.0 / np.maximum(size, _MIN_LOBE_NORM), 0.0)
         amplitude, distance = nnls((columns * scale[:, None]).T, target)
         return columns, amplitude * scale, float(distance)
 
     def project(numbers: Array) -> tuple[Array, Array]:
-        """Return (derivative, miss), both rotated into the space that they span: a few rows instead of thousands."""
+        """Return (derivative, residual), rotated into the space that they span: a few rows instead of thousands."""
         key = numbers.tobytes()
         if not last or last[0][0] != key:
             rows = numbers.reshape(start.shape)
@@ -336,8 +341,8 @@ def _search(data: _Data, evaluate: Callable[[Array], Array], start: Array, low: 
             for k, row in enumerate(rows):
                 for j in range(row.size if amplitude[k] > 0.0 else 0):
                     moved = row.copy()
-                    moved[j] += _STEP
-                    system[k * row.size + j] = (root * evaluate(moved) - columns[k]) * (amplitude[k] / _STEP)
+                    moved[j] += _DERIVATIVE_STEP
+                    system[k * row.size + j] = (root * evaluate(moved) - columns[k]) * (amplitude[k] / _DERIVATIVE_STEP)
             system[-1] = amplitude @ columns - target
             basis = columns[amplitude > 0.0]
             system[:-1] -= system[:-1] @ basis.T @ np.linalg.pinv(basis @ basis.T, hermitian=True) @ basis
@@ -376,7 +381,7 @@ def _check_grid(
 
 def _require_scipy() -> None:
     try:
-        import scipy.optimize  # noqa: F401 - only to see whether it is there
+        import scipy.optimize  # noqa: F401 - only to check that it is installed
     except ImportError as problem:
         expected = "the package scipy"
         action = "install it with `pip install 'lobewise[fit]'`"

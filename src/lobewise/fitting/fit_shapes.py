@@ -1,4 +1,4 @@
-"""The shapes that fitted lobes can take, as numbers that a search may move freely."""
+"""Fitted lobes as rows of numbers that a search may change freely."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from lobewise.fitting.arrays import Array
 from lobewise.lobes.mixture import GGX_MIXTURES
 
-# Range of log sharpness. Flatter lobes would be told apart by nothing, and closed forms for products fail on them.
-_LOG_SHARPNESS = (math.log(0.5), math.log(1e7))
+# Range of the logarithm of sharpness. Flatter lobes all look alike, and closed forms for their products fail.
+_LOG_SHARPNESS_RANGE = (math.log(0.5), math.log(1e7))
 
 
 class LobeFamily:
-    """The shapes that a lobe can take: rows of numbers that the search moves freely.
+    """The shapes that a lobe can take, as rows of numbers that the search changes freely.
 
-    A row is (tilt, log sharpness...) in the plane of incidence, (tilt, side, [twist,] log sharpness...) out of it.
-    The tilt is the axis' angle from the normal, away from the viewer; the side its angle from that plane.
+    If ``flat``, axes stay in the plane of incidence and a row is (tilt, log sharpness...). Otherwise it is
+    (tilt, side, [twist,] log sharpness...). The tilt is the angle of the axis from the normal, away from the viewer.
+    The side is the angle of the axis from the plane of incidence. Angles are in radians.
     """
 
     def __init__(self, kind: str, *, flat: bool) -> None:
@@ -28,28 +29,28 @@ class LobeFamily:
         self.size = angles + (2 if kind == "asg" else 1)
         self.low = np.full(self.size, -np.inf)
         self.high = np.full(self.size, np.inf)
-        self.low[angles:], self.high[angles:] = _LOG_SHARPNESS
+        self.low[angles:], self.high[angles:] = _LOG_SHARPNESS_RANGE
 
     def make_start(self, cosine: float, alpha: Array, covariance: Array, lobes: int) -> Array:
-        """Return rows for the reflected lobes of the sums of Gaussians that are best for GGX (Xu et al. 2013)."""
+        """Return start rows for a search: the Gaussians that approximate GGX best, reflected (Xu et al. 2013)."""
         mirror = math.atan2(math.sqrt(max(0.0, 1.0 - cosine * cosine)), cosine)
         precision = np.diag(np.maximum(1.0 / alpha**2 - 1.0, 0.02))
         if not self.flat:
-            # The data tell how the half vectors' ellipse is turned; alpha tells its size.
+            # Take the orientation of the ellipse of half vectors from the data, and its size from alpha.
             shape = np.linalg.inv(covariance)
             precision = shape * math.sqrt(np.linalg.det(precision) / np.linalg.det(shape))
-        # Half vectors along (x, y) move the light by 2 in the plane of incidence, by 2 n.v across it.
+        # A step of the half vector moves the light 2 times as far in the plane of incidence, 2 n.v times across it.
         warp = np.asarray([0.5, 0.5 / max(cosine, 0.1)])
         precision = precision * warp[:, None] * warp
         rows = np.zeros((lobes, self.size))
         rows[:, 0] = mirror
         scale = np.log(GGX_MIXTURES[lobes][0])
         values, vectors = np.linalg.eigh(precision)
-        # A half vector that moves along y moves the light along the lobe's x, one along x against the lobe's y.
+        # A half vector that moves along y moves the light along the lobe's x; one along x, against the lobe's y.
         if self.kind == "sg":
             rows[:, -1] = scale + math.log(2.0) + 0.5 * math.log(np.linalg.det(precision))
             if not self.flat:
-                # In a row along the ellipse: on one spot they would stay there, each a stationary point.
+                # Spread the axes along the ellipse: one common axis is a stationary point of the search.
                 spread = np.linspace(-0.5, 0.5, lobes) if lobes > 1 else np.zeros(1)
                 rows[:, :2] += spread[:, None] * vectors[:, 0] * [-1.0, 1.0] / math.sqrt(values[0])
         elif self.flat:
@@ -60,7 +61,7 @@ class LobeFamily:
         return np.clip(rows, self.low, self.high)
 
     def to_frames(self, rows: Array) -> tuple[Array, Array, Array]:
-        """Return (axis, sharpness, twist) of rows (..., size), as a `LobeTable` keeps them."""
+        """Return (axis, sharpness, twist) of rows (..., size), as in a `LobeTable`."""
         tilt, none = rows[..., 0], np.zeros(rows.shape[:-1])
         side = none if self.flat else rows[..., 1]
         axis = np.stack([-np.sin(tilt) * np.cos(side), np.sin(side), np.cos(tilt) * np.cos(side)], axis=-1)
@@ -70,7 +71,7 @@ class LobeFamily:
         return axis, np.exp(rows[..., -2:]), twist
 
     def move(self, rows: Array, old: float, new: float) -> Array:
-        """Return rows of the view at n.v = ``old`` as they would be at ``new``: mirrored, and warped as GGX is."""
+        """Return rows of the view at n.v = ``old`` moved to n.v = ``new``: mirrored, and warped as GGX is."""
         moved = rows.copy()
         moved[:, 0] += math.acos(new) - math.acos(old)
         ratio = math.log(max(old, 0.1) / max(new, 0.1))
@@ -78,7 +79,7 @@ class LobeFamily:
         return moved
 
     def turn(self, rows: Array, angle: float) -> Array:
-        """Return rows of a view from above as a viewer sees them whose azimuth is greater by ``angle``."""
+        """Return rows of a view from straight above, as seen after its azimuth has grown by ``angle``."""
         x, y, z = np.moveaxis(self.to_frames(rows)[0], -1, 0)
         turned = rows.copy()
         ahead = math.cos(angle) * x + math.sin(angle) * y
@@ -89,7 +90,10 @@ class LobeFamily:
         return turned
 
     def align(self, rows: Array, neighbour: Array) -> Array:
-        """Return rows in the one of two equal ways to name a lobe's x and y that is nearer to the neighbour's."""
+        """Return rows with x and y of each lobe named so that the twist is nearest to the neighbour's.
+
+        A lobe does not change if it is twisted by a quarter turn and its two sharpnesses are swapped.
+        """
         aligned = rows.copy()
         if self.flat or self.kind == "sg":
             return aligned
@@ -100,7 +104,7 @@ class LobeFamily:
         return aligned
 
     def evaluate(self, row: Array, light: Array) -> Array:
-        """Return the lobe of one row with amplitude 1."""
+        """Return the value of one row's lobe, of amplitude 1, in directions (n, 3)."""
         side = 0.0 if self.flat else row[1]
         sine, cosine = math.sin(row[0]), math.cos(row[0])
         in_plane = cosine * light[:, 2] - sine * light[:, 0]

@@ -1,9 +1,9 @@
-"""The GGX reflection BRDF, to which roughness is fitted.
+"""The GGX reflection BRDF, whose roughness is fitted to measured materials.
 
 A BRDF here is ``f(view, light)`` in 1/sr, without the cosine, in a local frame: z is the normal, x the direction of
-``alpha_u``; both directions are unit vectors of shape (..., 3) that point away from the surface. It is 0 where either
-is below the horizon. Roughness ``alpha`` is the microfacet width. Fresnel is Schlick's with the reflectance ``f0`` at
-normal incidence; ``f0 = 1`` leaves the bare lobe.
+``alpha_u``. Both directions are unit vectors of shape (..., 3) that point away from the surface. The BRDF is 0 if
+either is below the horizon. Roughness ``alpha`` is the width of the microfacet distribution. The Fresnel term is
+Schlick's with the reflectance ``f0`` at normal incidence; ``f0 = 1`` means no Fresnel term.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def are_above(view: Array, light: Array) -> Array:
 
 
 def make_positive(cosine: Array) -> Array:
-    """Return cosines that are safe to divide by; what is not above 0 is masked out afterwards."""
+    """Return cosines that are safe to divide by: 1 in place of values up to 0. The caller masks these out."""
     return np.asarray(np.where(cosine > 0.0, cosine, 1.0))
 
 
@@ -33,7 +33,7 @@ def schlick_fresnel(cosine: ArrayLike, f0: ArrayLike) -> Array:
 
 
 def ggx_normal_density(half: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None) -> Array:
-    """Return the GGX density of normals, 1/sr; its integral times the cosine is 1 (Walter et al. 2007, eq. 33).
+    """Return the GGX density of normals, 1/sr. Times the cosine it integrates to 1 (Walter et al. 2007, eq. 33).
 
     Written as ``1 / (pi au av (hx^2/au^2 + hy^2/av^2 + hz^2)^2)`` (Heitz 2014).
     """

@@ -1,35 +1,36 @@
 """MERL BRDFs: isotropic materials tabulated over half and difference angles (Matusik et al. 2003).
 
-A table has 90 bins of theta_h, the angle of the half vector, with centres ``pi/2 ((i + 1/2) / 90)^2``, which are dense
-where highlights are; 90 of theta_d, the angle between light and half vector; and 180 of phi_d in [0, pi), the azimuth
-of the light about the half vector, where reciprocity makes phi_d + pi the same. The file holds three int32 with these
-counts, then all of red, green and blue as little-endian float64, each to be multiplied by its scale to give 1/sr.
-A negative value marks a sample that could not be measured.
+A table has three axes:
+- theta_h, the angle of the half vector from the normal: 90 bins with centres ``pi/2 ((i + 1/2) / 90)^2``, which are
+  dense where highlights are;
+- theta_d, the angle between the light and the half vector: 90 bins;
+- phi_d, the azimuth of the light about the half vector: 180 bins in [0, pi). By reciprocity phi_d + pi is phi_d.
+
+The file holds these counts as three int32, then the red, green and blue planes as little-endian float64. A value times
+the scale of its colour is 1/sr. A negative value marks a sample that could not be measured.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import FileError, InputError
+from lobewise.errors import FileError
 from lobewise.fitting.arrays import Array, dot
 
 THETA_H, THETA_D, PHI_D = 90, 90, 180
 BINS = (THETA_H, THETA_D, PHI_D)
 HEADER_BYTES = 12
 FILE_BYTES = HEADER_BYTES + 3 * THETA_H * THETA_D * PHI_D * 8
-"""34,992,012: every file of this layout has this size."""
+"""Size of every MERL file: 34,992,012 bytes."""
 SCALES = (1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0)
 """1/sr per stored unit of red, green and blue."""
 
-# Directions worked on at a time: the corners' gathers stay in a core's cache.
-_CHUNK = 8192
+# Directions interpolated at a time: the values gathered for them fit into the cache of a core.
+_DIRECTIONS_PER_CHUNK = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +40,9 @@ class MerlBrdf:
     Parameters
     ----------
     name : str
-        What the material is called.
+        Name of the material.
     samples : (90, 90, 180, 4), float32
-        Red, green and blue in 1/sr, then 1; all four are 0 where there is no measurement.
+        Red, green and blue in 1/sr, then 1. All four are 0 for a sample that was not measured.
     """
 
     name: str
@@ -53,25 +54,25 @@ class MerlBrdf:
         return np.asarray(self.samples[..., 3] > 0.0)
 
     def __call__(self, view: ArrayLike, light: ArrayLike) -> Array:
-        """Return the BRDF, trilinear between the centres of the bins.
+        """Return the BRDF, interpolated trilinearly between the centres of the bins.
 
         Parameters
         ----------
         view, light : array_like, shape (..., 3)
-            Local unit vectors away from the surface, z the normal.
+            Local unit vectors that point away from the surface; z is the normal.
 
         Returns
         -------
         ndarray, shape (..., 3), float32
-            1/sr. Samples without a measurement are left out and the others' weights rescaled; NaN where all eight are
-            missing; 0 where a direction is below the horizon.
+            1/sr. Samples that were not measured are left out, and the weights of the others are rescaled. NaN if all
+            eight samples are missing; 0 if a direction is below the horizon.
         """
         view, light = np.broadcast_arrays(np.asarray(view, dtype=np.float64), np.asarray(light, dtype=np.float64))
         shape = view.shape
         views, lights = view.reshape(-1, 3), light.reshape(-1, 3)
         out = np.empty((views.shape[0], 3), dtype=np.float32)
-        for first in range(0, out.shape[0], _CHUNK):
-            part = slice(first, first + _CHUNK)
+        for first in range(0, out.shape[0], _DIRECTIONS_PER_CHUNK):
+            part = slice(first, first + _DIRECTIONS_PER_CHUNK)
             out[part] = self._interpolate(*to_half_difference(views[part], lights[part]))
         out[(views[:, 2] <= 0.0) | (lights[:, 2] <= 0.0)] = 0.0
         return out.reshape(shape)
@@ -101,15 +102,16 @@ class MerlBrdf:
 
 
 def to_half_difference(view: ArrayLike, light: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return (theta_h, theta_d, phi_d) of a pair of unit vectors (..., 3): phi_d in [0, pi), the thetas to pi / 2.
+    """Return (theta_h, theta_d, phi_d) of a pair of unit vectors (..., 3): thetas in [0, pi / 2], phi_d in [0, pi).
 
-    Source: Rusinkiewicz 1998. Swapping the two directions changes nothing, nor does turning both about the normal.
+    The angles do not change when the two directions are swapped or turned together about the normal.
+    Source: Rusinkiewicz 1998.
     """
     view, light = np.asarray(view, dtype=np.float64), np.asarray(light, dtype=np.float64)
     total, difference = view + light, light - view
     across = np.hypot(total[..., 0], total[..., 1])
     theta_h = np.arctan2(across, total[..., 2])
-    # tan(theta_d) is |l - v| / |l + v|: no cancellation at small angles
+    # tan(theta_d) is |l - v| / |l + v|. This form has no cancellation at small angles.
     theta_d = np.arctan2(np.sqrt(dot(difference, difference)), np.sqrt(dot(total, total)))
     turned = across > 0.0
     cosine = np.where(turned, total[..., 0], 1.0) / np.where(turned, across, 1.0)
@@ -122,57 +124,6 @@ def to_half_difference(view: ArrayLike, light: ArrayLike) -> tuple[Array, Array,
     return theta_h, theta_d, np.where(phi_d >= math.pi, 0.0, phi_d)
 
 
-def from_half_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[Array, Array]:
-    """Return (view, light), shape (..., 3), with these angles and the half vector in the plane y = 0, x >= 0."""
-    theta_h, theta_d, phi_d = (np.asarray(angle, dtype=np.float64) for angle in (theta_h, theta_d, phi_d))
-    theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
-    sine, cosine = np.sin(theta_h), np.cos(theta_h)
-    x, y, z = np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)
-    light = np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
-    view = np.stack([sine * z - cosine * x, -y, cosine * z + sine * x], axis=-1)
-    return view, light
-
-
-def get_bin_centres() -> tuple[Array, Array, Array]:
-    """Return the angles (theta_h, theta_d, phi_d) at the centres of the bins: 90, 90 and 180 numbers."""
-    theta_h = 0.5 * math.pi * ((np.arange(THETA_H) + 0.5) / THETA_H) ** 2
-    theta_d = 0.5 * math.pi * (np.arange(THETA_D) + 0.5) / THETA_D
-    return theta_h, theta_d, math.pi * (np.arange(PHI_D) + 0.5) / PHI_D
-
-
-def make_merl(brdf: Callable[[Array, Array], Any], name: str = "") -> MerlBrdf:
-    """Return ``brdf(view, light)`` tabulated at the centres of the bins.
-
-    Parameters
-    ----------
-    brdf : callable
-        Takes views and lights of shape (n, 3); returns 1/sr, shape (n,) or (n, 3). It must be isotropic and
-        reciprocal, or the table holds what it is for half vectors along x. Negative or non-finite: no measurement.
-    name : str
-        What the material is called.
-
-    Raises
-    ------
-    InputError
-        If ``brdf`` returns another shape, or no sample is valid.
-    """
-    centres_h, centres_d, centres_p = get_bin_centres()
-    samples = np.zeros((*BINS, 4), dtype=np.float32)
-    for index, theta_h in enumerate(centres_h):
-        view, light = from_half_difference(theta_h, centres_d[:, None], centres_p)
-        above = (view[..., 2] > 0.0) & (light[..., 2] > 0.0)
-        values = np.asarray(brdf(view[above], light[above]))
-        count = int(above.sum())
-        if values.shape not in ((count,), (count, 3)):
-            expected = f"an array of shape ({count},) or ({count}, 3)"
-            got = f"shape {values.shape}"
-            raise InputError("brdf", expected=expected, got=got, action="return one number or three per direction")
-        rows = samples[index]
-        rows[above, :3] = values if values.ndim == 2 else values[:, None]
-        rows[above, 3] = 1.0
-    return MerlBrdf(name, _drop_invalid(samples, what="brdf", error=InputError))
-
-
 def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf:
     """Return the BRDF that a MERL file holds.
 
@@ -181,12 +132,13 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
     data : bytes-like
         The whole file, 34,992,012 bytes.
     name : str
-        What the material is called; stands in errors.
+        Name of the material, for error messages.
 
     Raises
     ------
     FileError
-        If the header is another, bytes are missing or left over, a value is not finite, or no sample is valid.
+        If the header is not that of a MERL file, bytes are missing or left over, a value is not finite, or no sample
+        was measured.
     """
     what, size = f"MERL file {name!r}", len(memoryview(data).cast("B"))
     counts = tuple(np.frombuffer(data, "<i4", 3).tolist()) if size >= HEADER_BYTES else None
@@ -195,7 +147,7 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
             what,
             expected=f"a MERL header of {THETA_H}, {THETA_D}, {PHI_D} bins",
             got=f"{size} bytes" if counts is None else ", ".join(map(str, counts)),
-            action="pass a .binary file of the MERL database's layout",
+            action="pass a .binary file in the layout of the MERL database",
         )
     if size != FILE_BYTES:
         got = f"{size}, so {'the end is missing' if size < FILE_BYTES else 'something follows the table'}"
@@ -208,12 +160,14 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
             np.multiply(planes[channel], scale, out=samples[..., channel], casting="unsafe")
     bad = int(np.count_nonzero(~np.isfinite(samples[..., :3])))
     if bad:
-        raise FileError(what, expected="finite values", got=f"{bad} that are not", action="copy or download it again")
-    return MerlBrdf(name, _drop_invalid(samples, what=what, error=FileError))
+        raise FileError(
+            what, expected="finite values", got=f"{bad} values that are not", action="copy or download it again"
+        )
+    return MerlBrdf(name, _drop_unmeasured(samples, what))
 
 
 def to_bytes(brdf: MerlBrdf) -> bytes:
-    """Return the MERL file of a BRDF; samples without a measurement become -1."""
+    """Return the bytes of a MERL file. Samples that were not measured become -1."""
     planes = np.empty((3, *BINS), dtype="<f8")
     for channel, scale in enumerate(SCALES):
         np.divide(brdf.samples[..., channel], scale, out=planes[channel])
@@ -221,19 +175,13 @@ def to_bytes(brdf: MerlBrdf) -> bytes:
     return np.asarray(BINS, dtype="<i4").tobytes() + planes.tobytes()
 
 
-def _drop_invalid(samples: NDArray[np.float32], *, what: str, error: type[FileError] | type[InputError]) -> Any:
-    """Return ``samples`` with 0 in all four numbers of those without a measurement, read-only.
-
-    Raises
-    ------
-    error
-        If none is left, or none is above 0.
-    """
+def _drop_unmeasured(samples: NDArray[np.float32], what: str) -> NDArray[np.float32]:
+    """Set all four numbers of the samples without a measurement to 0, and return the array read-only."""
     with np.errstate(invalid="ignore"):
         good = (samples >= 0.0).all(axis=-1) & np.isfinite(samples).all(axis=-1) & (samples[..., 3] > 0.0)
     samples[~good] = 0.0
     if not samples[..., :3].any():
         got = "a table that is black" if good.any() else "none: all are marked as not measured"
-        raise error(what, expected="samples above 0", got=got, action="use another material")
+        raise FileError(what, expected="samples above 0", got=got, action="use another material")
     samples.flags.writeable = False
     return samples

@@ -1,7 +1,7 @@
-"""From a lobe table to the lobes of points: interpolated over the view, turned into the world.
+"""The lobes of points, interpolated from a lobe table over the view and turned into world space.
 
-What is interpolated is each lobe as seen from the mirror direction, because that direction itself moves fast with the
-view: between the table's views the lobes follow the mirror exactly.
+Lobes are interpolated in a frame about the mirror direction, because the mirror direction moves fast with the view. So
+between the views of the table the lobes follow the mirror direction exactly.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from lobewise.errors import InputError
 from lobewise.fitting.arrays import Array, as_reals, dot, normalize
 from lobewise.lobe_table import LobeTable
 
-# Points worked on at a time: the table's rows of that many points fit a core's L2 cache.
-_CHUNK = 8192
+# Points evaluated at a time: their rows of the table fit into the L2 cache of a core.
+_POINTS_PER_CHUNK = 8192
 
 
 class TableLobes(NamedTuple):
-    """The lobes of some points, in the world. N lobes each; see `LobeTable` for what a lobe is."""
+    """The N lobes of each of some points, in world space; `LobeTable` defines a lobe."""
 
     axis: Array
     """Unit vectors, shape (..., N, 3)."""
     x: Array
-    """Unit vectors across the axis, shape (..., N, 3): the direction of the first sharpness."""
+    """Unit vectors across the axis, shape (..., N, 3): the directions of the first sharpness."""
     sharpness: Array
     """``(l, m)`` along x and along ``axis cross x``, shape (..., N, 2)."""
     amplitude: Array
-    """Value at the axis, 1/sr, shape (..., N)."""
+    """Value along the axis, 1/sr, shape (..., N)."""
 
 
 def evaluate_table(
@@ -40,23 +40,22 @@ def evaluate_table(
 ) -> TableLobes:
     """Return the lobes that a material has at points seen from ``view``.
 
-    Between views the logarithm of the sharpness, the amplitude and the axis relative to the mirror direction are
-    linear in the angle of the view and its azimuth; the axis is made unit length again and the twist goes the shorter
-    way. Beyond the ends of the grid of n.v they are constant.
+    Between views of the table the logarithm of the sharpness, the amplitude, the twist, and the axis relative to the
+    mirror direction are interpolated linearly in the angle of the view from the normal and in its azimuth. The axis is
+    normalized afterwards; the twist takes the shorter way. Beyond the first and last n.v lobes are constant.
 
     Parameters
     ----------
     table : LobeTable
     normal, view : array_like, shape (..., 3)
-        Unit vectors in the world, the view away from the surface. Leading shapes broadcast.
+        Unit vectors in world space; the view points away from the surface. Leading shapes broadcast.
     tangent : array_like, shape (..., 3), optional
-        Direction from which the table's azimuths count; it need not be perpendicular to the normal. Anisotropic
-        tables need it.
+        Direction of azimuth 0, in world space; it need not be perpendicular to the normal. Anisotropic tables need it.
 
     Returns
     -------
     TableLobes
-        float32 where the given arrays are, else float64.
+        float32 if all given arrays are float32, otherwise float64.
 
     Raises
     ------
@@ -74,10 +73,10 @@ def evaluate_table(
     axis, x = np.empty((count, lobes, 3), dtype), np.empty((count, lobes, 3), dtype)
     sharpness, amplitude = np.empty((count, lobes, 2), dtype), np.empty((count, lobes), dtype)
     rows = _pack(table, dtype)
-    # Lobes in the plane of incidence, not twisted, all have the same x: the direction across that plane.
+    # Untwisted lobes in the plane of incidence all have the same x: the direction across the plane.
     in_plane = not rows[..., 0].any() and not rows[..., 7].any()
-    for first in range(0, count, _CHUNK):
-        part = slice(first, first + _CHUNK)
+    for first in range(0, count, _POINTS_PER_CHUNK):
+        part = slice(first, first + _POINTS_PER_CHUNK)
         across, along, mirror, cosine, azimuth = _make_mirror_frame(*(vector[part] for vector in flat))
         row = _interpolate(table, rows, cosine, azimuth)
         local = normalize(row[..., :3])
@@ -98,16 +97,16 @@ def evaluate_table(
 
 
 def evaluate_lobes(lobes: TableLobes, direction: ArrayLike, kind: str) -> Array:
-    """Return the sum of the lobes in ``direction``: what stands for luminance of BRDF times cosine, 1/sr.
+    """Return the sum of the lobes in ``direction``, which approximates luminance of BRDF times cosine, 1/sr.
 
     Parameters
     ----------
     lobes : TableLobes
-        Shapes (..., N, 3) and so on.
+        Lobes of any number of points.
     direction : array_like, shape (..., 3)
         Unit vectors; leading shapes broadcast against those of the lobes.
     kind : {"sg", "asg"}
-        That of the table.
+        Kind of the table that the lobes come from.
     """
     direction = np.asarray(direction, dtype=lobes.axis.dtype)[..., None, :]
     z = dot(lobes.axis, direction)
@@ -128,21 +127,21 @@ def get_equivalent_alphas(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLik
     cosine : array_like, shape (...)
         n.v.
     azimuth : array_like, shape (...)
-        Of the view about the normal from the tangent, radians; without meaning for an isotropic table.
+        Azimuth of the view about the normal, from the tangent, radians; ignored for an isotropic table.
     """
     return _look_up(table, table.alpha, cosine, azimuth)
 
 
 def get_albedo(table: LobeTable, cosine: ArrayLike, azimuth: ArrayLike = 0.0) -> Array:
-    """Return the directional albedo, shape (..., 3), linear RGB; parameters as of `get_equivalent_alphas`."""
+    """Return the directional albedo, shape (..., 3), linear RGB; parameters as in `get_equivalent_alphas`."""
     return _look_up(table, table.albedo, cosine, azimuth)
 
 
 def order_lobes(table: LobeTable) -> LobeTable:
-    """Return a table whose lobes are in the order of those at the azimuth before, so that they can be interpolated.
+    """Return a table whose lobes have the same order at all azimuths, so that they can be interpolated.
 
-    The fit keeps the order over n.v. Over the azimuth it is told by the highest view: seen from above, every azimuth
-    shows the same lobes, turned.
+    The fit keeps the order over n.v already. The order over the azimuth is found at the highest view: seen from above,
+    all azimuths show the same lobes, turned.
     """
     names = ("axis", "sharpness", "twist", "amplitude")
     arrays: dict[str, Any] = {name: np.array(getattr(table, name)) for name in names}
@@ -171,9 +170,9 @@ def _look_up(table: LobeTable, values: Array, cosine: ArrayLike, azimuth: ArrayL
 
 
 def _pack(table: LobeTable, dtype: Any) -> Array:
-    """Return what is interpolated, (V, P, N, 8): axis relative to the mirror, log sharpness, amplitude, doubled twist.
+    """Return the numbers to interpolate, (V, P, N, 8): axis (3), log sharpness (2), amplitude, doubled twist (2).
 
-    The relative axis is in the frame (across the plane of incidence, in it, mirror direction). The twist is kept as
+    The axis is in the frame (across the plane of incidence, along the plane, mirror direction). The twist is stored as
     cosine and sine of its double, because a lobe turned by pi is the same lobe.
     """
     cosine = table.cosine.astype(np.float64)[:, None, None]
@@ -198,7 +197,7 @@ def _make_mirror_frame(
     cosine = dot(normal, view)
     leaning = view - cosine[:, None] * normal
     sine = np.sqrt(dot(leaning, leaning))
-    # Seen from straight above, every direction along the surface is as good; with a tangent it is the tangent.
+    # A view from straight above has no plane of incidence: use the tangent, or else any direction along the surface.
     spare = tangent
     if spare is None:
         spare = np.where(np.abs(normal[:, :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]).astype(normal.dtype)
@@ -214,8 +213,8 @@ def _make_mirror_frame(
 
 
 def _interpolate(table: LobeTable, rows: NDArray[Any], cosine: Array, azimuth: Array) -> Array:
-    """Return ``rows`` (V, P, ...) at points (n,), linear in the angle from the normal and the azimuth."""
-    # As functions of n.v lobes bend sharply at normal incidence, as functions of the angle they are even.
+    """Return ``rows`` (V, P, ...) at points (n,), linear in the angle from the normal and in the azimuth."""
+    # Lobes change sharply with n.v at normal incidence, but smoothly with the angle.
     low, share = _locate(np.arcsin(table.cosine.astype(np.float64)), np.arcsin(np.clip(cosine, -1.0, 1.0)))
     high = np.minimum(low + 1, table.cosine.size - 1)
     columns = rows.shape[1]
@@ -237,7 +236,7 @@ def _interpolate(table: LobeTable, rows: NDArray[Any], cosine: Array, azimuth: A
 
 
 def _locate(grid: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the cells of an ascending grid that values are in, and how far along; clamped to its ends."""
+    """Return the cell of an ascending grid that holds each value, and the place in the cell, clamped to the grid."""
     position = np.interp(value, grid, np.arange(grid.size))
     low = np.minimum(position.astype(np.intp), max(grid.size - 2, 0))
     return low, np.asarray(position - low)
@@ -250,7 +249,7 @@ def _to_world(local: Array, across: Array, along: Array, mirror: Array) -> Array
 
 
 def _make_x(axis: Array, twist: Array) -> Array:
-    """Return the x of lobes in the frame whose first direction is across the plane of incidence."""
+    """Return the x of lobes, in the frame whose first direction is across the plane of incidence."""
     first = np.zeros_like(axis)
     first[..., 0] = 1.0
     x = normalize(first - axis[..., :1] * axis)

@@ -1,1 +1,1 @@
-"""What a frame knows before filtering: surfaces, lobes, places, halves."""
+"""Inputs of the filters, computed from a frame: surfaces, lobes, places in the previous frame, halves."""

@@ -1,7 +1,7 @@
-"""Silhouettes from Cryptomatte: its ranks are the shares of a pixel that objects cover.
+"""Coverage of silhouettes from Cryptomatte, whose ranks hold the shares of a pixel that objects cover.
 
-Source: Friedman and Jones 2015, "Fully automatic ID mattes with support for motion blur and transparency" (an object's
-id is the bit pattern of a 32-bit float; every two ranks, id and share, fill one RGBA image, the largest share first).
+Source: Friedman and Jones 2015, "Fully automatic ID mattes with support for motion blur and transparency". The id of
+an object is the bit pattern of a 32-bit float. One RGBA image holds id and share of two ranks, the largest share first.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 
-WHOLE = 0.999
-"""Share from which on a pixel shows one object alone."""
+MIN_WHOLE_SHARE = 0.999
+"""Share of a pixel's area. An object that covers at least this share covers the whole pixel."""
 NEAREST_FIRST = ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
-"""Rows and columns to the neighbours, those that share a side first."""
+"""Steps in rows and columns to the eight neighbours; the four neighbours that share a side come first."""
 
 
 def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
-    """Return which shares of every pixel's area the surfaces at the centres around it stand for.
+    """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours.
 
-    A neighbour stands for the object that has the largest share of it. What other objects cover of a pixel goes to the
-    neighbours that stand for them, in equal parts: those that share a side with the pixel, else those at its corners,
-    else the pixel itself. What no rank tells of is background, an object as well.
+    A pixel is owned by the object with the largest share of it. The share of any other object goes, in equal parts, to
+    the neighbours that this object owns: to those that share a side with the pixel, else to those at its corners, else
+    to the pixel itself. Area that no rank covers belongs to the background, which counts as an object.
 
     Parameters
     ----------
     ids : sequence of array of uint32, shape (height, width)
-        Objects, 0 for none, a plane for every rank.
+        Ids of objects, 0 for none; one plane for every rank.
     shares : sequence of array, shape (height, width)
-        Of the pixel's area, in [0, 1].
+        Shares of the pixel's area, in [0, 1]; one plane for every rank.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
     Raises
     ------
     InputError
-        If the arrays do not have that shape.
+        If the arrays do not have these shapes.
     """
     planes = [*ids, *shares]
     if not planes or len(ids) != len(shares) or any(each.shape != planes[0].shape[:2] for each in planes):
@@ -71,12 +71,12 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
 
 
 def find_object_share(shares: Sequence[FloatArray]) -> FloatArray:
-    """Return the largest share of every pixel's area that one object, or the background, has; see `find_coverage`.
+    """Return the largest share of every pixel's area that belongs to one object or to the background.
 
     Parameters
     ----------
     shares : sequence of array, shape (height, width)
-        Of the pixel's area, in [0, 1], a plane for every rank; what they leave is background.
+        Shares of the pixel's area, in [0, 1]; one plane for every rank. The rest of the area is background.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDA
 
 
 def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[np.uint32], FloatArray]:
-    """Return the objects of some pixels with the background as the last, and their shares, sum 1."""
+    """Return the objects of some pixels, the background as the last one, and their shares, whose sum is 1."""
     shares = np.clip(np.nan_to_num(shares), 0.0, 1.0)
     total = shares.sum(axis=-1, keepdims=True)
     rest = np.maximum(1.0 - total, 0.0)
@@ -111,7 +111,7 @@ def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[
 def _find_owners(
     ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
 ) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
-    """Return the object with the largest share of every pixel, the background among them, and where it shows others."""
+    """Return the object, or background, with the largest share of every pixel, and which pixels show several."""
     height, width = ids[0].shape
     owner, edges = np.empty((height, width), np.uint32), np.empty((height, width), np.bool_)
 
@@ -123,7 +123,7 @@ def _find_owners(
             own = np.where(share > largest, objects[chunk], own)
             largest, total = np.maximum(largest, share), total + share
         owner[chunk] = np.where(1.0 - total > largest, np.uint32(0), own)
-        edges[chunk] = largest < WHOLE
+        edges[chunk] = largest < MIN_WHOLE_SHARE
 
     run_chunks(find, height, width)
     return owner, edges
@@ -136,7 +136,7 @@ def _spread(
     neighbours: NDArray[np.int64],
     own: NDArray[np.uint32],
 ) -> None:
-    """Add one rank of some pixels to their coverage, (count, 9)."""
+    """Add the shares of one rank to the coverage of some pixels, (count, 9)."""
     shows = (neighbours == objects[:, None].astype(np.int64)) & (objects != own)[:, None]
     sides = shows[:, :4].any(axis=1)
     shows[sides, 4:] = False

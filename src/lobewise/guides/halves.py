@@ -21,10 +21,10 @@ class Halves:
     Parameters
     ----------
     images : mapping of str to pair of (height, width, 3)
-        The parts of `PARTS` and the layers that the frame has, by name. NaN where a half has no sample: a filter gives
-        it weight 0.
+        Both images of each of the frame's `PARTS`, or of each of its layers, by name. A pixel without a sample in an
+        image is NaN; a filter gives it weight 0.
     origin : {"file", "neighbours"}
-        Whether every pixel has a half of its samples in each, or each has every other pixel.
+        "file" if each image holds half of the samples of every pixel, "neighbours" if each holds every other pixel.
     """
 
     images: Mapping[str, tuple[FloatArray, FloatArray]]
@@ -34,10 +34,10 @@ class Halves:
 def find_halves(frame: Frame) -> Halves:
     """Return two independent images of a frame: the halves of its samples, or else the colours of a checkerboard.
 
-    The halves of the samples serve only where they tell apart whatever the frame does, so that all parts of a half
-    come from the same samples. Without them a pixel is in the half of its colour and NaN in the other: that tells
-    fireflies, which neighbours do not see; noise it tells badly (`lobewise.filters.noise.residuals`). A pixel that is
-    NaN, infinite or negative in a half becomes NaN there, and stays what it is in the other.
+    The halves of the samples are used only if the frame has them for all of its parts or layers: then all parts of a
+    half come from the same samples. Otherwise a pixel is in the image of its colour of the checkerboard, and NaN in the
+    other. A checkerboard reveals fireflies, which are not in the neighbours; it measures noise badly
+    (`lobewise.filters.noise.residuals`). A pixel that is NaN, infinite or negative in one image becomes NaN there.
     """
     wanted = _list_layers(frame) if frame.layers else _list_parts(frame)
     if all(a is not None and b is not None for _, a, b in wanted.values()):
@@ -46,12 +46,12 @@ def find_halves(frame: Frame) -> Halves:
 
 
 def _list_layers(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
-    """Return every layer and its halves, by name."""
+    """Return the radiance and both halves of every layer, by name."""
     return {layer.name: (layer.radiance, layer.half_a, layer.half_b) for layer in frame.layers}
 
 
 def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
-    """Return every part and its halves, by name."""
+    """Return the radiance and both halves of every part, by name."""
     names = [name for name in PARTS if getattr(frame.radiance, name) is not None]
     return {
         name: (
@@ -64,15 +64,15 @@ def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
 
 
 def mark_bad(image: FloatArray) -> FloatArray:
-    """Return an image (height, width, 3), NaN in all channels where one is NaN, infinite or negative."""
+    """Return an image (height, width, 3) with all channels of a pixel NaN if one is NaN, infinite or negative."""
     (marked,) = run_pointwise(_define_marked, {"image": image}, {})
     return marked
 
 
 def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return an image (height, width, 3) at the pixels whose column and row add up to even numbers, and at the others.
+    """Return the two colours of a checkerboard: an image (height, width, 3) where column plus row is even, and odd.
 
-    NaN marks the pixels of the other half and, as in `mark_bad`, those without meaning.
+    All other pixels are NaN, and so are pixels that `mark_bad` marks.
     """
     even, odd = run_pointwise(_define_checkerboard, {"image": image}, {})
     return even, odd

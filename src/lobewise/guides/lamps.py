@@ -1,8 +1,8 @@
-"""Light without noise that outshines what is around it: lamps that the camera sees, and mirror images of them.
+"""Finds lamps that the camera sees, and their mirror images: light without noise, far brighter than its surroundings.
 
-Where a frame does not tell emission apart, a lamp lies on a surface like any other, and one that is fifty times as
-bright as the ceiling around it spoils everything in the filter's reach. Its own light has no noise: pixels beside each
-other are alike, which those of noisy light are not. So lamps are found in the image, and pass as they are.
+If a frame has no separate emission, a lamp looks like any other surface. A lamp fifty times as bright as the ceiling
+around it spoils every pixel within the filter's radius. Light of a lamp has no noise: its neighbouring pixels are
+alike, while neighbouring pixels of noisy light differ. So lamps are found in the image and not filtered.
 """
 
 from __future__ import annotations
@@ -12,77 +12,79 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 
-ALIKE = 0.03
-"""Largest difference of neighbours in a lamp, in every colour, relative to the brighter one."""
-FEWEST = 3
-"""Neighbours, of eight, that are alike."""
-OUTSHINES = 10.0
-"""How many times as bright as the mean around other pixels a lamp is."""
-EDGE_OUTSHINES = 2.0
-"""The same of pixels that a lamp covers in part, or that a filter spread it over."""
-EDGE = 2
-"""How far from a lamp those are, pixels."""
-MEAN_RADIUS, REACH = 3, 32
-"""Radii, pixels, of the square over which noisy light is averaged, and of the one in which it is compared: further than
-any filter reaches, or the inside of a large lamp would be none and reach past its edge."""
-SHARE = 0.15
-"""How much of that a lamp outshines, at least."""
-STEP = 1.5
-"""Ratio of the brightnesses that are looked at together."""
+MAX_DIFFERENCE = 0.03
+"""Largest difference between alike neighbours, in every colour, relative to the brighter one."""
+MIN_ALIKE_NEIGHBOURS = 3
+"""Smallest number of alike neighbours, of eight, that a pixel of a lamp has."""
+MIN_CONTRAST = 10.0
+"""Smallest ratio of a lamp's brightness to the mean brightness around other pixels."""
+MIN_EDGE_CONTRAST = 2.0
+"""Smallest ratio for pixels at the edge of a lamp: the lamp covers them in part, or a pixel filter spreads it there."""
+EDGE_WIDTH = 2
+"""Width of the edge of a lamp, pixels."""
+MEAN_RADIUS = 3
+"""Radius of the square over which noisy light is averaged, pixels."""
+COMPARED_RADIUS = 32
+"""Radius of the square in which a lamp is compared with other pixels, pixels. It is larger than the radius of every
+filter: within a smaller one the inside of a large lamp would see only the lamp."""
+MIN_DARKER_SHARE = 0.15
+"""Smallest share of the compared pixels that a lamp must outshine."""
+LEVEL_RATIO = 1.5
+"""Ratio of successive levels of brightness. All pixels of one level are compared in one step."""
 
 Mask = NDArray[np.bool_]
 
 
 def find_lamps(light: FloatArray) -> Mask:
-    """Return where pixels show lamps, or their edges, (height, width).
+    """Return which pixels show lamps or their edges, (height, width).
 
     Parameters
     ----------
     light : array, shape (height, width, 3)
-        Linear radiance, over the albedo where that is known; what is NaN, infinite or negative shows none.
+        Linear radiance, divided by the albedo if it is known. Pixels that are NaN, infinite or negative show no lamp.
     """
     good: Mask = np.asarray((np.isfinite(light) & (light >= 0.0)).all(axis=-1))
     light = np.where(good[..., None], light, np.float32(0.0))
     bright = light.mean(axis=-1)
     around = _average(bright, MEAN_RADIUS)
-    lamps = _outshine(bright, around, _find_smooth(light) & (bright > 0.0), OUTSHINES)
+    lamps = _outshine(bright, around, _find_smooth(light) & (bright > 0.0), MIN_CONTRAST)
     if not lamps.any():
         return lamps
     near = lamps
-    for _ in range(EDGE):
+    for _ in range(EDGE_WIDTH):
         near = _grow(near)
-    # Around an edge the mean holds the lamp itself: what is compared is what lies further away.
-    return lamps | _outshine(bright, around, near & ~lamps, EDGE_OUTSHINES)
+    # The mean around an edge contains the lamp itself, so edges are compared with means further away.
+    return lamps | _outshine(bright, around, near & ~lamps, MIN_EDGE_CONTRAST)
 
 
 def _find_smooth(light: FloatArray) -> Mask:
-    """Return which pixels have neighbours like themselves."""
+    """Return which pixels have enough alike neighbours."""
     count = np.zeros(light.shape[:2], dtype=np.int8)
     padded = np.pad(light, ((1, 1), (1, 1), (0, 0)), constant_values=-1.0)
     height, width = light.shape[:2]
     for row, column in ((r, c) for r in range(3) for c in range(3) if (r, c) != (1, 1)):
         other = padded[row : row + height, column : column + width]
-        count += (np.abs(other - light) <= ALIKE * np.maximum(other, light)).all(axis=-1)
-    return np.asarray(count >= FEWEST)
+        count += (np.abs(other - light) <= MAX_DIFFERENCE * np.maximum(other, light)).all(axis=-1)
+    return np.asarray(count >= MIN_ALIKE_NEIGHBOURS)
 
 
 def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: float) -> Mask:
-    """Return which of some pixels are ``factor`` times as bright as enough of the means around them."""
+    """Return which candidates are ``factor`` times as bright as enough of the means around them."""
     found = np.zeros_like(candidates)
-    level = np.floor(np.log(np.maximum(bright, 1e-30)) / np.log(STEP)).astype(int)
+    level = np.floor(np.log(np.maximum(bright, 1e-30)) / np.log(LEVEL_RATIO)).astype(int)
     for each in np.unique(level[candidates]):
-        share = _average((around < STEP**each / factor).astype(np.float32), REACH)
-        found |= candidates & (level == each) & (share >= SHARE)
+        share = _average((around < LEVEL_RATIO**each / factor).astype(np.float32), COMPARED_RADIUS)
+        found |= candidates & (level == each) & (share >= MIN_DARKER_SHARE)
     return found
 
 
 def _grow(mask: Mask) -> Mask:
-    """Return a mask with the eight neighbours of all its pixels."""
+    """Return a mask grown by one pixel in all eight directions."""
     return np.asarray(_average(mask.astype(np.float32), 1) > 0.05)
 
 
 def _average(image: FloatArray, radius: int) -> FloatArray:
-    """Return the means over squares, at the borders over what of them lies inside."""
+    """Return the mean over a square around each pixel; at borders, over the part inside the image."""
     result = image.astype(np.float64)
     for axis in (0, 1):
         length = result.shape[axis]

@@ -1,4 +1,4 @@
-"""The reflection lobe of every pixel of a frame, in one pass over its guides: the formulas of `lobewise.lobes`."""
+"""The reflection lobe of every pixel, computed from its guides by the formulas of `lobewise.lobes`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SgField:
     Parameters
     ----------
     valid : (height, width), bool
-        Whether the pixel has a lobe. Where not, the rest is finite and harmless: axis 0, sharpness 1.
+        Whether the pixel has a lobe. A pixel without a lobe has axis 0 and sharpness 1.
     axis : (height, width, 3), float32
         Mirror direction about the shading normal, unit length.
     sharpness : (height, width), float32
@@ -47,7 +47,7 @@ class CovarianceField:
     Parameters
     ----------
     valid : (height, width), bool
-        Whether the pixel has a lobe. Where not, the rest is finite and harmless: axis and covariance 0, determinant 1.
+        Whether the pixel has a lobe. A pixel without a lobe has axis 0, covariance 0 and determinant 1.
     axis : (height, width, 3), float32
         Mirror direction about the dominant visible normal, unit length.
     covariance : (height, width, 6), float32
@@ -69,20 +69,21 @@ def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallb
     ----------
     gbuffer : GBuffer
         Needs ``normal``, ``alpha_u`` and one of ``position`` and ``depth``. Without ``lobe_kind`` every surface has a
-        GGX lobe. Normals need not have unit length; those that face away from the viewer are bent until they do not.
-        Roughness is clamped to [0, 1].
+        GGX lobe. Normals may have any length. A normal that faces away from the viewer is bent until it faces the
+        viewer. Roughness is clamped to [0, 1].
     camera : Camera
-        Where the view directions come from.
+        Gives the view directions.
     tau : float
-        Band-limit in radians, ``1e-5 <= tau <= 1``: ``tau^2`` is added to the variance of every lobe, so that a mirror
-        is finite.
+        Band-limit in radians, ``1e-5 <= tau <= 1``: ``tau^2`` is added to the variance of every lobe, so that the lobe
+        of a mirror is finite.
     diffuse_fallback : bool
-        Give surfaces of kind NONE the Lambert lobe (axis = normal, sharpness 2, variance 1/2) instead of none.
+        Give surfaces of kind NONE the Lambert lobe (axis = normal, sharpness 2, variance 1/2). Otherwise they have no
+        lobe.
 
     Returns
     -------
     SgField
-        Finite everywhere. A pixel whose guides are not finite is invalid, and so is one without surface or lobe.
+        Finite everywhere. A pixel is invalid if a guide is not finite, or if it has no surface or no lobe.
 
     Raises
     ------
@@ -104,39 +105,40 @@ def make_covariance_field(
     gbuffer : GBuffer
         As in `make_sg_field`; ``tangent`` where ``alpha_v`` differs from ``alpha_u``.
     camera, tau, diffuse_fallback
-        As there.
+        As in `make_sg_field`.
     gaussian : bool
-        The lobes that ``asg`` compares: the covariance of the Gaussian that is nearest in L2 to the lobe's shape, which
-        for GGX is narrower.
+        Return the lobes that ``asg`` compares: the covariance of the Gaussian nearest in L2 to the lobe's shape. For
+        GGX this Gaussian is narrower than the lobe.
 
     Returns
     -------
     CovarianceField
-        As there.
+        Finite everywhere; invalid pixels as in `make_sg_field`.
 
     Raises
     ------
     MissingChannelError, InputError
-        As there.
+        As in `make_sg_field`.
     """
     return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback))
 
 
 SPREAD_TURNS = 2.0
-"""Squared turns from a pixel to its neighbour by which the variance of its lobe grows."""
+"""The variance that `spread_lobes` adds to a lobe, over the squared turn of the axis to the neighbouring pixel."""
 SPREAD_REACH = 1
-"""Pixels to each side that tell on a lobe of `spread_lobes`."""
+"""Distance in pixels from which `spread_lobes` reads neighbours."""
 Field = TypeVar("Field", SgField, CovarianceField)
 
 
 def spread_lobes(field: Field) -> Field:
-    """Return lobes as wide as what the area of their pixel reflects.
+    """Return lobes widened to cover what the whole area of their pixel reflects.
 
-    Lobes are those of pixel centres. From one pixel of a small or bumpy mirror to the next the axis turns by far more
-    than a mirror's lobe is wide, so that no two lobes overlap and all noise stays. `SPREAD_TURNS` times the squared
-    turn to that of the four neighbours whose axis is nearest is added to the variance of a lobe in every direction.
+    The given lobes are evaluated at pixel centres. On a small or bumpy mirror the axis turns from one pixel to the next
+    by far more than the width of the lobe. Then no two lobes overlap and all noise stays. So the variance of each lobe
+    grows, in every direction, by `SPREAD_TURNS` times the squared turn of the axis to the neighbour (of four) with the
+    nearest axis.
 
-    Measured in docs/quality.md, "Mirrors": the larger of the turns along row and column blurs normal maps.
+    Measured in docs/quality.md, "Mirrors": taking the larger of the turns along row and column blurs normal maps.
 
     Parameters
     ----------
@@ -146,7 +148,7 @@ def spread_lobes(field: Field) -> Field:
     Returns
     -------
     SgField or CovarianceField
-        With the same axes; where a pixel or all its neighbours have no lobe the same lobe.
+        The axes do not change. The lobe of a pixel whose neighbours have none does not change either.
     """
     shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
     images = {"valid": field.valid, "axis": field.axis, **shapes}
@@ -155,7 +157,7 @@ def spread_lobes(field: Field) -> Field:
 
 
 SHAPES: dict[type, tuple[str, ...]] = {SgField: ("sharpness",), CovarianceField: ("covariance", "determinant")}
-"""What tells how wide the lobes of a field are."""
+"""The arrays that hold the width of the lobes, for each type of field."""
 
 
 def _define_spread(grid: Grid) -> list[Vector]:
@@ -175,7 +177,7 @@ def _define_spread(grid: Grid) -> list[Vector]:
         return [[1.0 / (1.0 / grid.read_one("sharpness") + spread)]]
     covariance, determinant = grid.read("covariance"), grid.read_one("determinant")
     trace = covariance[0] + covariance[3] + covariance[5]
-    # The axis of a pixel without a lobe is 0, and its spread.
+    # A pixel without a lobe has axis 0 and spread 0, so its values do not change.
     round_part = find_round_covariance(spread, axis)
     return [
         [value + more for value, more in zip(covariance, round_part, strict=True)],
@@ -192,7 +194,7 @@ def _run(
 
 
 def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
-    """Raise what `make_covariance_field` raises if a channel that it needs is missing, or ``tau`` is out of range."""
+    """Raise an error if a channel that the lobes of ``similarity`` need is missing, or if ``tau`` is out of range."""
 
     def complain(name: str, why: str, action: str) -> NoReturn:
         raise MissingChannelError(
@@ -222,7 +224,7 @@ def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
 def collect_guides(
     gbuffer: GBuffer, camera: Camera, tau: float, similarity: str
 ) -> tuple[dict[str, NDArray[Any] | None], dict[str, Any]]:
-    """Return the images and the numbers that `define_lobes` reads."""
+    """Return the images and numbers that `define_lobes` reads."""
     assert gbuffer.shape is not None
     directed = similarity != "sg" and gbuffer.tangent is not None
     images = {
@@ -243,7 +245,7 @@ def collect_guides(
 
 
 def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Vector]:
-    """Return validity; axis; and sharpness, or covariance and determinant."""
+    """Return validity, axis and shape: the sharpness, or the covariance and its determinant."""
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
     alphas, known = read_alphas(grid, kind)
@@ -262,7 +264,7 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
     if kind is not None:
         specular = specular & (kind > hl.f32(0.5)) & (kind < hl.f32(3.5))
         lambert = surface & (kind == hl.f32(LobeKind.NONE)) if diffuse_fallback else lambert
-    # What an output depends on hangs on every guide; without rows of their own each would compute it all.
+    # Store the choice and the lobe once per row: otherwise each output would compute them again from all guides.
     which = hl.select(specular, hl.u8(1), lambert, hl.u8(2), hl.u8(0))
     which, *kept = grid.share([which, *axis, *shape])
     axis, shape = kept[:3], kept[3:]
@@ -282,10 +284,10 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
 
 
 def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:
-    """Return unit normal, unit view, their cosine, and whether there is a surface that can be seen."""
+    """Return the unit normal, the unit view direction, their cosine, and whether the pixel sees a surface."""
     raw = grid.read("normal")
     square = dot(raw, raw)
-    # A normal averaged over an edge is short, but not a thousandth.
+    # A normal averaged over an edge is short, but longer than a thousandth.
     surface = (square > hl.f32(1e-6)) & is_finite(square)
     if grid.has("depth"):
         surface = surface & is_surface_depth(grid.read_one("depth"))
@@ -302,7 +304,7 @@ def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:
 
 
 def read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return both alphas, in [0, 1] and 0 for mirrors, and whether they are numbers."""
+    """Return both alphas, clamped to [0, 1] and 0 for mirrors, and whether they are finite."""
     alphas, known = [], hl.Expr(True)
     for name in ("alpha_u", "alpha_v") if grid.has("alpha_v") else ("alpha_u",):
         value = grid.read_one(name)
@@ -316,7 +318,7 @@ def read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Exp
 def _make_covariance(
     grid: Grid, normal: Vector, view: Vector, cosine: hl.Expr, alphas: Vector, kind: hl.Expr | None, gaussian: bool
 ) -> tuple[list[hl.Expr], list[hl.Expr]]:
-    """Return the axis; and six covariances with the determinant."""
+    """Return the axis (3 values), and the covariance (6 values) followed by its determinant."""
     (noise,) = grid.get("noise")
     beckmann = hl.Expr(False) if kind is None else kind == hl.f32(LobeKind.BECKMANN)
     tangents = None
@@ -324,7 +326,7 @@ def _make_covariance(
         tangent, directed = find_tangent(HALIDE, grid.read("tangent"), normal)
         tangent = grid.share(tangent)
         tangents = tangent, cross(normal, tangent)
-        # Without a direction only the area of the lobe is known.
+        # Without a tangent only the area of the lobe is known: use an isotropic lobe of the same area.
         mean = hl.sqrt(alphas[0] * alphas[1])
         alphas = [hl.select(directed, alpha, mean) for alpha in alphas]
     lobe = make_covariance_lobe(

@@ -29,18 +29,18 @@ from lobewise.settings import MAX_LOBES
 
 @dataclass(frozen=True)
 class MixtureField:
-    """The reflection lobes of an image, N for every pixel.
+    """The reflection lobes of an image, N lobes for every pixel.
 
     Parameters
     ----------
     valid : (height, width), bool
-        Whether the pixel has a lobe. Where not, axes are 0, sharpnesses 1 and amplitudes 0.
+        Whether the pixel has a lobe. A pixel without one has axes 0, sharpnesses 1 and amplitudes 0.
     axis : (height, width, 3) or (height, width, 3 N), float32
-        Unit lobe axes; one where the lobes of every pixel share it.
+        Unit axes: one per lobe, or a single one if all lobes of each pixel have the same axis.
     sharpness : (height, width, N), float32
         Band-limited, inverse square radians.
     amplitude : (height, width, N), float32
-        Value at the axis, 1/sr; 0 for a lobe that is absent.
+        Value along the axis, 1/sr; 0 for an absent lobe.
     """
 
     valid: NDArray[np.bool_]
@@ -60,23 +60,23 @@ def make_mixture_field(
 ) -> MixtureField:
     """Return the lobes of every pixel.
 
-    A GGX surface has ``lobes`` lobes about its mirror direction (`lobewise.lobes.mixture.GGX_MIXTURES`), a Beckmann
-    surface and a mirror one, a material with a lobe table those of the table. Their integrals are the specular albedo,
-    where the G-buffer has it.
+    A GGX surface has ``lobes`` lobes about its mirror direction (`lobewise.lobes.mixture.GGX_MIXTURES`). A Beckmann
+    surface and a mirror have one lobe. A material with a lobe table has the lobes of the table. The lobes integrate to
+    the specular albedo if the G-buffer has it, and otherwise to 1.
 
     Parameters
     ----------
     gbuffer, camera
         See `lobewise.guides.lobe_fields.make_sg_field`.
     tau : float
-        Band-limit, radians: ``tau^2`` is added to the variance of every lobe and its integral kept.
+        Band-limit, radians: ``tau^2`` is added to the variance of every lobe; its integral does not change.
     lobes : {1, 2, 3, 4}
-        Of a GGX surface; at most 3 with ``diffuse``.
+        Number of lobes of a GGX surface; at most 3 with ``diffuse``.
     lobe_tables : sequence of LobeTable
-        What ``gbuffer.material`` counts from 1.
+        ``gbuffer.material`` holds indices into this sequence, counted from 1.
     diffuse : bool
-        Add the diffuse lobe, of integral ``gbuffer.diffuse_albedo``, for radiance that holds both. Without it, surfaces
-        that have no specular lobe get the diffuse one alone.
+        Add the diffuse lobe, with the integral ``gbuffer.diffuse_albedo``. It is needed if the radiance holds both
+        diffuse and specular light. If False, only surfaces without a specular lobe get the diffuse lobe.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def make_mixture_field(
     builder = _Builder(gbuffer, camera.position.astype(np.float32), rays, np.float32(tau * tau), lobes, single, field)
 
     def fill(chunk: Chunk) -> None:
-        with np.errstate(all="ignore"):  # what is garbage is not valid, and taken out at the end
+        with np.errstate(all="ignore"):  # pixels without a surface may overflow; `finish` replaces their values
             builder.fill_parametric(chunk)
             for number, table in enumerate(tables):
                 builder.fill_table(chunk, number, table)
@@ -118,7 +118,7 @@ def make_mixture_field(
 
 
 def _count_lobes(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse_lobes: int) -> int:
-    """Return how many lobes the pixels have at most."""
+    """Return the largest number of lobes that a pixel can have."""
 
     def complain(expected: str, got: str, action: str) -> NoReturn:
         raise InputError("lobes of a mixture", expected=expected, got=got, action=action)
@@ -128,7 +128,7 @@ def _count_lobes(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse
         complain(
             f"an integer from 1 to {most}",
             repr(lobes),
-            "3 stand for GGX within 1 %; one more is diffuse where radiances are not apart",
+            "use 3, which approximate GGX within 1 %; a fourth one may be diffuse, where light is not split",
         )
     count = max([lobes, *(table.lobe_count for table in tables)]) + diffuse_lobes
     if count > MAX_LOBES:
@@ -146,19 +146,20 @@ def _sum_luminance(albedo: FloatArray) -> Array:
 
 @dataclass(frozen=True)
 class _Builder:
-    """Fills the arrays of a MixtureField piece by piece."""
+    """Fills the arrays of a MixtureField chunk by chunk."""
 
     gbuffer: GBuffer
     eye: FloatArray
     rays: FloatArray | None
-    """Where tables need views and there are no positions."""
+    """Unit directions in which the pixels look; only if there are lobe tables and no positions."""
     noise: np.float32
+    """Variance that the band-limit adds to every lobe, square radians."""
     lobes: int
     single: SgField
     field: MixtureField
 
     def fill_parametric(self, chunk: Chunk) -> None:
-        """The universal mixture about the axis of the single lobe, whose variance tells the area."""
+        """Fill in the GGX mixture about the axis of the single lobe. The variance of the single lobe is its area."""
         single, gbuffer, field = self.single, self.gbuffer, self.field
         assert gbuffer.alpha_u is not None
         area = np.maximum(np.float32(1.0) / single.sharpness[chunk] - self.noise, np.float32(0.0))
@@ -175,7 +176,7 @@ class _Builder:
         if gbuffer.lobe_kind is None:
             return
         kind = gbuffer.lobe_kind[chunk]
-        # Beckmann, mirrors and, in place of a missing lobe, the diffuse one are each a single Gaussian already.
+        # The lobes of Beckmann surfaces and mirrors, and the diffuse lobe, are a single Gaussian already.
         alone = kind != LobeKind.GGX
         if alone.any():
             sharpness = single.sharpness[chunk][alone]
@@ -185,7 +186,7 @@ class _Builder:
             field.amplitude[chunk][..., 1 : self.lobes][alone] = 0.0
 
     def fill_table(self, chunk: Chunk, number: int, table: LobeTable) -> None:
-        """Replace the lobes of the pixels that show the table's material."""
+        """Replace the lobes of the pixels that show the material of the table."""
         gbuffer, field = self.gbuffer, self.field
         assert gbuffer.material is not None and gbuffer.normal is not None
         here = self.single.valid[chunk] & (gbuffer.material[chunk] == number + 1)
@@ -202,7 +203,7 @@ class _Builder:
             assert gbuffer.tangent is not None
             tangent = gbuffer.tangent[chunk][here]
         found = evaluate_table(table, normal, view, tangent)
-        # The spherical Gaussian of the same area as an anisotropic one has twice its mean sharpness.
+        # Use the isotropic Gaussian with the area of the anisotropic one: twice the geometric mean of the sharpnesses.
         sharpness = 2.0 * np.sqrt(found.sharpness[..., 0] * found.sharpness[..., 1])
         limited = sharpness / (1.0 + self.noise * sharpness)
         count = sharpness.shape[-1]
@@ -215,7 +216,7 @@ class _Builder:
         field.axis[chunk][here], field.sharpness[chunk][here], field.amplitude[chunk][here] = axis, both[0], both[1]
 
     def fill_diffuse(self, chunk: Chunk) -> NDArray[np.bool_]:
-        """Put the diffuse lobe last, which a pixel without specular lobe has alone; return where there is one."""
+        """Put the diffuse lobe last and return where there is one. A pixel without specular lobe has it alone."""
         gbuffer, field = self.gbuffer, self.field
         assert gbuffer.diffuse_albedo is not None and gbuffer.normal is not None
         albedo = _sum_luminance(gbuffer.diffuse_albedo[chunk])
@@ -235,7 +236,7 @@ class _Builder:
         return np.asarray(there)
 
     def finish(self, chunk: Chunk, valid: NDArray[np.bool_]) -> None:
-        """Write the mask, and harmless values where there is no lobe."""
+        """Write the mask, and neutral values where there is no lobe."""
         field = self.field
         field.valid[chunk] = valid & np.isfinite(field.axis[chunk].sum(-1) + field.amplitude[chunk].sum(-1))
         none = ~field.valid[chunk]
@@ -244,9 +245,9 @@ class _Builder:
 
 
 def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
-    """Return validity, axis, sharpnesses and amplitudes of GGX surfaces of albedo 1: what an export computes.
+    """Return validity, axis, sharpnesses and amplitudes of GGX surfaces of albedo 1, for exported filters.
 
-    The variance of the single lobe without its band-limit is the area of the mixture.
+    The area of the mixture is the variance of the single lobe without its band-limit.
     """
     valid, axis, (single,) = define_lobes(grid, "sg", False)
     (noise,) = grid.get("noise")

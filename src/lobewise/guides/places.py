@@ -1,9 +1,9 @@
-"""Where in the frame before a pixel looks for its history: at its surface point, and at its virtual image.
+"""Where a pixel looks for its history in the previous frame: at its surface point, and at its virtual image.
 
-What a pixel reflects does not stay on the surface when the camera moves: it moves like the reflected thing's virtual
-image, which lies behind a flat mirror as far as the thing lies before it, and nearer behind a convex one.
+A reflection does not stay on the surface when the camera moves. It moves like the virtual image of the reflected
+object, which lies as far behind a flat mirror as the object lies in front of it, and nearer behind a convex mirror.
 
-Cameras project in float64: a pixel whose surface stands still must find itself to a small part of a pixel.
+Cameras project in float64: a pixel whose surface stands still must find itself to a small fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
 from lobewise.lobes.vectors import dot, subtract
 
-FAR = 1e6
-"""Distance, in distances from the camera, at which what a lobe does not hit is taken to be."""
-EDGE = 4.0
-"""Ratio of the squared steps to the neighbours on both sides of a pixel from which the longer one leads elsewhere."""
+MISS_DISTANCE = 1e6
+"""Distance from the surface to the virtual image if the lobe hits nothing, over the distance from the camera."""
+MIN_EDGE_RATIO = 4.0
+"""Ratio of the squared steps to the two neighbours of a pixel. Above it the longer step crosses an object's edge."""
 
 
 def add_grid(motion: FloatArray) -> FloatArray:
-    """Return column and row of where each pixel was, pixel centres at whole numbers, (height, width, 2)."""
+    """Return column and row where each pixel was, pixel centres at whole numbers, (height, width, 2)."""
     height, width = motion.shape[:2]
     places = motion.copy()
     places[..., 0] += np.arange(width, dtype=np.float32)
@@ -36,20 +36,20 @@ def add_grid(motion: FloatArray) -> FloatArray:
 
 
 def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Return what `_project` reads: the camera, its axes in units of the half image."""
+    """Return the numbers that `_project` reads: the camera's position, and its axes in units of the half image."""
     height, width = size
     half_width, half_height = camera.get_half_extent(width, height)
     return {
         "before": camera.position,
         "before_forward": camera.forward,
-        # A step is divided by its depth: of a shifted image the centre is taken off before.
+        # `_project` divides a step by its depth, so the shift of the image is subtracted per unit of depth.
         "before_right": (camera.right - camera.shift[0] * camera.forward) / half_width,
         "before_up": (camera.up - camera.shift[1] * camera.forward) / half_height,
     }
 
 
 def _project(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return column and row, pixel centres at whole numbers, of a step away from the camera, and whether it has one."""
+    """Return column and row, pixel centres at whole numbers, of a step from the camera, and whether it is in front."""
     one, half = hl.f64(1.0), hl.f64(0.5)
     width, height = (hl.f64(extent) for extent in grid.size)
     ahead = dot(step, grid.get("before_forward"))
@@ -63,23 +63,25 @@ def _project(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
 def find_surface_places(
     camera: Camera, previous: Camera, places: tuple[FloatArray, FloatArray], motion: FloatArray | None
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return where surfaces were in the frame before, and by how many pixels they moved by themselves.
+    """Return where surfaces were in the previous frame, and by how many pixels objects moved by themselves.
+
+    `lobewise.motion.compute_motion` computes the same places, up to rounding, for code without Halide.
 
     Parameters
     ----------
     camera, previous : Camera
-        Of this frame and of the one before.
+        Cameras of this frame and of the previous one.
     places : pair of arrays, shape (height, width, 3) and (height, width)
         Surface points and depths; the background (depth 0, or not finite) is infinitely far.
     motion : array, shape (height, width, 2), optional
-        What the frame knows of it; without it nothing moves by itself.
+        Motion that came with the frame, pixels. Without it only the camera moves.
 
     Returns
     -------
     array, shape (height, width, 2)
-        Column and row, pixel centres at whole numbers; beyond the image where a point lay behind the camera.
+        Column and row, pixel centres at whole numbers; outside the image if the point lay behind the camera.
     array, shape (height, width), or None
-        Pixels, 0 where nobody knows; None without ``motion``.
+        Distance in pixels between ``motion`` and the motion of the camera, 0 if unknown; None without ``motion``.
     """
     position, depth = places
     size = int(depth.shape[0]), int(depth.shape[1])
@@ -94,7 +96,7 @@ def _define_surface_places(grid: Grid) -> list[Vector]:
     steps = zip(subtract([hl.f64(p) for p in grid.read("position")], grid.get("before")), _ray(grid), strict=True)
     place, known = _project(grid, [hl.select(there, step, ray) for step, ray in steps])
     own = [hl.f32(grid.x), hl.f32(grid.y)]
-    # A point that lay behind the camera moves by twice the image.
+    # A point that lay behind the camera moves by twice the size of the image.
     outside = [start + hl.f32(2 * extent) for start, extent in zip(own, grid.size, strict=True)]
     place = [hl.select(known, value, beyond) for value, beyond in zip(place, outside, strict=True)]
     if not grid.has("motion"):
@@ -112,19 +114,19 @@ def _ray(grid: Grid) -> list[hl.Expr]:
 def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     """Return the mean curvature of the surface at each pixel, 1/world unit, > 0 for convex, shape (height, width).
 
-    From how the normals of the neighbours open, ``(dn . dx) / |dx|^2``, along rows and along columns, each time of the
-    side that is much nearer or else of the one that is flatter, so that neither the edge of an object counts nor a
-    crease. A single row or column counts as flat in the other direction.
+    It is the mean over row and column of ``(dn . dx) / |dx|^2``, with the differences of normal and position to a
+    neighbour. Of the two neighbours the much nearer one counts, or else the one with the flatter slope, so that neither
+    edges of objects nor creases count. An image of a single row or column is flat in the other direction.
     """
     images = {"position": position, "normal": normal}
-    (curvature,) = run_pointwise(_define_curvature, images, {"edge": np.float32(EDGE)})
+    (curvature,) = run_pointwise(_define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
     return np.asarray(curvature)
 
 
 def _define_curvature(grid: Grid) -> list[Vector]:
     x, y = grid.x, grid.y
     last_x, last_y = (hl.max(extent - 2, 0) for extent in grid.size)
-    # From a pixel to its right neighbour, which the last column has none of.
+    # From a pixel to its right neighbour; the last column has none.
     right = grid.keep(_open(grid, y, (hl.min(x + 1, grid.size[0] - 1) if grid.narrow else x + 1, y)))
     rows = [right(hl.clamp(column, 0, last_x), y) for column in (x - 1, x)]
     down = [hl.clamp(row, 0, last_y) for row in (y - 1, y)]
@@ -134,16 +136,16 @@ def _define_curvature(grid: Grid) -> list[Vector]:
 
 
 def _open(grid: Grid, row: hl.Expr, neighbour: tuple[hl.Expr, hl.Expr]) -> list[hl.Expr]:
-    """Return how much normals open from (x, row) to its neighbour, and the squared step; inf for no neighbour."""
+    """Return the slope ``(dn . dx) / |dx|^2`` from (x, row) to its neighbour, and ``|dx|^2``; inf for no neighbour."""
     dx, dn = (subtract(grid.read(name, *neighbour), grid.read(name, y=row)) for name in ("position", "normal"))
     square = dot(dx, dx)
     slope = dot(dn, dx) / hl.select(square > hl.f32(1e-20), square, hl.f32(1e-20))
-    # What is no number is no neighbour.
+    # A neighbour with NaN counts as none.
     return [slope, hl.select(is_finite(slope), square, hl.f32(np.inf))]
 
 
 def _choose_side(grid: Grid, sides: Any) -> hl.Expr:
-    """Return the slope on the side that is much nearer, or else the flatter one."""
+    """Return the slope on the much nearer side, or else the flatter one of the two."""
     (first, near), (second, far) = ((side[0], side[1]) for side in sides)
     (edge,) = grid.get("edge")
     flatter = hl.select(hl.abs(first) < hl.abs(second), first, second)
@@ -157,19 +159,18 @@ def find_virtual_places(
     camera: Camera,
     previous: Camera,
 ) -> FloatArray:
-    """Return column and row where each pixel's reflection was in the frame before, shape (height, width, 2).
+    """Return column and row where each pixel's reflection was in the previous frame, shape (height, width, 2).
 
-    The virtual image of what is seen at distance t lies ``t / (1 + 2 c t)`` behind the surface along the view ray, c
-    the curvature (thin mirror equation, paraxial); that point is projected by the previous camera. A reflection that
-    moved with its object keeps no place of its own: the lobes decide whether what is found fits. Where the hit is
-    unknown (0) there is no place: NaN.
+    The virtual image of a hit at distance t lies ``t / (1 + 2 c t)`` behind the surface along the view ray, with the
+    curvature c (thin mirror equation, paraxial). The previous camera projects this point. Motion of the reflected
+    object is ignored; the comparison of lobes rejects a history that does not fit. NaN if the hit is unknown (0).
 
-    Source: the mirror equation of optics; that reflections have a motion of their own, Zimmer et al. 2015, "Path-space
-    motion estimation and decomposition for robust animation filtering".
+    Source: the mirror equation of optics. Zimmer et al. 2015, "Path-space motion estimation and decomposition for
+    robust animation filtering", track the motion of reflections.
     """
     size = int(curvature.shape[0]), int(curvature.shape[1])
     images = {"distance": hit_distance, "curvature": curvature, "position": position}
-    numbers = {"eye": camera.position, "far": FAR, **get_projection_numbers(previous, size)}
+    numbers = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
     (places,) = run_pointwise(_define_image_places, images, numbers)
     return np.asarray(places)
 
@@ -183,7 +184,7 @@ def _define_image_places(grid: Grid) -> list[Vector]:
     raw = grid.read_one("distance")
     t = hl.select(is_finite(raw), hl.f64(raw), far * distance)
     opening = one + hl.f64(2.0) * hl.f64(grid.read_one("curvature")) * t
-    # A concave mirror's image turns over at the focus; beyond it nothing is tracked.
+    # The image of a concave mirror turns over at the focus; reflections beyond it are not tracked.
     known = (raw > hl.f32(0.0)) & (opening > hl.f64(0.0))
     behind = t / hl.max(opening, hl.f64(1e-6)) / distance
     image = [place + component * behind for place, component in zip(position, view, strict=True)]

@@ -1,4 +1,4 @@
-"""What a frame's guides say of its surfaces: where there is one, where it is, and what is compared of it."""
+"""Surfaces from a frame's guides: where a pixel sees one, its position and depth, and numbers that filters compare."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobes.vectors import dot
 
-SMALLEST_NORMAL = 0.01
-"""Squared length of a normal below which there is no surface: its normal is zero in every renderer's convention."""
+MIN_SQUARED_NORMAL = 0.01
+"""Squared length of a normal. Below it the pixel sees no surface: every renderer writes 0 for the background."""
 
 
 def is_surface_depth(depth: hl.Expr) -> hl.Expr:
-    """Return whether a ray of this length found something."""
+    """Return whether a ray of this length hits a surface."""
     return (depth > hl.f32(0.0)) & is_finite(depth)
 
 
 def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Return what `make_ray` reads: the ray through the first pixel's centre, and its steps to the right and down."""
+    """Return the numbers that `make_ray` reads: the first pixel's ray, and its steps per pixel right and down."""
     height, width = size
     first_row, rows = camera.get_rows(height)
     half_width, half_height = camera.get_half_extent(width, height)
@@ -34,14 +34,14 @@ def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[
 
 
 def make_ray(grid: Grid, kind: hl.Type) -> list[hl.Expr]:
-    """Return the direction in which a pixel looks, 1 deep along the camera's axis."""
+    """Return the direction in which a pixel looks, of length 1 along the camera's axis."""
     x, y = hl.cast(hl.Float(64), grid.x), hl.cast(hl.Float(64), grid.y) + grid.get("first_row")[0]
     parts = zip(grid.get("first_ray"), grid.get("ray_right"), grid.get("ray_down"), strict=True)
     return [hl.cast(kind, first + x * right + y * down) for first, right, down in parts]
 
 
 def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return where a pixel of an image of ``size`` sees a surface with finite guides."""
+    """Return which pixels of an image of ``size`` see a surface with finite guides."""
     images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
     if all(image is None for image in images.values()):
         return np.ones(size, dtype=bool)
@@ -59,12 +59,12 @@ def _define_surface(grid: Grid) -> list[Vector]:
     if grid.has("normal"):
         normal = grid.read("normal")
         square = dot(normal, normal)
-        surface = surface & (square > hl.f32(SMALLEST_NORMAL)) & is_finite(square)
+        surface = surface & (square > hl.f32(MIN_SQUARED_NORMAL)) & is_finite(square)
     return [[hl.u8(surface)]]
 
 
 def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """Return the surface points (height, width, 3) and their depths, whichever of the two the G-buffer has."""
+    """Return surface points (height, width, 3) and depths. The G-buffer has at least one; the other is computed."""
     position, depth = gbuffer.position, gbuffer.depth
     if position is None:
         assert depth is not None
@@ -88,9 +88,9 @@ def _define_depths(grid: Grid) -> list[Vector]:
 
 
 def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nearest: float = 0.0) -> FloatArray:
-    """Return 1/t of every hit distance t, (height, width); 0 where nothing is seen or known.
+    """Return 1/t of every hit distance t, (height, width); 0 if the ray missed or the distance is unknown.
 
-    Hits count as no nearer than ``nearest`` times the depth.
+    With ``depth``, t is at least ``nearest`` times the depth.
     """
     (inverse,) = run_pointwise(_define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
     return np.asarray(inverse)
@@ -108,7 +108,7 @@ def _define_inverse_hits(grid: Grid) -> list[Vector]:
 
 
 def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
-    """Return ``least`` plus ``slope`` for each unit of the larger alpha, (height, width); that of a mirror at NaN."""
+    """Return ``least + slope * alpha`` with the larger alpha, (height, width). NaN counts as alpha 0."""
     images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
     (tolerance,) = run_pointwise(_define_tolerances, images, {"least": least, "slope": slope})
     return np.asarray(tolerance)
@@ -124,9 +124,9 @@ def _define_tolerances(grid: Grid) -> list[Vector]:
 def find_footprints(
     surface: NDArray[np.bool_], depth: FloatArray, pixel_angle: float, allowance: FloatArray | None, allowed: float
 ) -> FloatArray:
-    """Return what a pixel covers, (height, width), 1 where there is no surface.
+    """Return the width of a pixel on its surface, world units, (height, width); 1 where there is no surface.
 
-    It counts larger by the factor ``1 + allowed allowance``.
+    With ``allowance`` the width grows by the factor ``1 + allowed * allowance``.
     """
     images = {"surface": surface, "depth": depth, "allowance": allowance}
     numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
@@ -143,22 +143,22 @@ def _define_footprints(grid: Grid) -> list[Vector]:
 
 
 class Backdrop(NamedTuple):
-    """Surfaces before a wall that is far away, each (height, width, 3)."""
+    """Surfaces in front of a wall that is far away, each (height, width, 3)."""
 
     facing: FloatArray
-    """Normals; those of the wall face the camera."""
+    """Normals; on the wall they face the camera."""
     normal: FloatArray
-    """The same, but 0 on the wall, which has no tangent plane."""
+    """Normals; on the wall they are 0, because it has no tangent plane."""
     position: FloatArray | None
-    """Surface points, as far as they are known."""
+    """Surface points; None if they were not given."""
 
 
 def put_backdrop(
     surface: NDArray[np.bool_], normal: FloatArray, position: FloatArray | None, camera: Camera | None, far: float
 ) -> Backdrop:
-    """Return the guides with a wall at the distance ``far`` wherever there is no surface.
+    """Return the guides with a wall at the distance ``far`` in place of the background.
 
-    Without a camera all pixels look the same way.
+    Without a camera all pixels look along -z.
     """
     size = int(surface.shape[0]), int(surface.shape[1])
     if camera is not None:

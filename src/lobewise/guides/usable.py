@@ -1,8 +1,8 @@
-"""Guides whose values no surface can have: counted and named, and where they would do harm, bounded.
+"""Impossible values of guides: counted and named for the user, and bounded if they would do harm.
 
-Most of them do none: a pixel whose normal, depth or position is no number counts as one without a surface and passes as
-it is. Albedos are different. Light is divided by them before it is filtered and multiplied afterwards, so that one
-pixel with an albedo of 50 among albedos of 0.5 would shine a hundred times too bright.
+Most of them do no harm: a pixel whose normal, depth or position is NaN counts as a pixel without a surface, and is not
+filtered. Albedos are different. Light is divided by them before it is filtered and multiplied by them afterwards, so a
+pixel with an albedo of 50 among albedos of 0.5 would become a hundred times too bright.
 """
 
 from __future__ import annotations
@@ -19,52 +19,43 @@ from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.sparse_frame import AnyFrame
 
 MAX_ALBEDO = 1.1
-"""An albedo above is none: nothing reflects more light than it gets. Directional albedos that were measured by samples,
-or stored as 16-bit floats, exceed 1 by a few per cent."""
+"""Largest possible albedo. Noise of samples and 16-bit floats let albedos exceed 1 by a few per cent."""
 MIN_ALBEDO = -1e-3
-"""An albedo below is none; rounding and filters with negative lobes go a little below 0."""
+"""Smallest possible albedo. Rounding and pixel filters with negative lobes go a little below 0."""
 ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
 ALPHAS = ("alpha_u", "alpha_v")
 MAX_NORMAL_LENGTH = 1.5
-"""A normal that is longer is none of a surface: its products with others would exceed 1. Means are shorter than 1."""
+"""Longest normal that is taken as it is. Longer ones would give cosines far above 1; means are shorter than 1."""
 MAX_NEIGHBOURS_WITHOUT_NORMAL = 2
-"""Of eight: with more, a pixel without a normal is part of a region that has none."""
+"""Neighbours, of eight. With more, a pixel without a normal belongs to a region without normals, such as a lamp."""
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
 
 
 @dataclass(frozen=True)
 class Unusable:
-    """Values of one image that no surface can have.
-
-    Parameters
-    ----------
-    name : str
-        The image.
-    what : str
-        What its values are.
-    count : int
-        At how many pixels.
-    fate : str
-        What becomes of these pixels.
-    """
+    """Impossible values of one image."""
 
     name: str
+    """Name of the image."""
     what: str
+    """Description of the values, such as "above 1"."""
     count: int
+    """Number of pixels with such values."""
     fate: str
+    """Sentence on how these pixels are treated."""
 
     def __str__(self) -> str:
         return f"{self.name} is {self.what} at {self.count} pixel{'s' if self.count > 1 else ''}: {self.fate}."
 
 
 def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
-    """Return what is wrong with the guides of a frame in some of its rows."""
+    """Return the impossible values in the guides of a frame, counted in some of its rows."""
     return [each for each in _list_unusable(frame, rows) if each.count]
 
 
 def join_unusable(found: Sequence[Unusable]) -> list[Unusable]:
-    """Return what was found in bands of an image as what was found in the whole of it."""
+    """Return findings from several bands of an image with the counts of equal findings summed up."""
     sums: dict[tuple[str, str], Unusable] = {}
     for each in found:
         key = each.name, each.what
@@ -73,9 +64,10 @@ def join_unusable(found: Sequence[Unusable]) -> list[Unusable]:
 
 
 def bound_guides(frame: FrameT) -> FrameT:
-    """Return a frame whose albedos lie in [0, 1] wherever they were out of [`MIN_ALBEDO`, `MAX_ALBEDO`].
+    """Return a frame whose impossible albedos are clamped to [0, 1].
 
-    Normals that are longer than `MAX_NORMAL_LENGTH` become unit vectors.
+    Impossible albedos lie outside [`MIN_ALBEDO`, `MAX_ALBEDO`]. Normals longer than `MAX_NORMAL_LENGTH` become unit
+    vectors.
     """
     guides: dict[str, Any] = {
         name: _bound(getattr(frame.gbuffer, name)) for name in ALBEDOS if _is_out(getattr(frame.gbuffer, name))
@@ -89,7 +81,7 @@ def bound_guides(frame: FrameT) -> FrameT:
 
 
 def _bound(albedo: FloatArray | None) -> FloatArray | None:
-    """Return an albedo in which values out of range lie in [0, 1]; what is no number stays."""
+    """Return an albedo with values out of range clamped to [0, 1]; NaN stays."""
     if albedo is None:
         return None
     with np.errstate(invalid="ignore"):
@@ -98,7 +90,7 @@ def _bound(albedo: FloatArray | None) -> FloatArray | None:
 
 
 def _is_out(albedo: FloatArray | None) -> bool:
-    # NaN passes both reductions on to their results, which then compare as False.
+    # With a NaN both reductions return NaN, whose comparisons are False.
     return albedo is not None and not (float(albedo.max()) <= MAX_ALBEDO and float(albedo.min()) >= MIN_ALBEDO)
 
 
@@ -130,9 +122,9 @@ def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
 
 
 def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
-    """Count normals that are too long, and pixels that have a depth but no normal although their neighbours have one.
+    """Count normals that are too long, and single pixels that have a depth but no normal.
 
-    Regions without normals raise no alarm: lamps and skies have none, and readers take those of lamps away.
+    Regions without normals are not reported: skies have none, and readers remove the normals of lamps.
     """
     guides = frame.gbuffer
     if guides.normal is None:
@@ -154,7 +146,7 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
 
 
 def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return how many of the eight neighbours of each pixel are in a mask."""
+    """Return how many of the eight neighbours of each pixel lie in a mask."""
     padded = np.pad(mask.astype(np.intp), 1)
     height, width = mask.shape
     shifts = [(down, right) for down in range(3) for right in range(3) if (down, right) != (1, 1)]
@@ -172,7 +164,7 @@ def _measure_length(normal: FloatArray) -> FloatArray:
 
 
 def _normalise(normal: FloatArray) -> FloatArray:
-    """Return normals of which those that were too long have unit length."""
+    """Return normals with the too long ones scaled to unit length."""
     with np.errstate(invalid="ignore", over="ignore"):
         length = _measure_length(normal)[..., None]
         return np.where(length > MAX_NORMAL_LENGTH, normal / length, normal).astype(np.float32)
