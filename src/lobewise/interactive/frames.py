@@ -11,7 +11,7 @@ from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.methods import METHODS
 from lobewise.interactive.views import VIEWS, Parts, make_view
 from lobewise.settings import SIMILARITIES, Auto, DenoiseSettings, Similarity
-from lobewise.sparse_frame import MOST_SCALE
+from lobewise.sparse_frame import MAX_SCALE
 
 UNFILTERED = "none"
 """The similarity that compares nothing."""
@@ -71,7 +71,7 @@ class InteractiveSettings:
     def __post_init__(self) -> None:
         require_choice("method", self.method, METHODS)
         require_choice("similarity", self.similarity, ("auto", *SIMILARITIES, UNFILTERED))
-        for name, highest in (("scale", MOST_SCALE), ("spp", 1 << 16)):
+        for name, highest in (("scale", MAX_SCALE), ("spp", 1 << 16)):
             require_integer(name, getattr(self, name), 1, highest)
         if not 0.0 <= self.adaptive <= 1.0:
             got = repr(self.adaptive)
