@@ -20,9 +20,10 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
-from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
+from lobewise.interactive.frames import STAGES, InteractiveFrame
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
+from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
