@@ -1,4 +1,4 @@
-"""Where a pixel's surface was in the frame before: cameras that look at points, and the motion between two of them."""
+"""The motion of pixels between two cameras, and the projection of points into a camera."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from lobewise.frame import FloatArray
 def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int, height: int) -> FloatArray:
     """Return the pixel coordinates of world points, shape (..., 2): column and row, pixel centres at .5.
 
-    A point behind the camera has no image; its coordinates are not finite.
+    The coordinates of a point behind the camera, and of a point that is not finite, are not finite.
     """
     half_width, half_height = camera.get_half_extent(width, height)
-    # Points that are not finite have no image either.
     with np.errstate(invalid="ignore", over="ignore"):
         offset = points - camera.position
         ahead = offset @ camera.forward
@@ -29,24 +28,23 @@ def project_points(camera: Camera, points: NDArray[np.floating[Any]], width: int
 
 
 def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth: FloatArray) -> FloatArray:
-    """Return where each pixel's surface point was in the previous frame, relative to the pixel.
+    """Return the motion of each pixel's surface point: its pixel in the previous frame minus its pixel in this one.
 
-    Where there is no surface (depth 0) the background counts as infinitely far: it turns with the camera and does not
-    shift. A point that lay behind the previous camera has no place there; it moves by twice the image, so that it is
-    outside.
+    The background, where there is no surface, counts as infinitely far: it moves only as the camera turns. A point
+    behind the previous camera moves by twice the image's size, so that it lies outside.
 
     Parameters
     ----------
     position : (height, width, 3)
-        Where the surface points were then, in the world: where they are now, unless an object moved. Ignored where the
-        depth is 0.
+        World positions of the surface points in the previous frame: the positions in this frame, unless an object
+        moved. Ignored where there is no surface.
     depth : (height, width)
         Distances along the rays; 0, or not finite, where there is no surface.
 
     Returns
     -------
     (height, width, 2)
-        Pixels, previous minus current, x right and y down.
+        Pixels, x right and y down.
     """
     height, width = depth.shape
     found = (depth > 0) & np.isfinite(depth)
