@@ -65,7 +65,7 @@ INNER_ROOMS = {
         "sequence",
         "stages",
     ],
-    "interactive": ["methods", "views", "direct_filter", "resting", "frames", "session"],
+    "interactive": ["settings", "methods", "views", "direct_filter", "resting", "frames", "session"],
 }
 """The order within rooms that have one, of their files and folders."""
 OWNERS = {

@@ -1,4 +1,4 @@
-"""The camera: where a pinhole stands, and which rays its pixels have."""
+"""The pinhole camera, and the rays of its pixels."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind, require_number
 
 MAX_COORDINATE = float(np.finfo(np.float32).max)
-"""Images hold positions in single precision."""
+"""Largest coordinate of a camera: images hold positions in single precision."""
 
 
 def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     try:
-        # Strings of digits and the real part of complex numbers would pass.
+        # A conversion to float would accept strings of digits and drop the imaginary part of complex numbers.
         vector = np.asarray(value)
         vector = vector.astype(np.float64) if vector.dtype.kind in "fiu" else np.empty(0)
     except (TypeError, ValueError, OverflowError):
@@ -41,14 +41,14 @@ class Camera:
     forward : array_like, shape (3,)
         Viewing direction; normalised on construction.
     up : array_like, shape (3,)
-        Any vector that is not parallel to ``forward``; made orthonormal to it.
+        Any vector that is not parallel to ``forward``; made orthogonal to it and normalised on construction.
     fov_y : float
         Full vertical angle of view, radians, in (0, pi).
     fov_x : float, optional
-        Full horizontal angle of view, radians; by default that of square pixels.
+        Full horizontal angle of view, radians; by default pixels are square.
     shift : (float, float)
-        Where the centre of the image lies on the plane at distance 1 from the camera, to the right and upwards of where
-        ``forward`` meets it: not (0, 0) for a shifted lens, or for a part of a larger image.
+        Offset of the image's centre on the plane at distance 1 from the camera, to the right and upwards from the point
+        where ``forward`` meets the plane. A shifted lens and a part of a larger image have an offset.
 
     Raises
     ------
@@ -64,9 +64,9 @@ class Camera:
     fov_x: float | None = None
     shift: tuple[float, float] = (0.0, 0.0)
     band: tuple[int, int] | None = field(default=None, init=False, repr=False, compare=False)
-    """First row and whole height, where the images are but some rows of a taller one; see `crop_rows`."""
+    """First row and height of the whole image, if images hold only some of its rows; see `crop_rows`."""
 
-    if TYPE_CHECKING:  # what it takes is more than what it keeps
+    if TYPE_CHECKING:  # the constructor takes more types than the fields have
 
         def __init__(
             self,
@@ -121,16 +121,16 @@ class Camera:
         return np.cross(self.forward, self.up)
 
     def crop_rows(self, first: int, height: int) -> Camera:
-        """Return the same camera for images that are some rows, from ``first`` on, of one of ``height`` rows.
+        """Return this camera for images that hold only the rows from ``first`` on of an image of ``height`` rows.
 
-        Every ray and angle is that of the whole image, to the bit.
+        Rays and angles have the same bits as in the whole image.
         """
         camera = copy(self)
         object.__setattr__(camera, "band", (first, height))
         return camera
 
     def get_rows(self, height: int) -> tuple[int, int]:
-        """Return which row of the whole image the first of ``height`` rows is, and how many the whole image has."""
+        """Return the first row and the height of the whole image, for images of ``height`` rows."""
         return (0, height) if self.band is None else self.band
 
     def get_half_extent(self, width: int, height: int) -> tuple[float, float]:
@@ -143,7 +143,7 @@ class Camera:
     def with_pixel_aspect(self, width: int, height: int, aspect: float) -> Camera:
         """Return the camera of an image whose pixels are ``aspect`` times as wide as they are high.
 
-        It is this one where the pixels are square, or ``fov_x`` is known already.
+        Square pixels, and a camera with ``fov_x``, need no change.
         """
         if aspect == 1.0 or self.fov_x is not None:
             return self
@@ -152,7 +152,7 @@ class Camera:
 
     @property
     def middle(self) -> NDArray[np.float64]:
-        """Direction to the centre of the image, shape (3,), 1 deep along ``forward``."""
+        """Vector to the image's centre on the plane at distance 1, shape (3,)."""
         if self.shift == (0.0, 0.0):
             return self.forward
         return self.forward + self.shift[0] * self.right + self.shift[1] * self.up
@@ -162,7 +162,7 @@ class Camera:
         return float(2.0 * np.tan(0.5 * self.fov_y) / self.get_rows(height)[1])
 
     def get_plane(self, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where pixel centres are on the image plane at distance 1: columns to the right, rows upwards."""
+        """Return the coordinates of pixel centres on the plane at distance 1, x of columns and y (upwards) of rows."""
         first, rows = self.get_rows(height)
         half_width, half_height = self.get_half_extent(width, height)
         x = ((np.arange(width) + 0.5) / width * 2.0 - 1.0) * half_width

@@ -1,10 +1,10 @@
-"""Work on every core: on an image piece by piece, and by libraries that have threads of their own.
+"""Work on all cores: on an image in chunks, and in libraries with threads of their own.
 
-Pieces do not depend on each other, so threads change no bit.
+Chunks do not depend on each other, so results have the same bits for any number of threads.
 
-A forked process has none of its parent's threads, but a copy of every lock and thread pool as they were. A library
-whose threads wait for work believes in the child that they still do: it waits for them for ever, or crashes. So its
-threads are ended right before a fork, while no call is under way; the next call starts them anew, in both processes.
+A forked process has no threads of its parent, but copies of its locks and thread pools. In the child a library with a
+thread pool would wait for its threads for ever, or crash. So the threads of libraries are ended before a fork, while no
+call is under way. The next call starts them anew, in both processes.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import pairwise
 
-# Largest number of pixels worked on at a time: some thirty float32 arrays of this length fit a core's L2 cache.
 CHUNK_PIXELS = 16384
+"""Largest number of pixels in a chunk: thirty float32 arrays of this length fit a core's L2 cache."""
 
 Chunk = tuple[slice, slice]
-"""Rows and columns of a piece."""
+"""Rows and columns of a part of an image."""
 
 
 def cut_rows(height: int, width: int) -> Iterator[Chunk]:
-    """Cut an image into pieces of about `CHUNK_PIXELS`: whole rows where they fit, else parts of one row."""
+    """Cut an image into chunks of at most `CHUNK_PIXELS`: whole rows where a row fits, else parts of one row."""
     if width > CHUNK_PIXELS:
         for row in range(height):
             for left in range(0, width, CHUNK_PIXELS):
@@ -36,7 +36,7 @@ def cut_rows(height: int, width: int) -> Iterator[Chunk]:
 
 
 def run_chunks(work: Callable[[Chunk], None], height: int, width: int) -> None:
-    """Do ``work`` on every piece of an image; NumPy releases the interpreter lock inside it."""
+    """Call ``work`` on every chunk of an image, in threads. NumPy releases the interpreter lock."""
     todo = list(cut_rows(height, width))
     threads = min(count_cores(), len(todo))
 
@@ -45,22 +45,22 @@ def run_chunks(work: Callable[[Chunk], None], height: int, width: int) -> None:
             work(chunk)
 
     with ThreadPoolExecutor(threads) as pool:
-        # One task per thread, every n-th chunk each: a task per chunk would spend its time in the queue.
+        # One task per thread takes every n-th chunk: with a task per chunk the queue would take the time.
         list(pool.map(run_some, range(threads)))
 
 
 def count_cores() -> int:
-    """Return how many processors this process may use, which can be fewer than the machine has."""
+    """Return how many processors this process may use. The machine may have more."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class ForkGate:
-    """Calls of a library that has threads of its own: any number at once, but none while the process forks.
+    """Allows any number of calls at once of a library with threads of its own, but none while the process forks.
 
     Parameters
     ----------
     end_threads : callable
-        Ends the library's threads. It is called before every fork, once no call is under way.
+        Ends the library's threads. Called before every fork, when no call is under way.
     """
 
     def __init__(self, end_threads: Callable[[], None]) -> None:
@@ -71,7 +71,7 @@ class ForkGate:
 
     @contextmanager
     def enter(self) -> Iterator[None]:
-        """Keep the process from forking while a call is under way."""
+        """Delay forks of the process until the ``with`` block has ended."""
         with self._changed:
             self._calls += 1
         try:
@@ -88,13 +88,13 @@ class ForkGate:
 
 
 def make_fork_lock() -> threading.RLock:
-    """Return a lock that no other thread holds while the process forks, so that the child finds it free."""
+    """Return a lock that no other thread can hold during a fork, so that it is free in the child."""
     lock = threading.RLock()
     _hold_at_fork(lock.acquire, lock.release)
     return lock
 
 
 def _hold_at_fork(before: Callable[[], object], after: Callable[[], object]) -> None:
-    # Systems without fork lack the function.
+    # Systems without fork lack this function.
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(before=before, after_in_parent=after, after_in_child=after)

@@ -1,4 +1,4 @@
-"""What can go wrong, said in one sentence: argument, expected, got, what to do."""
+"""Errors whose message is one sentence: the argument, what was expected, what came, and what to do."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from numbers import Integral, Real
 from typing import Any
 
 MAX_SHOWN_LETTERS = 40
-"""Length of a value that a message shows instead of naming its type."""
+"""Longest value, in letters, that a message shows as it is. Of longer values it names the type."""
 MAX_GOT_LETTERS = 300
-"""Length of what a message shows of a wrong value."""
+"""Longest description of a wrong value in a message, in letters."""
 MAX_NAME_LETTERS = 100
-"""Letters of a name that sentences show."""
+"""Longest name in a message, in letters."""
 MIN_LIKENESS = 0.65
-"""Share of the letters that two names must have in common, in one order, for one to be suggested in place of the other
-(`difflib.SequenceMatcher.ratio`). A wrong suggestion is worse than none: at 0.6 blender would be renderman."""
+"""Smallest similarity, by `difflib.SequenceMatcher.ratio`, at which a message suggests a name. A wrong suggestion is
+worse than none: with 0.6 "renderman" would be suggested for "blender"."""
 
 
 class LobewiseError(Exception):
-    """Root of every error that a user can mend; the command line turns it into exit code 2.
+    """Base of every error that a user can correct. The command line exits with code 2.
 
     Parameters
     ----------
     what : str
-        The argument, file or setting; or, without the others, the whole sentence.
+        The argument, file or setting. Without the other parameters, the whole sentence.
     expected, got, action : str
         See `describe_problem`.
     """
@@ -35,7 +35,7 @@ class LobewiseError(Exception):
 
 
 class InputError(LobewiseError, ValueError):
-    """An argument, array or setting is not what the function takes."""
+    """An argument, array or setting is invalid."""
 
 
 class MissingChannelError(InputError):
@@ -59,15 +59,15 @@ class UnsupportedBsdfError(LobewiseError):
 
 
 def make_printable(text: str) -> str:
-    """Return a text that any terminal can show and none obeys: escapes in place of control characters and odd bytes.
+    """Return a text that is safe to print: control characters and undecodable bytes become escapes.
 
-    Lines and tabs stay.
+    Line breaks and tabs stay.
     """
     return "".join(letter if letter.isprintable() or letter in "\n\t" else ascii(letter)[1:-1] for letter in text)
 
 
 def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
-    """Return the one sentence of an error: ``what``, what was expected, what came, what to do.
+    """Return the sentence of an error: ``what``, what was expected, what came, and what to do.
 
     Examples
     --------
@@ -78,31 +78,22 @@ def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
 
 
 def _shorten(got: str) -> str:
-    """Return what came on one line: an array would fill the screen."""
+    """Return a description in one line of at most `MAX_GOT_LETTERS`: a printed array has many lines."""
     line = " ".join(got.split()) if "\n" in got else got
     return line if len(line) <= MAX_GOT_LETTERS else f"{line[: MAX_GOT_LETTERS - 3]}..."
 
 
 def require_kind(what: str, got: Any, *kinds: type) -> None:
-    """Raise an error unless ``got`` is of one of some classes.
-
-    Raises
-    ------
-    InputError
-        If it is not.
-    """
+    """Raise InputError unless ``got`` is an instance of one of ``kinds``."""
     if not isinstance(got, kinds):
         expected = " or ".join(f"a {kind.__name__}" for kind in kinds)
         raise InputError(what, expected=expected, got=f"a {type(got).__name__}", action="pass another")
 
 
 def require_number(what: str, got: Any) -> float:
-    """Return ``got`` as a float if it is one real number, which may be infinite or NaN; truth values are none.
+    """Return ``got`` as a float; raise InputError unless it is a real number. True and False are no numbers.
 
-    Raises
-    ------
-    InputError
-        If it is not.
+    Infinite numbers and NaN are accepted.
     """
     try:
         if isinstance(got, Real) and not isinstance(got, bool):
@@ -113,7 +104,7 @@ def require_number(what: str, got: Any) -> float:
 
 
 def name_value(got: Any, max_letters: int = MAX_SHOWN_LETTERS) -> str:
-    """Return a short value as it is written, and of a long one its type; numbers of NumPy as Python writes them.
+    """Return a short value as Python writes it, or the type of a long one. NumPy's numbers look like Python's.
 
     Examples
     --------
@@ -126,16 +117,16 @@ def name_value(got: Any, max_letters: int = MAX_SHOWN_LETTERS) -> str:
 
 
 def _to_plain(value: Any) -> Any:
-    """Return a value in which NumPy's numbers and short arrays, also inside tuples and lists, are Python's."""
+    """Return a value whose NumPy numbers and short arrays, also in tuples and lists, are Python numbers and lists."""
     if type(value) in (tuple, list):
         return type(value)(map(_to_plain, value))
-    # Told by the name of the module: this room imports nothing.
+    # Recognise NumPy by its name: this module must not import it.
     is_numpy = type(value).__module__ == "numpy" and hasattr(value, "tolist")
     return value.tolist() if is_numpy and value.size <= MAX_SHOWN_LETTERS else value
 
 
 def find_nearest(name: str, options: Iterable[str]) -> str | None:
-    """Return the option that is most like a name, whatever the case of the letters; None where none is much like it.
+    """Return the option that is most similar to a name, ignoring case; None if no option is similar enough.
 
     Examples
     --------
@@ -149,13 +140,7 @@ def find_nearest(name: str, options: Iterable[str]) -> str | None:
 
 
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
-    """Return ``got`` if it is one of ``valid``; otherwise raise an error that names the nearest valid one.
-
-    Raises
-    ------
-    InputError
-        If ``got`` is not one of ``valid``.
-    """
+    """Return ``got``; raise InputError with the nearest valid name unless it is one of ``valid``."""
     options = list(valid)
     if not isinstance(got, str):
         raise InputError(
@@ -163,7 +148,7 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         )
     if got in options:
         return got
-    # A name from a file may be as long as the file.
+    # A name that was read from a file can have any length.
     short = got if len(got) <= MAX_NAME_LETTERS else f"{got[:MAX_NAME_LETTERS]}..."
     near = find_nearest(short, options)
     raise InputError(
@@ -175,12 +160,9 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
 
 
 def require_integer(what: str, got: Any, lowest: int, highest: int) -> int:
-    """Return ``got`` if it is a whole number within bounds, both included; NumPy's integers will do, truth values not.
+    """Return ``got`` as an int; raise InputError unless it is an integer from ``lowest`` to ``highest``.
 
-    Raises
-    ------
-    InputError
-        If it is not.
+    NumPy's integers are accepted, True and False are not.
     """
     whole = isinstance(got, Integral) and not isinstance(got, bool)
     if not whole or not lowest <= got <= highest:

@@ -1,4 +1,4 @@
-"""Arrays that are images: real, read-only, of one size with those beside them."""
+"""Checks of images: they are real, read-only, and all images of a frame have one size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float32]
 if TYPE_CHECKING:
 
     class MaybeImage:
-        """For type checkers: a field that takes what NumPy makes an array of, and gives a float32 image or None."""
+        """For type checkers: a field that takes anything array-like or None, and gives a float32 image or None."""
 
         @overload
         def __get__(self, owner: None, kind: type) -> None: ...
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 else:
     MaybeImage = FloatArray | None
 ABSENT: Any = None
-"""An image that is not there."""
+"""Default of a field that holds an optional image."""
 
 
 def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
@@ -57,16 +57,16 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
 
 
 def _read_array(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of any library as NumPy's; one that carries gradients is refused, as they would be lost."""
+    """Return an array of any library as a NumPy array. Raises InputError for one with gradients: they would be lost."""
     drjit = sys.modules.get("drjit")
     is_traced = drjit is not None and any(kind.__module__.partition(".")[0] == "drjit" for kind in type(value).__mro__)
-    # PyTorch's tensors have the attribute.
+    # PyTorch's tensors have the attribute requires_grad.
     if getattr(value, "requires_grad", False) is True or (is_traced and drjit.grad_enabled(value)):  # type: ignore[union-attr]
         raise InputError(
             name,
-            expected="an array without gradients, which are not passed on",
-            got="one with",
-            action="detach it, or use lobewise.mitsuba.Denoiser with quality='fast', which passes them",
+            expected="an array without gradients, which would be lost",
+            got="an array with gradients",
+            action="detach it, or use lobewise.mitsuba.Denoiser with quality='fast', which keeps gradients",
         )
     try:
         return np.asarray(value)
@@ -96,7 +96,7 @@ def refuse_size(
     got: tuple[int, ...],
     action: str = "give every image of a frame the same width and height",
 ) -> InputError:
-    """Return the error that an image has another size than those beside it, each (height, width, ...)."""
+    """Return the error for an image whose size, (height, width, ...), differs from that of ``whose``."""
     return InputError(
         name,
         expected=f"the size of {whose}, {expected[1]}x{expected[0]} pixels",
@@ -109,7 +109,10 @@ class Images:
     """Shared checks of the frozen data classes whose fields are images of one size."""
 
     def check_images(self, channels: Mapping[str, int | None]) -> None:
-        """Make read-only images of the named fields, each (height, width) or of so many channels, all of one size."""
+        """Make the named fields read-only images of one size.
+
+        ``channels`` gives the number of channels of each field; None stands for an image (height, width).
+        """
         size: tuple[str, tuple[int, int]] | None = None
         for name, count in channels.items():
             image = as_image(name, getattr(self, name), count)
@@ -123,7 +126,7 @@ class Images:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Which images there are."""
+        """Names of the fields that hold an image."""
         return tuple(name for name, value in vars(self).items() if isinstance(value, np.ndarray))
 
     @property
@@ -139,5 +142,5 @@ class Images:
 
 
 def say_size(shape: tuple[int, int] | None) -> str:
-    """Return how a short description begins: columns and rows, or nothing."""
+    """Return "columns x rows: " as the beginning of a short description; empty without a shape."""
     return f"{shape[1]}x{shape[0]}: " if shape else ""

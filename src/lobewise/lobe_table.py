@@ -1,4 +1,4 @@
-"""LobeTable: the reflection of one material as lobes over the viewing angle. Checked once, then frozen."""
+"""LobeTable: the reflection of one material as lobes for a grid of view directions."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lobewise.errors import InputError, require_choice
 from lobewise.settings import MAX_LOBES
 
 KINDS = ("sg", "asg")
-"""Spherical Gaussians, as sharp in every direction about their axis, or anisotropic ones."""
-UNIT_TOLERANCE = 1e-3
-"""How far the length of a stored axis may be from 1: what four written digits leave."""
-SG_TOLERANCE = 1e-5
-"""Relative difference that the two sharpnesses of a spherical Gaussian may have: rounding of float32."""
+"""Kinds of lobes: isotropic or anisotropic spherical Gaussians."""
+MAX_UNIT_ERROR = 1e-3
+"""Largest difference between the length of a stored axis and 1. Axes may be written with four digits."""
+MAX_SG_DIFFERENCE = 1e-5
+"""Largest relative difference between the two sharpnesses of an isotropic lobe: float32 rounding."""
 
 _VIEWS = ("views", "azimuths")
 _SHAPES: dict[str, tuple[str, ...]] = {
@@ -32,31 +32,31 @@ _SHAPES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LobeTable:
-    """What a material reflects, times the cosine, as a sum of at most four lobes for each of some views.
+    """The BRDF of a material times the cosine, as a sum of at most four lobes for each view direction of a grid.
 
-    A lobe is ``a max(w.z, 0) exp(-l (w.x)^2 - m (w.y)^2)`` (Xu et al. 2013), or in a table of kind ``sg`` the
-    spherical Gaussian ``a exp(2 l (w.z - 1))``, which near its axis is the same with ``l = m``. Their sum stands for
-    ``brdf * max(n.w, 0)`` in 1/sr, as luminance.
+    A lobe is ``a max(w.z, 0) exp(-l (w.x)^2 - m (w.y)^2)`` (Xu et al. 2013). In a table of kind ``sg`` it is the
+    spherical Gaussian ``a exp(2 l (w.z - 1))``, which near its axis agrees with the former for ``l = m``. The sum of
+    the lobes approximates ``brdf * max(n.w, 0)`` in 1/sr, as luminance.
 
     Directions are in the view-aligned frame: z is the normal and the view is ``(sin t, 0, cos t)``, so that the plane
-    of incidence is y = 0. A lobe's z is its axis; its x is the part of the frame's y across the axis, made unit length
-    and turned about the axis by ``twist`` (counter-clockwise seen against the axis); its y is ``z cross x``. With
-    ``twist = 0`` and the axis in the plane of incidence, l is the sharpness across that plane and m the one in it.
-    This stays continuous wherever the axis is not along y itself, where no lobe of a reflection lies.
+    of incidence is y = 0. A lobe's z is its axis. Its x is the frame's y, projected across the axis, normalised, and
+    turned about the axis by ``twist`` (counter-clockwise, seen against the axis). Its y is ``z cross x``. With
+    ``twist = 0`` and the axis in the plane of incidence, l is the sharpness across that plane and m the sharpness in
+    it. The frame is continuous except at an axis along y, and no lobe of a reflection has such an axis.
 
     Arrays are kept as read-only float32. Sizes: V views, P azimuths, N lobes (1 to 4).
 
     Parameters
     ----------
     name : str
-        What the material is called.
+        Name of the material.
     kind : {"sg", "asg"}
         With ``sg`` both sharpnesses of every lobe are equal.
     cosine : (V,)
         n.v of the views, ascending, in (0, 1].
     azimuth : (P,)
         Azimuths of the views about the normal, from the tangent, counter-clockwise, radians: ascending, in [0, 2 pi).
-        One azimuth: the material is isotropic, and the value has no meaning.
+        A table with one azimuth is isotropic, and the value of the azimuth has no meaning.
     axis : (V, P, N, 3)
         Unit vectors.
     sharpness : (V, P, N, 2)
@@ -64,19 +64,19 @@ class LobeTable:
     twist : (V, P, N)
         Radians.
     amplitude : (V, P, N)
-        Value at the axis, >= 0, 1/sr; at every view one of them is above 0.
+        Value at the axis, >= 0, 1/sr; at every view at least one amplitude is above 0.
     alpha : (V, P, 2)
-        Roughness of the anisotropic GGX whose reflected lobe has the shape of the best single lobe at that view:
-        along the view-aligned x, that is in the plane of incidence, and across it. In (0, 1].
+        Roughness of the anisotropic GGX whose reflected lobe has the shape of the best single lobe at that view: in the
+        plane of incidence (along the view-aligned x) and across it. In (0, 1].
     albedo : (V, P, 3)
-        Directional albedo, linear RGB, >= 0; measured materials may exceed 1 a little.
+        Directional albedo, linear RGB, >= 0; that of measured materials may be slightly above 1.
     cosine_l2 : (V, P)
         Cosine between the sum of the lobes and the data in the space of square-integrable functions, in [0, 1].
 
     Raises
     ------
     InputError
-        If an array has another shape, or a value out of its range.
+        If an array has a wrong shape, or a value is out of range.
     """
 
     name: str
@@ -118,15 +118,15 @@ class LobeTable:
                 raise _complain(name, f"shape {expected} ({', '.join(axes)})", f"shape {getattr(self, name).shape}")
 
     def _check_ranges(self) -> None:
-        # Written so that a NaN fails.
+        # Every comparison fails for NaN.
         if not (np.all(np.diff(self.cosine) > 0.0) and self.cosine[0] > 0.0 and self.cosine[-1] <= 1.0):
             raise _complain("cosine", "ascending numbers above 0 and at most 1", _say_range(self.cosine))
-        # 2 pi itself would be azimuth 0 again; it is compared in the arrays' own precision.
+        # 2 pi would be azimuth 0 again. Compare in the precision of the array.
         turn = np.float32(2.0 * math.pi)
         if not (np.all(np.diff(self.azimuth) > 0.0) and self.azimuth[0] >= 0.0 and self.azimuth[-1] < turn):
             raise _complain("azimuth", "ascending angles from 0 to below 2 pi", _say_range(self.azimuth))
         length = np.linalg.norm(self.axis.astype(np.float64), axis=-1)
-        if not np.all(np.abs(length - 1.0) <= UNIT_TOLERANCE):
+        if not np.all(np.abs(length - 1.0) <= MAX_UNIT_ERROR):
             raise _complain("axis", "unit vectors", f"lengths {_say_range(length)}")
         for name, (good, words) in {
             "sharpness": ((self.sharpness > 0.0) & (self.sharpness < np.inf), "finite numbers above 0"),
@@ -141,7 +141,7 @@ class LobeTable:
         if not np.all(self.amplitude.max(axis=-1) > 0.0):
             raise _complain("amplitude", "a lobe above 0 at every view", "a view whose lobes are all 0")
         across, along = self.sharpness[..., 0], self.sharpness[..., 1]
-        if self.kind == "sg" and not np.all(np.abs(across - along) <= SG_TOLERANCE * along):
+        if self.kind == "sg" and not np.all(np.abs(across - along) <= MAX_SG_DIFFERENCE * along):
             raise _complain("sharpness", "equal sharpnesses in a table of kind sg", "lobes with two different ones")
 
     def __repr__(self) -> str:
@@ -150,7 +150,7 @@ class LobeTable:
 
     @property
     def lobe_count(self) -> int:
-        """Number of lobes at every view, 1 to 4."""
+        """Number of lobes of every view, 1 to 4."""
         return int(self.axis.shape[2])
 
     @property
@@ -160,7 +160,7 @@ class LobeTable:
 
 
 def _as_floats(name: str, value: object) -> NDArray[np.float32]:
-    """Return ``value`` as a read-only C-contiguous float32 array of its own."""
+    """Return a copy of ``value`` as a read-only C-contiguous float32 array."""
     try:
         array = np.array(value)
         if array.dtype.kind not in "fiu":

@@ -1,4 +1,4 @@
-"""Other people's denoisers behind our frame: to compare with, and to mix with."""
+"""Denoisers of others, called with frames of lobewise: to compare with, and to mix with."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def has_oidn() -> bool:
 
 
 def explain_no_oidn() -> str:
-    """Return why Open Image Denoise cannot be used here and what to do, without a stop; empty where it can."""
+    """Return why Open Image Denoise cannot be used and what to do, without a full stop; empty where it can be used."""
     return _try_to_load()
 
 
@@ -32,7 +32,7 @@ def _try_to_load() -> str:
     except ModuleNotFoundError:
         return "Open Image Denoise is not installed; pip install 'lobewise[best]'"
     except (ImportError, OSError) as problem:
-        # Its library is made for other processors or systems.
+        # The library was built for another processor or system.
         told = make_printable(str(problem)).removesuffix(".")
         return f"Open Image Denoise is installed but cannot be loaded ({told}); reinstall pyoidn"
     return ""
@@ -45,43 +45,43 @@ def require_oidn() -> None:
 
 
 def name_oidn_guides(frame: Frame) -> tuple[str, ...]:
-    """Return which guides of a frame `denoise_oidn` hands over, of "albedo" and "normal"."""
+    """Return the guides of a frame that `denoise_oidn` passes on: "albedo", "normal", both or none."""
     albedos, normal = _find_guides(frame, OIDN_GUIDES[0])
     return tuple(name for name, is_there in (("albedo", bool(albedos)), ("normal", normal is not None)) if is_there)
 
 
 def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefiltered") -> tuple[FloatArray, float]:
-    """Denoise with Intel Open Image Denoise, given what it asks for: HDR colour, first-hit albedo and normal.
+    """Denoise with Intel Open Image Denoise, which takes HDR colour and albedo and normal of the first hit.
 
-    Source: its manual, "Open Image Denoise Overview", on albedos and normals, on prefiltering, and on ``cleanAux``,
-    which tells the network that its guides are free of noise: it is set with all of ``guides``.
+    Source: its manual, "Open Image Denoise Overview", on albedos and normals, on prefiltering, and on ``cleanAux``.
+    ``cleanAux`` declares the guides free of noise; it is set for every value of ``guides``.
 
     Parameters
     ----------
     frame : Frame
-        Albedos and normals are handed over where the frame has them. The albedo is the sum of diffuse and specular,
-        clipped to [0, 1]. ``denoiser_albedo`` comes before that sum, ``denoiser_normal`` before other normals.
-        ``mean_diffuse_albedo`` and ``mean_specular_albedo``, which have no noise of samples, come before the means over
-        the samples that the plain albedos are. With "centre" neither does. Normals that are the same everywhere tell
-        nothing, and stand for none where a reader had to make some up: they are left out. The library takes normals
-        only beside an albedo, so a frame without one gives it a white one.
+        Its albedos and normals are passed on if it has them. The albedo is ``denoiser_albedo``, or else the sum of
+        diffuse and specular albedo, clipped to [0, 1]. The normal is ``denoiser_normal``, or else the frame's normal.
+        Images over the pixel's area (``mean_...``) are preferred to the plain images, which have the noise of samples.
+        With "centre" only the plain images are used. Normals that are equal everywhere carry no information and are
+        left out: some readers fill in missing normals so. The library takes normals only together with an albedo, so
+        a frame without albedo gets a white one.
     quality : {"fast", "balanced", "high"}
-        "high" is the library's default. It holds for the radiance; guides are always prefiltered at "high".
+        Quality of the filter of the radiance; "high" is the library's default. Guides are always prefiltered at "high".
     guides : {"prefiltered", "mean", "centre"}
-        "prefiltered": the means over a pixel of albedo and of normal, each through the library's own filter for such
-        images. "mean": the same as they come. "centre": the normal of the ray through the pixel's centre, which a frame
-        without ``mean_normal`` is given with the two others as well.
+        "prefiltered": the means of albedo and normal over the pixel, each denoised by the library's filter for guides.
+        "mean": these means as they are. "centre": albedo and normal of the ray through the pixel's centre. A frame
+        without ``mean_normal`` has only the normal of the centre.
 
     Returns
     -------
     image : (height, width, 3)
     seconds : float
-        Wall time of the calls, the networks' setup for this size included if it is the first.
+        Wall time of the library's calls. The first call for a size includes the setup of the networks.
 
     Raises
     ------
     InputError
-        If ``guides`` is none of the three.
+        If ``guides`` is unknown.
     MissingDependencyError
         If ``pyoidn`` is not installed.
     """
@@ -104,11 +104,11 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
 
 
 def _find_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArray | None]:
-    """Return the albedos of which the sum is handed over, and the normal; none and None where there are none."""
+    """Return the albedos whose sum is passed on, and the normal or None."""
     gbuffer = frame.gbuffer
 
     def find(name: str) -> FloatArray | None:
-        """Return the mean over the pixel's area where it is there and asked for."""
+        """Return the mean over the pixel's area if the frame has it and ``guides`` wants it, else the plain image."""
         mean: FloatArray | None = getattr(gbuffer, f"mean_{name}") if guides != "centre" else None
         own: FloatArray | None = getattr(gbuffer, name)
         return own if mean is None else mean
@@ -123,19 +123,19 @@ def _find_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArra
 
 
 def _varies(normal: FloatArray) -> bool:
-    """Return whether normals, (height, width, 3), that are not 0 are more than one."""
+    """Return whether the normals of surfaces, those that are not 0, differ."""
     there = normal[(normal != 0.0).any(axis=-1)]
     return bool((there != there[:1]).any())
 
 
 def _make_finite(image: FloatArray) -> FloatArray:
-    """Return a copy in which what is no number, or infinite, is 0."""
+    """Return a copy in which NaN and infinite values are 0."""
     return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 @lru_cache(maxsize=2)
 def _open_prefilter(name: str) -> tuple[Any, Any]:
-    """Return the library's device and its filter for guides of one kind, kept for the next frame as the network is."""
+    """Return the library's device and its filter for one kind of guide; both are kept for the next frame."""
     from pyoidn import OIDN_FILTER_TYPE_RT, Device, Filter
 
     device = Device()
@@ -144,7 +144,7 @@ def _open_prefilter(name: str) -> tuple[Any, Any]:
 
 
 def _prefilter(name: str, image: FloatArray) -> FloatArray:
-    """Return an albedo or normal image without its noise: the filter is given the one image and nothing else."""
+    """Return an albedo or normal image denoised by the library, without any other image as guide."""
     from pyoidn import OIDN_FORMAT_FLOAT3, OIDN_IMAGE_OUTPUT, OIDN_QUALITY_HIGH
 
     _, network = _open_prefilter(name)

@@ -22,10 +22,10 @@ class Radiance(Images):
     color : array_like, shape (height, width, 3)
         Total radiance, linear, scene-referred, >= 0.
     diffuse, specular : array_like, shape (height, width, 3), optional
-        The part whose first bounce was diffuse, or specular. What neither holds (``color - diffuse - specular``)
-        is emission and background.
+        The light whose first bounce was diffuse, or specular. The rest, ``color - diffuse - specular``, is emission and
+        background.
     direct, indirect : array_like, shape (height, width, 3), optional
-        The part that came straight from a light to the first surface, and the rest.
+        The light that came straight from a light source to the first surface, and the rest.
 
     Raises
     ------
@@ -39,7 +39,7 @@ class Radiance(Images):
     direct: FloatArray | None = None
     indirect: FloatArray | None = None
 
-    if TYPE_CHECKING:  # what it takes is more than what it keeps
+    if TYPE_CHECKING:  # the constructor takes more types than the fields have
 
         def __init__(
             self,
@@ -57,35 +57,36 @@ class Radiance(Images):
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray] | None:
-        """Diffuse and specular radiance where they are known apart, else None."""
+        """Diffuse and specular radiance; None if one of them is missing."""
         return None if self.diffuse is None or self.specular is None else (self.diffuse, self.specular)
 
 
 LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission")
-"""What a layer of light can follow."""
+"""Kinds of first scattering that a layer of light can have."""
 DIFFUSE_LOBES = LOBES[:3]
-"""Those that scatter so widely that they are compared like diffuse light; glossy and coat follow the specular lobe."""
+"""Kinds that scatter so widely that pixels are compared as for diffuse light. "glossy" and "coat" follow the specular
+lobe."""
 
 
 @dataclass(frozen=True, repr=False)
 class RadianceLayer(Images):
-    """Light that was first scattered in one way, filtered by itself.
+    """Light with one kind of first scattering, which is filtered by itself.
 
     Parameters
     ----------
     name : str
-        In results.
+        Name of the layer in results.
     lobe : {"diffuse", "subsurface", "volume", "glossy", "coat", "transmission"}
-        What it follows.
+        Kind of the first scattering.
     radiance : array_like, shape (height, width, 3)
         Linear, albedo included, >= 0.
     albedo : array_like, shape (height, width, 3), optional
-        What it is divided by while it is filtered, in [0, 1].
+        The radiance is divided by it before the filter and multiplied by it after, in [0, 1].
     half_a, half_b : array_like, shape (height, width, 3), optional
-        The same from one half of the samples each.
+        The radiance from one half of the samples each.
     parts : mapping of str to array_like, shape (height, width, 3)
-        Images that belong to it (its direct and its indirect light, the light of every lamp) and are filtered by its
-        weights; what sums to the layer before does so after.
+        Images that belong to the layer (its direct and its indirect light, the light of every lamp) and are filtered
+        with its weights. Parts that sum to the layer before the filter also do so after it.
 
     Raises
     ------
@@ -110,19 +111,20 @@ class RadianceLayer(Images):
 
     @property
     def is_diffuse(self) -> bool:
-        """Whether it is compared like diffuse light."""
+        """Whether its pixels are compared as for diffuse light."""
         return self.lobe in DIFFUSE_LOBES
 
     @property
     def is_transmitted(self) -> bool:
-        """Whether it is compared by normals: the way of light through a surface hangs on those behind it as well."""
+        """Whether its pixels are compared by normals: transmitted light also depends on the surfaces behind."""
         return self.lobe == "transmission"
 
 
 def sum_layers(layers: Sequence[RadianceLayer], field: str, *, diffuse: bool) -> FloatArray | None:
-    """Return the sum of one image (``radiance``, ``albedo``, ``half_a``, ``half_b``) of the layers of one kind.
+    """Return the sum of the image ``field`` over the diffuse layers, or over all others.
 
-    None where there is no such layer, or one lacks the image.
+    ``field`` is ``radiance``, ``albedo``, ``half_a`` or ``half_b``. The result is None where there is no such layer, or
+    where a layer lacks the image.
     """
     images = [getattr(layer, field) for layer in layers if layer.is_diffuse == diffuse]
     if not images or any(image is None for image in images):

@@ -1,4 +1,4 @@
-"""SparseFrame: radiance at one pixel of every block, guides at all of them: what upsampling takes."""
+"""SparseFrame: a frame whose radiance was shaded at one pixel of every block, for upsampling."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from lobewise.errors import InputError, name_value, require_kind
 from lobewise.frame import Frame, GBuffer, Guided, Radiance, describe_content
 from lobewise.lobe_table import LobeTable
 
-MOST_SCALE = 16
+MAX_SCALE = 16
+"""Largest distance between neighbouring shaded pixels, pixels."""
 
 
 def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
     """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
-    if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MOST_SCALE:
+    if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MAX_SCALE:
         raise InputError(
-            "scale", expected=f"an integer from 1 to {MOST_SCALE}", got=name_value(scale), action="2 or 4 is usual"
+            "scale", expected=f"an integer from 1 to {MAX_SCALE}", got=name_value(scale), action="2 or 4 is usual"
         )
     require_kind("place", place, tuple, list, np.ndarray)
     pair = [index for index in place if isinstance(index, Integral) and not isinstance(index, bool)]
@@ -35,32 +36,32 @@ def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> 
 
 @dataclass(frozen=True, repr=False)
 class SparseFrame(Guided):
-    """A frame that was shaded at every ``scale``-th pixel only.
+    """A frame that was shaded at every ``scale``-th pixel of every ``scale``-th row only.
 
     Parameters
     ----------
     radiance : Radiance
         Of shape (rows, columns): sample (Y, X) was shaded at pixel (Y scale + place[0], X scale + place[1]) of the
-        full image, so ``rows = ceil((height - place[0]) / scale)``, and so for columns.
+        full image, so ``rows = ceil((height - place[0]) / scale)``; likewise for columns.
     gbuffer : GBuffer
         The first surface of every pixel of the full image, (height, width).
     scale : int
-        Pixels from sample to sample, 1 to 16.
+        Distance between neighbouring shaded pixels, pixels, 1 to 16.
     place : (int, int)
         Row and column of the shaded pixel within each block, 0 to ``scale - 1``.
     camera : Camera, optional
-        Of the full image; needed by every similarity that looks at reflection lobes.
+        The camera of the full image; every similarity of reflection lobes needs it.
     variance : Radiance, optional
         Variance of the mean of ``radiance``.
     spp : int, optional
-        Samples of a shaded pixel, >= 1.
+        Samples per shaded pixel, >= 1.
     lobe_tables : tuple of LobeTable
-        Fitted lobes of the materials that ``gbuffer.material`` names.
+        Fitted lobes of the materials that ``gbuffer.material`` numbers.
 
     Raises
     ------
     InputError
-        If scale or place is out of range, or the radiance has not as many samples as the grid.
+        If scale or place is out of range, or the radiance has not one sample for each block.
     """
 
     radiance: Radiance
@@ -83,7 +84,7 @@ class SparseFrame(Guided):
             )
         _check_blocks(size, self.scale, self.place)
         row, column = self.place
-        # The frame of the samples alone checks what any frame must hold.
+        # Let Frame check the radiance, the variance and the sample count.
         samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
         grid = -(-(size[0] - row) // self.scale), -(-(size[1] - column) // self.scale)
         if samples.shape != grid:
@@ -106,29 +107,28 @@ class SparseFrame(Guided):
 
     @property
     def shaded(self) -> tuple[slice, slice]:
-        """The shaded pixels, as an index into images of the full size."""
+        """Index of the shaded pixels in images of the full size."""
         return slice(self.place[0], None, self.scale), slice(self.place[1], None, self.scale)
 
 
 def list_places(scale: int) -> list[tuple[int, int]]:
-    """Return the order in which the shaded pixel visits all places of a block: ``scale**2`` pairs of row and column.
+    """Return the order in which frames shade the pixels of a block: ``scale**2`` pairs of row and column.
 
-    Places that follow each other lie far apart, so that any few frames in a row cover the block evenly. For a power of
-    two it is the order of an ordered dither: the bits of the count, lowest first, halve the block by turns along the
-    diagonal and across. For other scales the rows and columns of the next power of two that exist are visited in its
-    order.
+    Consecutive pixels lie far apart, so that any few consecutive frames cover the block evenly. For a power of two it
+    is the order of an ordered dither: the bits of the count, lowest first, halve the block by turns along the diagonal
+    and across. Other scales take the order of the next power of two and leave out pixels outside the block.
 
     Raises
     ------
     InputError
-        If the scale is not from 1 to `MOST_SCALE`.
+        If the scale is not from 1 to `MAX_SCALE`.
 
     Notes
     -----
-    Source: Bayer 1973, "An optimum method for two-level rendition of continuous-tone pictures"; that the permutation
-    is fixed, Herzog et al. 2010.
+    Source: Bayer 1973, "An optimum method for two-level rendition of continuous-tone pictures"; for the fixed
+    permutation, Herzog et al. 2010.
     """
-    _check_blocks((MOST_SCALE, MOST_SCALE), scale, (0, 0))
+    _check_blocks((MAX_SCALE, MAX_SCALE), scale, (0, 0))
     bits = (scale - 1).bit_length()
     places = []
     for count in range(4**bits):
@@ -144,14 +144,11 @@ def list_places(scale: int) -> list[tuple[int, int]]:
 
 
 AnyFrame = Frame | SparseFrame
-"""What has guides and a camera, whatever pixels were shaded."""
+"""A frame with guides, shaded at every pixel or sparsely."""
 
 
 def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> SparseFrame:
-    """Return what is left of a whole frame when one pixel of every block keeps its radiance.
-
-    Its radiance counts as shaded; guides stay whole. Raises as `SparseFrame`.
-    """
+    """Return a frame that keeps the radiance of one pixel in every block, and all guides. Raises as `SparseFrame`."""
     require_kind("frame", frame, Frame)
     _check_blocks(frame.shape, scale, place)
     shaded = slice(place[0], None, scale), slice(place[1], None, scale)

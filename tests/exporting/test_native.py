@@ -14,7 +14,7 @@ import pytest
 from lobewise.backend.devices import list_devices
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
-from lobewise.exporting.example import LARGEST_DIFFERENCE, choose_bound
+from lobewise.exporting.example import MAX_DIFFERENCE, choose_bound
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.native import export_library
 from lobewise.exporting.plan import FilterPlan
@@ -55,10 +55,10 @@ def quick(tmp_path_factory: pytest.TempPathFactory, compiler: str) -> Path:
 def test_example_agrees_with_python(quick: Path) -> None:
     code, difference = run_example(quick)
     assert code == 0
-    assert difference <= LARGEST_DIFFERENCE
+    assert difference <= MAX_DIFFERENCE
     written = np.fromfile(quick / "output.raw", np.float32)
     expected = make_sample(QUICK).expected
-    np.testing.assert_allclose(written.reshape(expected.shape), expected, rtol=LARGEST_DIFFERENCE)
+    np.testing.assert_allclose(written.reshape(expected.shape), expected, rtol=MAX_DIFFERENCE)
     # Most pixels are filtered, by many neighbours; those without a lobe are 0.
     assert np.mean(expected[..., 4] > 4.0) > 0.5
     assert 0.01 < np.mean(expected[..., 3] == 0.0) < 0.5
@@ -68,7 +68,7 @@ def test_example_notices_a_difference(quick: Path) -> None:
     path = quick / "expected.raw"
     before = path.read_bytes()
     values = np.frombuffer(before, np.float32).copy()
-    values[np.flatnonzero(values)[1000]] *= 1.0 + 3.0 * LARGEST_DIFFERENCE
+    values[np.flatnonzero(values)[1000]] *= 1.0 + 3.0 * MAX_DIFFERENCE
     path.write_bytes(values.tobytes())
     code, difference = run_example(quick)
     values[0] = np.nan
@@ -76,7 +76,7 @@ def test_example_notices_a_difference(quick: Path) -> None:
     undefined, _ = run_example(quick)
     path.write_bytes(before)
     assert code == 1
-    assert difference == pytest.approx(3.0 * LARGEST_DIFFERENCE, rel=0.1)
+    assert difference == pytest.approx(3.0 * MAX_DIFFERENCE, rel=0.1)
     assert undefined == 1
 
 

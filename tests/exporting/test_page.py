@@ -10,9 +10,9 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.exporting.example import (
-    LARGEST_DEVICE_DIFFERENCE,
-    LARGEST_DIFFERENCE,
-    LARGEST_PLAIN_DIFFERENCE,
+    MAX_DEVICE_DIFFERENCE,
+    MAX_DIFFERENCE,
+    MAX_PLAIN_DIFFERENCE,
 )
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.shader import make_shader
@@ -32,7 +32,7 @@ def test_targets_are_listed() -> None:
 
 def test_bounds_are_those_of_the_example() -> None:
     found = [float(word) for word in re.findall(r"\| (0\.0+\d) \|", PAGE)]
-    bounds = [LARGEST_DIFFERENCE, LARGEST_PLAIN_DIFFERENCE, LARGEST_DEVICE_DIFFERENCE]
+    bounds = [MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE, MAX_DEVICE_DIFFERENCE]
     assert found == bounds
 
 

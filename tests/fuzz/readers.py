@@ -321,9 +321,10 @@ def read_viewer(path: Path, _: Answer) -> None:
     """Read a message of a browser, and look through the camera that it sets."""
     import msgspec
 
+    from lobewise.interactive.settings import InteractiveSettings
     from lobewise.viewer.cameras import CameraMap, read_pose
     from lobewise.viewer.door.incoming import Control, read_message
-    from lobewise.viewer.looks import FrameLook, SceneLook
+    from lobewise.viewer.looks import FrameLook
     from lobewise.viewer.messages import Description
 
     controls = {"a": Control(("one", "two")), "b": Control((), 0.0, 8.0), "c": Control()}
@@ -335,7 +336,10 @@ def read_viewer(path: Path, _: Answer) -> None:
         return
     handle = type("Handle", (), message)
     pose = read_pose(handle)
-    for described in (Description(SceneLook(), 64, 64, CAMERA, (0.0, 0.0, -2.0)), Description(FrameLook(), 64, 64)):
+    for described in (
+        Description(InteractiveSettings(), 64, 64, CAMERA, (0.0, 0.0, -2.0)),
+        Description(FrameLook(), 64, 64),
+    ):
         cameras = CameraMap(described)
         camera = cameras.to_camera(pose)
         window = cameras.to_window(pose, message["image_width"], message["image_height"])

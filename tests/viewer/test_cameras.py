@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.cameras import CameraMap, Pose, find_up
-from lobewise.viewer.looks import FrameLook, SceneLook
+from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Window
 
 Z_UP = Camera(position=(3.0, -900.0, 40.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=0.7)
@@ -19,7 +20,7 @@ Y_UP = Camera(position=(0.0, 0.2, 0.3), forward=(0.1, -0.2, -1.0), up=(0.0, 1.0,
 def describe(camera: Camera, gap: float) -> Description:
     """Return a scene whose camera looks at a point at a distance."""
     at = camera.position + gap * camera.forward
-    return Description(SceneLook(), 64, 64, camera, (float(at[0]), float(at[1]), float(at[2])))
+    return Description(InteractiveSettings(), 64, 64, camera, (float(at[0]), float(at[1]), float(at[2])))
 
 
 class TestScenes:
@@ -53,7 +54,7 @@ class TestScenes:
         assert cameras.to_camera(replace(pose, look_at=np.zeros(3))) is None
 
     def test_a_scene_without_anything_ahead(self):
-        cameras = CameraMap(Description(SceneLook(), 64, 64, Y_UP, (0.0, 5.0, 90.0)))
+        cameras = CameraMap(Description(InteractiveSettings(), 64, 64, Y_UP, (0.0, 5.0, 90.0)))
         np.testing.assert_allclose(cameras.to_camera(cameras.start).forward, Y_UP.forward)
 
     def test_a_scene_is_never_cut(self):

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.link import Link
-from lobewise.viewer.looks import FrameLook, SceneLook
+from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Target, Window
 
 pytestmark = pytest.mark.slow
@@ -66,7 +67,7 @@ def test_a_frame_filtered_and_exposed_anew(floor_file: Path) -> None:
 
 @pytest.mark.mitsuba
 def test_an_orbit_of_a_scene(mi: Any) -> None:
-    look = SceneLook(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
+    look = InteractiveSettings(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
 
     def make_request(description: Description, number: int) -> Request:
         assert description.camera is not None

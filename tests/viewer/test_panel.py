@@ -7,8 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from lobewise.interactive.settings import METHODS, InteractiveSettings
 from lobewise.settings import FORMS, QUALITIES
-from lobewise.viewer.looks import FRAME_SIMILARITIES, METHODS, SCENE_SIMILARITIES, FrameLook, SceneLook
+from lobewise.viewer.looks import FRAME_SIMILARITIES, SCENE_SIMILARITIES, FrameLook
 from lobewise.viewer.messages import Description
 from lobewise.viewer.panel import LookPanel
 
@@ -38,7 +39,7 @@ class Page:
 
 def make_panel(look, **found):
     """Return a page and the panel on it."""
-    scene = isinstance(look, SceneLook)
+    scene = isinstance(look, InteractiveSettings)
     usual = {"similarities": SCENE_SIMILARITIES, "methods": METHODS} if scene else {"similarities": FRAME_SIMILARITIES}
     if not scene:
         usual |= {"qualities": QUALITIES, "forms": FORMS, "hit_distance": True}
@@ -49,8 +50,10 @@ def make_panel(look, **found):
 @pytest.mark.parametrize(
     "look",
     [
-        SceneLook(),
-        SceneLook("voxel_cones", 8, 2, "sg_mixture", 5, 2.5, False, 0.125, False),
+        InteractiveSettings(),
+        InteractiveSettings(
+            "voxel_cones", 8, 2, "sg_mixture", 2.5, 5, temporal=False, adaptive=0.125, filter_direct=False
+        ),
         FrameLook(),
         FrameLook("none"),
         FrameLook("asg", "fast", "atrous", 3, 4.5, 32.0, 0.01, True),
@@ -63,7 +66,7 @@ def test_what_is_shown_is_what_is_set(look):
 
 
 def test_labels_and_hints_are_there():
-    page, _ = make_panel(SceneLook())
+    page, _ = make_panel(InteractiveSettings())
     assert list(page.controls) == [
         "Method",
         "Every nth pixel",
@@ -108,6 +111,6 @@ def test_what_changes_nothing_is_hidden():
     page, _ = make_panel(FrameLook("normal", "fast", "atrous"))
     hidden = {label for label, control in page.controls.items() if not control.visible}
     assert hidden == {"Radius", "Beta", "Auto band-limit", "Band-limit, log", "Hit distance"}
-    page, _ = make_panel(SceneLook(similarity="none", scale=1))
+    page, _ = make_panel(InteractiveSettings(similarity="none", scale=1))
     hidden = {label for label, control in page.controls.items() if not control.visible}
     assert hidden == {"Radius", "Auto beta", "Beta", "Temporal", "Filter direct light", "Adaptive, %"}

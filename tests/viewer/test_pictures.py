@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.reporting.display import map_tones, map_tones_quickly
-from lobewise.viewer.looks import FrameLook, SceneLook, name_sides
+from lobewise.viewer.looks import FrameLook, name_sides
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import BARS, LEGENDS, MOST_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
 
@@ -114,9 +115,17 @@ class TestWipe:
     @pytest.mark.parametrize(
         ("left", "right", "labels"),
         [
-            (SceneLook(), SceneLook(), ("A", "B")),
-            (SceneLook(), SceneLook(method="voxel_cones", radius=9), ("A: paths", "B: voxel cones")),
-            (SceneLook(temporal=True), SceneLook(temporal=False), ("A: temporal", "B: no temporal")),
+            (InteractiveSettings(), InteractiveSettings(), ("A", "B")),
+            (
+                InteractiveSettings(),
+                InteractiveSettings(method="voxel_cones", radius=9),
+                ("A: paths", "B: voxel cones"),
+            ),
+            (
+                InteractiveSettings(temporal=True),
+                InteractiveSettings(temporal=False),
+                ("A: temporal", "B: no temporal"),
+            ),
             (FrameLook(beta="auto"), FrameLook(beta=2.5), ("A: beta auto", "B: beta 2.5")),
             (FrameLook(), FrameLook(similarity="none", radius=3), ("A: auto", "B: no filter")),
         ],

@@ -71,7 +71,7 @@ def measure_interactive(
         See `lobewise.interactive.Session` and `lobewise.render.load_mitsuba`.
     """
     from lobewise.interactive import InteractiveSettings, Session
-    from lobewise.interactive.methods import METHODS
+    from lobewise.interactive.settings import METHODS
     from lobewise.render import find_orbit_centre, load_mitsuba, make_orbit
 
     if frames < 1:
@@ -91,7 +91,8 @@ def measure_interactive(
     session = Session(scene)
     cameras = make_orbit(session.camera, find_orbit_centre(session.scene), each, DEGREES_PER_FRAME)
     for name in names:
-        chosen = replace(asked, method=name)
+        changes: dict[str, Any] = {"method": name}
+        chosen = replace(asked, **changes)
         start = time.perf_counter()
         session.prepare(name)
         ready = time.perf_counter() - start

@@ -1,11 +1,15 @@
-"""What the arguments of an exported function are, said once for compiler, header, example and README."""
+"""The arguments of exported functions, declared once for compiler, header, example and README."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.lobes.band_limit import NORMAL_ERROR
+from lobewise.settings import DenoiseSettings
+
 PLANAR = 0
-"""Channels of an image without an axis for them, (width, height)."""
+"""Number of channels that stands for an image without an axis for channels, (width, height)."""
 
 
 @dataclass(frozen=True)
@@ -14,10 +18,10 @@ class Argument:
 
     name: str
     text: str
-    """What it is."""
+    """Its meaning, for headers and READMEs."""
     unit: str = ""
     recipe: str = ""
-    """Of a number: what the Python recipe takes."""
+    """The formula by which `lobewise.denoise` chooses a number."""
     channels: int = PLANAR
     type: str = "float32"
     role: str = "input"
@@ -30,7 +34,7 @@ class Argument:
 
     @property
     def extents(self) -> str:
-        """The extents of an image, fastest first, as the buffers have them."""
+        """The extents of an image in the order of Halide's buffers: the axis with the smallest stride comes first."""
         return "(width, height)" if self.planar else f"({self.channels}, width, height)"
 
 
@@ -48,23 +52,23 @@ _ARGUMENTS = (
     ),
     Argument(
         "albedo",
-        "directional albedo of the lobe: divides the radiance on the way in, multiplies the result; a pixel whose "
-        "channels are all 0.001 or less has no weight",
+        "directional albedo of the lobe: the radiance is divided by it and the result multiplied by it; a pixel whose "
+        f"channels are all {ALBEDO_FLOOR:g} or less has no weight",
         "0 to 1",
         channels=3,
     ),
     Argument(
         "mask",
-        "1 where a pixel gives and takes, 0 where it has no surface or no lobe; there the output is 0",
+        "1 where a pixel is filtered and has weight; 0 where it has no surface or no lobe: its output is 0",
         type="uint8",
     ),
     Argument("position", "world position of the surface", "world units", channels=3),
-    Argument("depth", "distance of that position from the camera; 0 where there is no surface", "world units"),
-    Argument("normal", "shading normal in world space; the filter wants unit length, the lobes any", channels=3),
+    Argument("depth", "distance of the surface from the camera; 0 where there is no surface", "world units"),
+    Argument("normal", "shading normal in world space; the filter needs unit length, the lobes do not", channels=3),
     Argument("alpha", "microfacet roughness of GGX, the square of perceptual roughness; 0 is a mirror", "0 to 1"),
     Argument("alpha_u", "microfacet roughness of GGX along the tangent; 0 is a mirror", "0 to 1"),
-    Argument("alpha_v", "the same across the tangent", "0 to 1"),
-    Argument("tangent", "tangent in world space, any length; 0 where a surface has none", channels=3),
+    Argument("alpha_v", "microfacet roughness of GGX across the tangent; 0 is a mirror", "0 to 1"),
+    Argument("tangent", "tangent in world space, of any length; 0 where a surface has no tangent", channels=3),
     Argument("axis", "unit axis of the reflection lobe, in world space, away from the surface", channels=3),
     Argument("sharpness", "sharpness of the spherical Gaussian, band-limited, above 0", "1/rad^2"),
     Argument("amplitude", "value at the axis, 0 for a lobe that is absent", "1/sr, any scale"),
@@ -78,17 +82,22 @@ _ARGUMENTS = (
     ),
     _number(
         "position_sigma",
-        "standard deviation of the Gaussian over the distance in the scene, in what a pixel covers there",
+        "standard deviation of the Gaussian over the distance in the scene; a footprint is what a pixel covers there",
         "footprints",
-        "16",
+        f"{DenoiseSettings.position_sigma:g}",
     ),
     _number(
         "pixel_angle",
-        "angle of a pixel: depth times it is the footprint",
+        "angle of a pixel; a pixel's footprint is its depth times this angle",
         "rad",
         "2 tan(fov_y / 2) / height of the whole image",
     ),
-    _number("normal_exponent", "sharpness e of exp(-e (1 - n_i . n_j))", "1/rad^2", "64"),
+    _number(
+        "normal_exponent",
+        "sharpness e of exp(-e (1 - n_i . n_j))",
+        "1/rad^2",
+        f"{DenoiseSettings.normal_exponent:g}",
+    ),
     _number(
         "beta",
         "exponent of the lobe similarity; larger keeps more detail and more noise",
@@ -98,9 +107,9 @@ _ARGUMENTS = (
     *(_number(f"eye_{axis}", f"position of the camera, {axis}", "world units", "camera.position") for axis in "xyz"),
     _number(
         "tau",
-        "band-limit: its square is added to the variance of every lobe, which makes a mirror's finite",
+        "band-limit: its square is added to the variance of every lobe, so that a mirror's lobe is finite",
         "rad",
-        "0.03 sqrt(4 / spp), at least sqrt(pixel_angle^2 + 0.002^2)",
+        f"0.03 sqrt(4 / spp), at least sqrt(pixel_angle^2 + {2.0 * NORMAL_ERROR:g}^2)",
     ),
     Argument(
         "output",
@@ -113,7 +122,7 @@ _BY_NAME = {argument.name: argument for argument in _ARGUMENTS}
 
 
 def list_arguments(*names: str, lobes: int = PLANAR, role: str = "") -> list[Argument]:
-    """Return arguments by their names; a mixture has so many ``lobes``; ``role`` is another than their usual one."""
+    """Return arguments by their names. ``lobes`` counts those of a mixture; ``role`` replaces the declared role."""
     found = [_BY_NAME[name] for name in names]
     found = [replace(each, channels=lobes) if each.name in ("sharpness", "amplitude") else each for each in found]
     return [replace(each, role=role) for each in found] if role else found

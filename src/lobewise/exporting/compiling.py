@@ -1,8 +1,7 @@
-"""The same kernels compiled ahead of time, for any machine that Halide knows: one C function for a whole filter.
+"""Compile the filter kernels ahead of time, for any target of Halide: one C function for a whole filter.
 
-The passes of a form are chained inside the function, and its constants are what a person would set (standard
-deviations, pixel angle, exponent) instead of what the inner loop wants. Unlike the kernels of this process it checks
-its buffers.
+The function chains the passes of a form. Its numbers are settings (standard deviations, pixel angle, exponent), from
+which it computes the factors of the inner loop. Unlike the kernels of this process it checks its buffers.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import count_lanes
 
-SMALLEST_NUMBER = 1e-9
-"""What constants must be at least."""
+MIN_NUMBER = 1e-9
+"""Smallest value that the compiled function accepts for a number, other than a coordinate of the camera."""
 
 
 @contextmanager
 def _refusing(target: str) -> Iterator[None]:
-    """Tell in one sentence what the compiler has against a target."""
+    """Raise DeviceError with the compiler's reason where it cannot compile for a target."""
     try:
         yield
     except hl.HalideError as problem:
@@ -45,10 +44,10 @@ def _refusing(target: str) -> Iterator[None]:
 def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, header: Path) -> None:
     """Compile a filter into a static library, Halide's runtime included, with a C header.
 
-    ``target`` is what `lobewise.exporting.targets.parse_target` takes, ``name`` that of the function; ``library`` and
-    ``header`` are the files to write.
+    ``target`` is a name for `lobewise.exporting.targets.parse_target`, ``name`` is the function's name in C, and
+    ``library`` and ``header`` are the files to write.
 
-    Raises InputError or DeviceError if the target is none, or Halide cannot compile the kernel for it.
+    Raises InputError if the target is unknown, and DeviceError if Halide cannot compile the kernel for it.
     """
     chosen = parse_target(target)
     outputs = {hl.OutputFileType.static_library: str(library), hl.OutputFileType.c_header: str(header)}
@@ -58,10 +57,10 @@ def compile_filter(plan: FilterPlan, target: str, *, name: str, library: Path, h
 
 
 def compile_lobes(plan: FilterPlan, target: str, *, name: str, library: Path, header: Path) -> None:
-    """Compile what makes the lobes of a filter into an object file without runtime; see `compile_filter`.
+    """Compile the function that makes lobes into an object file without runtime; see `compile_filter`.
 
-    Its floats keep their order and their NaN, as in `lobewise.backend.pointwise`; a filter need not, and one file has
-    one way. It runs on the processor whatever the target.
+    It has a file of its own because it needs strict floats, as in `lobewise.backend.pointwise`: the compiler must
+    neither reorder operations nor assume that there is no NaN. It runs on the processor, whatever the target.
     """
     chosen = parse_target(target)
     for feature in ("StrictFloat", "NoRuntime"):
@@ -74,10 +73,11 @@ def compile_lobes(plan: FilterPlan, target: str, *, name: str, library: Path, he
 
 @dataclass
 class _Inputs:
-    """Parameters by the names of arguments, each as large as one of them, ``like``."""
+    """Halide's parameters of a function. All images have the size of the image ``like``."""
 
     like: hl.ImageParam
     params: dict[str, Any] = field(default_factory=dict)
+    """By the names of arguments."""
 
     @classmethod
     def make(cls, arguments: Sequence[Argument], like: str) -> _Inputs:
@@ -92,16 +92,16 @@ class _Inputs:
         if argument.role == "number":
             number = hl.Param(hl.Float(32), argument.name)
             if not argument.name.startswith("eye"):
-                number.set_min_value(hl.f32(SMALLEST_NUMBER))
+                number.set_min_value(hl.f32(MIN_NUMBER))
             return number
         image = _make_image(argument)
         self.constrain(image, argument)
         return image
 
     def constrain(self, image: Any, argument: Argument) -> None:
-        """Have the compiled function check that an image is as large as the others, whose rows are its last axes."""
+        """Let the compiled function check the size of an image; width and height are its last two axes."""
         if argument.name != "radiance":
-            # A radiance may have a fourth channel that nobody reads, and lie in textures of four.
+            # A radiance may come as RGBA: its fourth channel is ignored.
             _constrain_channels(image, argument)
         first, size = int(not argument.planar), self.like.dimensions() - 2
         for axis in range(2):
@@ -122,10 +122,11 @@ def _constrain_channels(image: Any, argument: Argument) -> None:
 
 
 def _make_scalar(term: Term, feature: Feature, params: dict[str, Any], target: hl.Target) -> hl.Expr:
-    """Return the parameter of a feature, which is that of ``feature`` where every number is 1.
+    """Return the parameter of a feature as an expression of the function's numbers.
 
-    It is rounded once, as `Feature.get_parameters` is; few graphics processors have doubles: there a last digit may
-    differ.
+    The parameter of ``feature`` is its value where every number is 1. The expression is computed in double precision
+    and rounded once, as in `Feature.get_parameters`. Graphics processors compute it in single precision, because few
+    have doubles, so that the last digit may differ.
     """
     literal, kind = (hl.f32, hl.Float(32)) if target.has_gpu_feature() else (hl.f64, hl.Float(64))
     (unit,) = feature.get_parameters()
@@ -167,7 +168,7 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
 
 
 def _define_lobe_images(plan: FilterPlan, target: hl.Target) -> tuple[list[hl.Func], list[Any]]:
-    """Return the scheduled outputs and the inputs of what makes the lobes of a filter."""
+    """Return the scheduled outputs and the inputs of the function that makes lobes."""
     arguments = plan.lobe_arguments
     inputs = _Inputs.make(arguments, "normal")
     params = inputs.params

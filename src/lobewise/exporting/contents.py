@@ -1,4 +1,4 @@
-"""What an export consists of: its functions, its binaries, its frame."""
+"""The contents of an export: its functions, its binaries, its frame."""
 
 from __future__ import annotations
 
@@ -21,20 +21,19 @@ class Function:
 
 @dataclass(frozen=True)
 class Contents:
-    """What stands in the folder of an export."""
+    """Everything that the files of an export are made from."""
 
     plan: FilterPlan
-    """The filter."""
     name: str
-    """What files and functions begin with."""
+    """Prefix of files and functions."""
     target: str
-    """What it is compiled for, in full."""
+    """Halide's full name of the target."""
     sample: Sample
     """The frame of the example."""
 
     @property
     def title(self) -> str:
-        """What the filter is, in half a line."""
+        """The filter in half a line."""
         plan = self.plan
         lobes = f" of {plan.lobes}" if plan.similarity == "sg_mixture" else ""
         reach = "" if plan.form == "atrous" else f", radius {plan.radius}"
@@ -42,7 +41,7 @@ class Contents:
 
     @property
     def functions(self) -> list[Function]:
-        """The filter, and what makes its lobes where it compares some."""
+        """The filter and, if it compares lobes, the function that makes them."""
         found = [Function(f"{self.name}_filter", "Filters a frame.", self.plan.filter_arguments)]
         if self.plan.makes_lobes:
             title = "Makes the lobes that the filter compares, and its mask, from what a G-buffer holds."
@@ -51,14 +50,14 @@ class Contents:
 
     @property
     def binaries(self) -> list[str]:
-        """The files of `functions`; that of the filter has Halide's runtime."""
+        """The file of each of the `functions`. The filter's file also holds Halide's runtime."""
         windows = "windows" in self.target
         found = [f"{self.name}.lib" if windows else f"lib{self.name}.a"]
         return found + ([f"{self.name}_lobes.{'obj' if windows else 'o'}"] if self.plan.makes_lobes else [])
 
     @property
     def frame(self) -> list[Argument]:
-        """The images that frame.raw holds, in order: those that neither function makes."""
+        """The images that frame.raw holds, in order: the inputs that no function makes."""
         every = [argument for function in self.functions for argument in function.arguments]
         made = {argument.name for argument in every if argument.role == "output"}
         given: dict[str, Argument] = {}

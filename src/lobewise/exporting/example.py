@@ -1,4 +1,4 @@
-"""The C program of an export: it filters the small frame beside it and compares with what Python made of it."""
+"""The C program of an export: it filters the small frame beside it and compares the result with Python's."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import Sample
 from lobewise.exporting.targets import get_gpu_api
 
-LARGEST_DIFFERENCE = 1e-5
-"""Relative, between C and Python."""
-LARGEST_PLAIN_DIFFERENCE = 5e-5
-"""The same on processors without fused multiplication and addition, where products are rounded once more, and for
-``asg`` with ``atrous``, whose five passes add up their rounding."""
-LARGEST_DEVICE_DIFFERENCE = 1e-3
-"""The same where the filter runs on a graphics processor, whose arithmetic is its own."""
+MAX_DIFFERENCE = 1e-5
+"""Largest relative difference between C and Python on processors with fused multiply-add."""
+MAX_PLAIN_DIFFERENCE = 5e-5
+"""Largest relative difference on processors without fused multiply-add, where products are rounded once more, and of
+``asg`` with ``atrous``, whose rounding errors add up over five passes."""
+MAX_DEVICE_DIFFERENCE = 1e-3
+"""Largest relative difference where the filter runs on a graphics processor, which rounds in its own way."""
 
 
 def choose_bound(plan: FilterPlan, target: str) -> float:
-    """Return the largest relative difference to Python with which the program is content."""
+    """Return the largest relative difference to Python that the program accepts."""
     if get_gpu_api(target) is not None:
-        return LARGEST_DEVICE_DIFFERENCE
+        return MAX_DEVICE_DIFFERENCE
     words = target.split("-")
     fused = words[0] == "arm" or "fma" in words
     is_long = plan.similarity == "asg" and plan.form == "atrous"
-    return LARGEST_DIFFERENCE if fused and not is_long else LARGEST_PLAIN_DIFFERENCE
+    return MAX_DIFFERENCE if fused and not is_long else MAX_PLAIN_DIFFERENCE
 
 
 def make_example(contents: Contents) -> str:
@@ -41,12 +41,15 @@ def make_example(contents: Contents) -> str:
     rooms = [
         _describe(name, place, argument, given=False) for place, argument in enumerate(images[len(given) :], len(given))
     ]
-    making = ["    /* Room for what is computed. */", *rooms, ""]
+    making = ["    /* Memory for the outputs. */", *rooms, ""]
     calls = []
     for function in others:
         calls += ["    /* Lobes from normal, roughness and position: once per frame. */", *_call(function, sample)]
     calls += _call(main, sample)
-    calls += ["    /* From the device, if it ran on one. */", '    check(halide_copy_to_host(0, &output), "copying");']
+    calls += [
+        "    /* Copy the result from the device, if the filter ran on one. */",
+        '    check(halide_copy_to_host(0, &output), "copying");',
+    ]
     return fill_template(
         "example.c",
         name=name,
@@ -62,7 +65,7 @@ def make_example(contents: Contents) -> str:
 
 
 def _describe(name: str, place: int, argument: Argument, *, given: bool) -> str:
-    """Return the line that makes the buffer of an image; those of the frame are read."""
+    """Return the line that makes the buffer of an image. Images that are ``given`` are read from frame.raw."""
     channels = 0 if argument.planar else argument.channels
     if argument.type == "uint8":
         kind, size, function, extra = "uint8_t", "PIXELS", "bytes", ""
@@ -74,7 +77,7 @@ def _describe(name: str, place: int, argument: Argument, *, given: bool) -> str:
 
 
 def _call(function: Function, sample: Sample) -> list[str]:
-    """Return a call, one argument in a line, constants with their names."""
+    """Return a call in C, one argument per line; each number has a comment with its name."""
     lines = [f"    check({function.name}("]
     for place, argument in enumerate(function.arguments):
         comma = "" if place == len(function.arguments) - 1 else ","

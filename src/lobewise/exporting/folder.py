@@ -1,4 +1,4 @@
-"""A folder of files that appears whole or not at all, and the templates that its files are made of."""
+"""Write the folder of an export whole or not at all, and fill in its templates."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lobewise.io.files import PathLike, refusing
 from lobewise.io.replacing import read_mask
 
 MARK = "lobewise-export.json"
-"""The file by which a folder is known to be an earlier export."""
+"""The file that marks a folder as an earlier export."""
 
 
 def require_folder(path: PathLike, *, force: bool) -> Path:
-    """Return the real path of a folder that may be made, or replaced; nothing is created or changed.
+    """Return the real path of a folder that may be created or replaced. Nothing is created or changed.
 
-    Raises FileError if it is a file, its parent cannot be written, or it holds something; with ``force`` only if that
-    is no export.
+    Raises FileError if the path is a file, its parent folder cannot be written, or it is a folder with content. With
+    ``force`` an earlier export counts as empty.
     """
     with refusing(f"output {str(path)!r}", "a new or empty folder", "choose another name"):
         return _check_folder(path, force)
@@ -36,7 +36,7 @@ def _check_folder(path: PathLike, force: bool) -> Path:
     if target.exists() and not target.is_dir():
         got, action = "a file", "choose another name"
     elif target == Path.cwd():
-        # Its place is taken by another folder: whoever stands in it would see nothing.
+        # The new folder is another one of the same name: a shell in the old one would see no files.
         got, action = "the current one", "name a new one in it"
     elif not parent.is_dir():
         got, action = f"no folder {str(parent)!r}", "create it first"
@@ -56,12 +56,14 @@ def _check_folder(path: PathLike, force: bool) -> Path:
 
 @contextmanager
 def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[str], Path]]:
-    """Give the paths of files in a temporary folder; on success it takes the place of ``path``, else it is removed.
+    """Yield a function that returns the path of a file in a temporary folder.
+
+    On success the temporary folder replaces ``path``; on failure it is removed.
 
     Raises
     ------
     FileError
-        See `require_folder`; or if the disk refuses.
+        As `require_folder`, or if writing fails.
     """
     target = require_folder(path, force=force)
     made: list[Path] = []
@@ -70,7 +72,7 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
             temporary = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent))
             made.append(temporary)
             yield lambda name: temporary / name
-            # A temporary folder is its owner's alone.
+            # Only its owner may read a temporary folder: give it the usual permissions.
             temporary.chmod(0o777 & ~read_mask())
             if target.is_dir() and any(target.iterdir()):
                 aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))

@@ -1,4 +1,4 @@
-"""What can be exported, by name; importing it costs nothing."""
+"""Names of targets and shader languages, and the settings of an export; importing them costs nothing."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ TARGETS = (
     "wasm-32-wasmrt-wasm_simd128-webgpu",
     "x86-64-linux-avx2-fma-webgpu",
 )
-"""Targets that a test compiles for. Others of these processors and systems are tried as well."""
+"""Targets that a test compiles for. Other targets that Halide knows are accepted too."""
 
 
 @dataclass(frozen=True)
 class ExportSettings(Declared):
-    """What of a filter is compiled."""
+    """The settings of a filter that are fixed when it is compiled."""
 
     similarity: Annotated[
         Similarity | Literal["diffuse"], Knob("What two pixels must share to be averaged, besides their places.")
@@ -63,7 +63,7 @@ class ExportSettings(Declared):
         ),
     ] = 3
     albedo: Annotated[
-        bool, Knob("Whether the radiance is divided by an albedo on the way in and multiplied by it on the way out.")
+        bool, Knob("Whether the radiance is divided by an albedo before the filter and multiplied by it after.")
     ] = True
     anisotropic: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""A filter as a static library, with everything that a C program needs beside it."""
+"""Export a filter as a static library, with the files that a C program needs to call it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,12 @@ def export_library(
     output : path
         The folder, new or empty.
     plan : FilterPlan
-        The filter.
     target : str
-        A name from `lobewise.exporting.names.TARGETS`, or another one that Halide knows.
+        A name from `lobewise.exporting.names.TARGETS`, or another target that Halide knows.
     name : str
-        What files and functions begin with: an identifier of C.
+        Prefix of files and functions: an identifier of C.
     force : bool
-        Replace an earlier export, with all that is in its folder.
+        Replace an earlier export and everything in its folder.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def export_library(
 
 
 def _describe(contents: Contents) -> str:
-    """Return the JSON that says what is in the folder."""
+    """Return the JSON that lists the contents of the folder for programs."""
 
     def describe(argument: Argument) -> dict[str, object]:
         told = {"name": argument.name, "role": argument.role, "type": argument.type}
@@ -95,7 +94,7 @@ def _describe(contents: Contents) -> str:
 
 
 def find_prototype(header: str, function: str) -> list[str]:
-    """Return the C types of the arguments of a function that a header of Halide's declares."""
+    """Return the C types of a function's arguments from a header that Halide wrote."""
     found = re.search(rf"^int {function}\(([^)]*)\);", header, flags=re.M)
     assert found is not None
     return ["halide_buffer_t *" if "halide_buffer_t" in part else part.split()[0] for part in found[1].split(", ")]
@@ -118,7 +117,7 @@ def _declare(function: Function) -> str:
 
 
 def make_header(contents: Contents, originals: str) -> str:
-    """Return the header of a library; ``originals`` are those that Halide wrote, whose types count."""
+    """Return the header of a library. ``originals`` are Halide's own headers, which its types are checked against."""
     for function in contents.functions:
         expected = ["float" if each.role == "number" else "halide_buffer_t *" for each in function.arguments]
         assert find_prototype(originals, function.name) == expected, f"{function.name} is declared otherwise"

@@ -1,4 +1,4 @@
-"""What is exported: a filter with its similarity, form and radius, and the arguments of its two functions."""
+"""The plan of an exported filter: its settings, its features, and the arguments of its two functions."""
 
 from __future__ import annotations
 
@@ -28,13 +28,15 @@ from lobewise.guides.mixture_fields import define_mixture
 
 @dataclass(frozen=True)
 class Term:
-    """A feature of an exported filter, in terms of what the function is given."""
+    """How a feature of an exported filter is made from the arguments of the function."""
 
     make: Callable[..., Feature]
-    """Of the arrays and then the numbers."""
+    """Takes the ``arrays`` and then the numbers of ``powers``."""
     arrays: tuple[str, ...]
+    """Names of the arguments that are images."""
     powers: Mapping[str, int]
-    """The numbers, by the powers whose product the feature's parameter is proportional to."""
+    """Names of the arguments that are numbers, with exponents: the feature's parameter is proportional to the product
+    of the numbers to these powers."""
 
 
 def _place(position: Any, depth: Any, sigma: float, pixel_angle: float) -> Feature:
@@ -55,7 +57,7 @@ SIMILARITIES = {
 
 @dataclass(frozen=True)
 class FilterPlan(ExportSettings):
-    """What is compiled, and what follows from it; the fields and their checks are those of `ExportSettings`."""
+    """The settings of an exported filter, with its features and the arguments of its functions."""
 
     @property
     def makes_lobes(self) -> bool:
@@ -64,7 +66,7 @@ class FilterPlan(ExportSettings):
 
     @property
     def terms(self) -> list[Term]:
-        """Its features."""
+        """The filter's features."""
         return [*([] if self.form == "atrous" else [SCREEN]), POSITION, SIMILARITIES[self.similarity]]
 
     @property
@@ -76,7 +78,7 @@ class FilterPlan(ExportSettings):
 
     @property
     def lobe_arguments(self) -> list[Argument]:
-        """The arguments of the function that makes lobes, in order; none where there is no such function."""
+        """The arguments of the function that makes lobes, in order; empty where there is no such function."""
         if not self.makes_lobes:
             return []
         alphas = ("alpha_u", "alpha_v", "tangent") if self.anisotropic else ("alpha",)
@@ -84,14 +86,14 @@ class FilterPlan(ExportSettings):
         return [*inputs, *self._list("mask", *SIMILARITIES[self.similarity].arrays, role="output")]
 
     def make_features(self, arrays: Mapping[str, Any], numbers: Mapping[str, float]) -> list[Feature]:
-        """Return the features with these values, by the names of arguments."""
+        """Return the features made of these values, which are keyed by the names of arguments."""
         return [
             term.make(*(arrays[name] for name in term.arrays), *(numbers[name] for name in term.powers))
             for term in self.terms
         ]
 
     def make_blank_features(self) -> list[Feature]:
-        """Return the features with arrays that tell numbers of channels alone, and with every number 1."""
+        """Return the features made of arrays of one pixel, with the right numbers of channels, and of numbers 1."""
         given = self.filter_arguments
         arrays = {each.name: np.zeros((1, 1, each.channels)[: 2 + (not each.planar)], np.float32) for each in given}
         return self.make_features(arrays, {each.name: 1.0 for each in given})
@@ -101,8 +103,8 @@ class FilterPlan(ExportSettings):
 
 
 def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
-    """Return the outputs of the function that makes lobes, in order: the mask, the axis, and what else there is.
+    """Return the outputs of the function that makes lobes, in order: the mask, the axis and the shape of the lobe.
 
-    It is compiled ahead of time and runs in this process too.
+    The exported function is compiled from this definition, and the sample is made with it in this process.
     """
     return define_mixture(grid, lobes) if similarity == "sg_mixture" else define_lobes(grid, similarity, False)

@@ -1,4 +1,4 @@
-"""The README of an export: how to build and call it, what every argument is."""
+"""The README of an export: how to build and call it, and the meaning of every argument."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _ALLOCATION = ":".join(("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE)))
 
 
 def describe_build(contents: Contents) -> str:
-    """Return the command that builds and runs the example, or what to do where there is none."""
+    """Return the command that builds and runs the example, or a comment where there is no such command."""
     words = contents.target.split("-")
-    # The library comes last: it has the runtime that the object file asks for.
+    # The library comes last: it has the runtime that the object file needs.
     library = " ".join(reversed(contents.binaries))
     if "webgpu" in words and "wasm" in words:
         files = " ".join(f"--preload-file {name}.raw" for name in ("frame", "expected"))
@@ -64,11 +64,11 @@ def _list_numbers(arguments: Sequence[Argument], sample: Sample) -> str:
         if argument.role == "number":
             value = f"{sample.numbers[argument.name]:.6g}"
             rows.append([f"`{argument.name}`", argument.unit, argument.text, argument.recipe, value])
-    return _make_table(["constant", "unit", "meaning", "what Python takes", "in the example"], rows)
+    return _make_table(["number", "unit", "meaning", "value in Python", "in the example"], rows)
 
 
 def make_readme(contents: Contents) -> str:
-    """Return the text, in Markdown."""
+    """Return the README in Markdown."""
     plan, name, sample = contents.plan, contents.name, contents.sample
     height, width = sample.size
     tables = []
@@ -84,8 +84,8 @@ def make_readme(contents: Contents) -> str:
         *([f"`{binary}`", f"`{name}_lobes`"] for binary in objects),
         ["`HalideRuntime*.h`", "`halide_buffer_t` and the runtime (threads, errors, devices)"],
         ["`example.c`", "a program that filters the frame and compares with Python"],
-        ["`frame.raw`, `expected.raw`", f"that frame, {width} x {height}, and what Python makes of it"],
-        ["`lobewise-export.json`", "the same as this file, for programs"],
+        ["`frame.raw`, `expected.raw`", f"the frame, {width} x {height}, and Python's result"],
+        ["`lobewise-export.json`", "the contents of this file, for programs"],
     ]
     api = get_gpu_api(contents.target)
     device = fill_template("device.md", api=api) if api else ""

@@ -1,4 +1,4 @@
-"""A small frame that an export brings along, with what Python makes of it: the example compares with that."""
+"""A small frame that goes into every export, with Python's result, which the example compares with its own."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.guides.surfaces import find_places
 from lobewise.io import read_frame
 from lobewise.lobes.band_limit import default_tau
+from lobewise.settings import DenoiseSettings
 
 FRAME = "showroom-4spp.exr"
 ROWS, COLUMNS = slice(256, 320), slice(304, 400)
-"""Part of the frame: spheres and floor of many roughnesses, some pixels without a specular lobe."""
-POSITION_SIGMA, NORMAL_EXPONENT = 16.0, 64.0
+"""Part of the frame: spheres and floor of many roughnesses, and some pixels without a specular lobe."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Sample:
     """Inputs and constants by the names of arguments, and the filtered frame."""
 
     images: Mapping[str, NDArray[np.generic]]
-    """Each (height, width) or (height, width, channels); float32 or uint8."""
+    """Each of shape (height, width) or (height, width, channels), of type float32 or uint8."""
     numbers: Mapping[str, float]
     """Rounded to float32."""
     expected: FloatArray
-    """What `lobewise.filters.cross_filter.run_filter` gives, (height, width, 5)."""
+    """The result of `lobewise.filters.cross_filter.run_filter`, (height, width, 5)."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -49,57 +49,22 @@ def make_sample(plan: FilterPlan) -> Sample:
 
 
 def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> Sample:
-    """Return a part of a frame, which has camera, depth, normals, alphas and both radiances, filtered."""
-    guides, radiance, camera = frame.gbuffer, frame.radiance, frame.camera
-    assert camera is not None and guides.normal is not None and guides.alpha_u is not None
-    assert radiance.specular is not None and radiance.diffuse is not None
-    images: dict[str, NDArray[np.generic]] = {}
-    place, depth = find_places(guides, camera)
-    images["position"], images["depth"] = place[part], depth[part].copy()
-    images["normal"], alpha = guides.normal[part], guides.alpha_u[part]
-    if plan.makes_lobes:
-        color, albedo = radiance.specular, guides.specular_albedo
-        if guides.lobe_kind is not None:
-            # The exported function takes every surface to have a lobe.
-            images["depth"][guides.lobe_kind[part] == 0] = 0.0
-    else:
-        color, albedo = radiance.diffuse, guides.diffuse_albedo
-    assert albedo is not None
-    images["radiance"], images["albedo"] = color[part], albedo[part]
-    images["alpha"] = images["alpha_u"] = alpha
-    # The frame has no brushed surface: it is given one.
-    images["alpha_v"] = np.asarray(0.5 * alpha, np.float32)
-    images["tangent"] = np.cross(images["normal"], np.array([0.3, 0.9, 0.1])).astype(np.float32)
-
-    spp = float(frame.spp or 4)
-    pixel_angle = camera.get_pixel_angle(frame.height)
-    numbers = {
-        "screen_sigma": choose_screen_sigma(spp, plan.radius),
-        "position_sigma": POSITION_SIGMA,
-        "pixel_angle": pixel_angle,
-        "normal_exponent": NORMAL_EXPONENT,
-        "beta": choose_beta(spp),
-        "tau": choose_tau(spp, default_tau(camera, frame.height)),
-        **{f"eye_{axis}": value for axis, value in zip("xyz", camera.position, strict=True)},
-    }
-    numbers = {name: float(np.float32(value)) for name, value in numbers.items()}
-    arguments = plan.filter_arguments + plan.lobe_arguments
+    """Filter a part of a frame that has camera, depth, normals, alphas, and diffuse and specular radiance."""
+    images, numbers = _collect_images(plan, frame, part), _choose_numbers(plan, frame)
     if plan.makes_lobes:
         images |= _make_lobes(plan, images, numbers)
     else:
         images["mask"] = np.greater(images["depth"], 0.0).astype(np.uint8)
-    mask = images["mask"] != 0
-    features = plan.make_features(images, numbers)
     done = run_filter(
-        color[part],
-        mask,
-        features,
+        np.asarray(images["radiance"], np.float32),
+        images["mask"] != 0,
+        plan.make_features(images, numbers),
         form=plan.form,
         radius=plan.radius,
-        albedo=albedo[part] if plan.albedo else None,
+        albedo=np.asarray(images["albedo"], np.float32) if plan.albedo else None,
     )
     expected = np.dstack([done.image, done.weight_sum, done.effective_samples]).astype(np.float32)
-    names = {argument.name for argument in arguments}
+    names = {argument.name for argument in plan.filter_arguments + plan.lobe_arguments}
     return Sample(
         {name: np.ascontiguousarray(image) for name, image in images.items() if name in names},
         {name: value for name, value in numbers.items() if name in names},
@@ -107,10 +72,52 @@ def filter_sample(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> 
     )
 
 
+def _collect_images(plan: FilterPlan, frame: Frame, part: tuple[slice, slice]) -> dict[str, NDArray[np.generic]]:
+    """Return every image that an exported function may take as an input, by the names of arguments."""
+    guides, radiance, camera = frame.gbuffer, frame.radiance, frame.camera
+    assert camera is not None and guides.normal is not None and guides.alpha_u is not None
+    place, depth = find_places(guides, camera)
+    depth, normal, alpha = depth[part].copy(), guides.normal[part], guides.alpha_u[part]
+    color, albedo = radiance.diffuse, guides.diffuse_albedo
+    if plan.makes_lobes:
+        color, albedo = radiance.specular, guides.specular_albedo
+        if guides.lobe_kind is not None:
+            # The exported function gives every surface a lobe: hide the surfaces that have none.
+            depth[guides.lobe_kind[part] == 0] = 0.0
+    assert color is not None and albedo is not None
+    return {
+        "radiance": color[part],
+        "albedo": albedo[part],
+        "position": place[part],
+        "depth": depth,
+        "normal": normal,
+        "alpha": alpha,
+        # The frame has no brushed surface, so make every surface one.
+        "alpha_u": alpha,
+        "alpha_v": np.asarray(0.5 * alpha, np.float32),
+        "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1])).astype(np.float32),
+    }
+
+
+def _choose_numbers(plan: FilterPlan, frame: Frame) -> dict[str, float]:
+    """Return every number that an exported function may take, by the names of arguments."""
+    camera, spp = frame.require_camera("an export"), float(frame.spp or 4)
+    numbers = {
+        "screen_sigma": choose_screen_sigma(spp, plan.radius),
+        "position_sigma": DenoiseSettings.position_sigma,
+        "pixel_angle": camera.get_pixel_angle(frame.height),
+        "normal_exponent": DenoiseSettings.normal_exponent,
+        "beta": choose_beta(spp),
+        "tau": choose_tau(spp, default_tau(camera, frame.height)),
+        **{f"eye_{axis}": value for axis, value in zip("xyz", camera.position, strict=True)},
+    }
+    return {name: float(np.float32(value)) for name, value in numbers.items()}
+
+
 def _make_lobes(
     plan: FilterPlan, images: Mapping[str, NDArray[np.generic]], numbers: Mapping[str, float]
 ) -> dict[str, NDArray[np.generic]]:
-    """Return what the function that makes lobes gives, by the names of its arguments."""
+    """Return the outputs of the function that makes lobes, by the names of its arguments."""
     given = {
         each.name: np.asarray(images[each.name], np.float32) for each in plan.lobe_arguments if each.role == "input"
     }

@@ -1,7 +1,7 @@
-"""The weights as shader functions: one text, `weights.shader`, in the words of three languages.
+"""The weights as shader functions: one text, `weights.shader`, is translated into three languages.
 
-That text is C-like: ``let`` begins a value that does not change and ``var`` one that does, types stand before names,
-and vectors are called as in GLSL. What the three languages share (operators, functions, comments) is left as it is.
+The text is C-like. ``let`` declares a constant and ``var`` a variable, types stand before names, and vector types have
+their names of GLSL. Operators, functions and comments are common to the three languages and stay as they are.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _write(value: float) -> str:
 
 
 def _translate(line: str, language: str, inside: bool) -> str:
-    """Return a line in a language; ``inside`` it is part of a structure."""
+    """Return a line in a language; ``inside`` tells whether the line belongs to a structure."""
     code, mark, comment = line.partition("//")
     types = _TYPES[language]
 
@@ -114,9 +114,8 @@ def export_shader(output: PathLike, language: str, *, force: bool = False) -> No
     output : path
         The folder, new or empty.
     language : {"hlsl", "glsl", "wgsl"}
-        Their language.
     force : bool
-        Replace an earlier export, with all that is in its folder.
+        Replace an earlier export and everything in its folder.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Names of machines that kernels are compiled for ahead of time."""
+"""The targets that kernels can be compiled for ahead of time."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import halide as hl
 from lobewise.errors import DeviceError, InputError
 
 PROCESSORS = ("x86-32", "x86-64", "arm-32", "arm-64", "wasm-32", "riscv-64")
-# What the kernels need of a Vulkan device: the mask is one byte per pixel.
 VULKAN_FEATURES = ("vk_v13", "vk_int8", "vk_int16")
+"""Features of a Vulkan device that the kernels need: the mask has one byte per pixel."""
 GPU_APIS = {
     "cuda": "Cuda",
     "vulkan": "Vulkan",
@@ -19,16 +19,17 @@ GPU_APIS = {
     "metal": "Metal",
     "webgpu": "WebGPU",
 }
-"""Words of a target that stand for a graphics API, with the name that Halide's headers have for it."""
+"""Words of a target that name a graphics API, and the names of the API in Halide's headers."""
 _SYSTEMS = {"metal": ("osx", "ios"), "d3d12compute": ("windows",)}
+"""Systems of a graphics API that not every system has."""
 
 
 def parse_target(text: str) -> hl.Target:
     """Return the target of a name such as ``x86-64-linux-avx2-fma``; "host" is this machine.
 
-    A Vulkan target gets what its mask of bytes needs of the device.
+    A Vulkan target also gets the `VULKAN_FEATURES`.
 
-    Raises InputError if it names none; DeviceError if it is one that this Halide cannot compile for.
+    Raises InputError if the name is unknown, and DeviceError if this Halide cannot compile for the target.
     """
     words = text.split("-")
     if text != "host" and "-".join(words[:2]) not in PROCESSORS and words[0] != "host":
@@ -70,7 +71,7 @@ def refuse_target(text: str, reason: str) -> DeviceError:
 
 
 def get_gpu_api(target: str) -> str | None:
-    """Return the graphics API of a target's name, as in `GPU_APIS`; None for a processor alone."""
+    """Return the graphics API of a target's name, a key of `GPU_APIS`; None for a target without one."""
     return next((word for word in target.split("-") if word in GPU_APIS), None)
 
 

@@ -1,4 +1,4 @@
-"""The methods of indirect light by name, each made for the scene when it is first asked for."""
+"""The methods of computing indirect light by name. Each is prepared for the scene when it is first used."""
 
 from __future__ import annotations
 
@@ -7,27 +7,25 @@ from importlib import import_module
 from typing import Any
 
 from lobewise.errors import require_choice
+from lobewise.interactive.settings import METHODS
 from lobewise.render.stages import Stages
 from lobewise.render.tracing.points import IndirectMethod
 
-_HOMES = {
+_HOMES: dict[str, tuple[str, str]] = {
     "paths": ("tracing.paths", "PathLight"),
     "voxel_cones": ("voxels.cones", "VoxelCones"),
     "virtual_lights": ("virtual_lights.instant_radiosity", "VirtualLights"),
 }
-
-METHODS = tuple(_HOMES)
-"""Ways of computing indirect light."""
-
-PREPARED = ("voxel_cones",)
-"""Those that take a while to get ready, and tell how far they are."""
+"""Module below `lobewise.render` and class of each method."""
+_WITH_PROGRESS = ("voxel_cones",)
+"""Methods that take seconds to prepare, and call ``progress`` meanwhile."""
 
 
 class Methods:
-    """What computes indirect light in one scene.
+    """The methods of computing indirect light in one scene.
 
-    ``progress`` is called with ``(done, total)`` while a method prepares; ``options`` are, by the name of a method,
-    arguments of its class that differ from their defaults: InputError where there is none of that name.
+    ``progress`` is called with ``(done, total)`` while a method prepares. ``options`` gives, by the name of a method,
+    arguments of its class. Raises InputError if ``options`` names an unknown method.
     """
 
     def __init__(
@@ -44,19 +42,22 @@ class Methods:
         self._made: dict[str, Any] = {}
 
     def get(self, name: str) -> IndirectMethod:
-        """Return a method, ready to shade; InputError if there is none, or the scene has nothing that it needs."""
+        """Return a method, ready to shade.
+
+        Raises InputError if there is no such method, or if the scene has nothing for it to work with.
+        """
         require_choice("method", name, METHODS)
         if name not in self._made:
             module, kind = _HOMES[name]
             make = getattr(import_module(f"lobewise.render.{module}"), kind)
-            more: dict[str, Any] = {"progress": self._progress} if name in PREPARED else {}
+            more: dict[str, Any] = {"progress": self._progress} if name in _WITH_PROGRESS else {}
             more.update(self._options.get(name, {}))
             self._made[name] = make(self._stages.scene, self._stages.materials, **more)
         method: IndirectMethod = self._made[name]
         return method
 
     def update(self) -> None:
-        """Take notice of what changed in the scene."""
+        """Prepare the methods in use anew, after a change of the scene."""
         for method in self._made.values():
             if hasattr(method, "update"):
                 method.update()

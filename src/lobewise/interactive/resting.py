@@ -1,4 +1,4 @@
-"""Frames of a picture that stands still, averaged until nothing of the filters remains in it."""
+"""The mean of frames whose camera stands still. It converges to the mean of each pixel's own samples."""
 
 from __future__ import annotations
 
@@ -11,35 +11,37 @@ from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import FloatArray
 from lobewise.sparse_frame import SparseFrame
 
-BORROWED = 32.0
-"""Samples of its own that the mean of what a pixel was given by the filter is worth."""
-
+FILTERED_WORTH = 32.0
+"""Weight of the filtered light in the mean, in samples of the pixel itself."""
+HALF_TRUST_SAMPLES = 16.0
+"""Number of a pixel's own samples at which their mean counts with half its weight. The mean of fewer samples may show a
+firefly."""
 
 Again = tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]
-"""Rows and columns of pixels that were shaded once more, and their radiance, (count, 3)."""
-
-
-HESITATION = 16.0
-"""Samples of its own from which a pixel counts half of them: one of few may be a firefly, and stand out."""
+"""Rows and columns of pixels that were shaded again, and their radiance, (count, 3)."""
 
 
 @dataclass
 class Resting:
-    """The mean of what was seen since the picture stands still.
+    """Sums over the frames since the camera stands still.
 
-    A pixel's own samples have no bias and much noise, what the filter gives has both but less of it at first; the
-    mean of the former, with that of the latter as if it were `BORROWED` samples more, goes from one to the other.
+    A pixel's own samples have no bias but much noise. Filtered light has a bias and at first less noise. Their weighted
+    mean moves from filtered light to the pixel's own samples as these become more.
     """
 
     frames: int = 0
     direct: list[FloatArray] = field(default_factory=list)
-    given: FloatArray | None = None
+    """Means of the parts of direct light."""
+    filtered: FloatArray | None = None
+    """Mean of the filtered indirect light."""
     own: FloatArray | None = None
+    """Sum of each pixel's own samples."""
     own_count: FloatArray | None = None
     first: tuple[SparseFrame, Again | None] | None = None
+    """The samples of the first frame, as long as they are not in ``own``."""
 
     def add_direct(self, parts: list[FloatArray]) -> list[FloatArray]:
-        """Return the means of images that every frame has anew, these included; begins the frame."""
+        """Count a new frame, add the parts of its direct light, and return their means over all frames."""
         self.frames += 1
         if self.frames == 1:
             self.direct = parts
@@ -48,36 +50,35 @@ class Resting:
             self.direct = [old + step * (new - old) for old, new in zip(self.direct, parts, strict=True)]
         return self.direct
 
-    def add_indirect(self, given: FloatArray, sparse: SparseFrame, again: Again | None) -> FloatArray:
-        """Return the best estimate of indirect light, (height, width, 3).
+    def add_indirect(self, filtered: FloatArray, sparse: SparseFrame, again: Again | None) -> FloatArray:
+        """Return the mean of indirect light over all frames, (height, width, 3).
 
-        The filter made ``given``, of the same shape, of this frame's samples; some pixels may be shaded ``again``.
+        ``filtered`` is the filtered light of this frame, ``sparse`` and ``again`` are its samples.
         """
-        if self.frames == 1 or self.given is None:
-            # While things move there is no second frame to ask for the sums.
-            self.given, self.first = given, (sparse, again)
-            return given
+        if self.frames == 1 or self.filtered is None:
+            # Save the sums while the camera moves: they are needed from the second frame on.
+            self.filtered, self.first = filtered, (sparse, again)
+            return filtered
         if self.own is None or self.own_count is None:
-            self.own, self.own_count = np.zeros_like(given), np.zeros(given.shape[:2], np.float32)
+            self.own, self.own_count = np.zeros_like(filtered), np.zeros(filtered.shape[:2], np.float32)
         if self.first is not None:
-            _count(self.own, self.own_count, *self.first)
+            _add_samples(self.own, self.own_count, *self.first)
             self.first = None
-        _count(self.own, self.own_count, sparse, again)
-        self.given = self.given + np.float32(1.0 / self.frames) * (given - self.given)
-        # The sum of n samples counts as one of n^2 / (n + h).
-        trusted = self.own_count / (self.own_count + np.float32(HESITATION))
-        borrowed = np.float32(BORROWED)
-        total = borrowed * self.given + trusted[..., None] * self.own
-        return np.asarray(total / (borrowed + trusted * self.own_count)[..., None])
+        _add_samples(self.own, self.own_count, sparse, again)
+        self.filtered = self.filtered + np.float32(1.0 / self.frames) * (filtered - self.filtered)
+        # n samples have the weight n^2 / (n + HALF_TRUST_SAMPLES).
+        trusted = self.own_count / (self.own_count + np.float32(HALF_TRUST_SAMPLES))
+        worth = np.float32(FILTERED_WORTH)
+        total = worth * self.filtered + trusted[..., None] * self.own
+        return np.asarray(total / (worth + trusted * self.own_count)[..., None])
 
 
-def _count(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, again: Again | None) -> None:
+def _add_samples(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, again: Again | None) -> None:
     """Add the samples of a frame to the sums, in place."""
-    where = slice(sparse.place[0], None, sparse.scale), slice(sparse.place[1], None, sparse.scale)
     color = sparse.radiance.color
     good = find_good(color)
-    own[where] += np.where(good[..., None], color, np.float32(0.0))
-    own_count[where] += good
+    own[sparse.shaded] += np.where(good[..., None], color, np.float32(0.0))
+    own_count[sparse.shaded] += good
     if again is not None:
         rows, columns, radiance = again
         good = find_good(radiance[:, None])[:, 0]

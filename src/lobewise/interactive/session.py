@@ -20,9 +20,10 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
-from lobewise.interactive.frames import STAGES, UNFILTERED, InteractiveFrame, InteractiveSettings
+from lobewise.interactive.frames import STAGES, InteractiveFrame
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
+from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
 from lobewise.render.stages import DirectLight, FirstHits, Stages
@@ -31,13 +32,15 @@ from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
 
-SMOOTH_WORTH = 8.0
-"""Paths that a sample is worth from which light is interpolated between samples more than it is averaged over them."""
-SMOOTH_SIGMA = 1.25
-"""Standard deviation of the screen distance then, in distances between samples: of 0.75, 1.25 and 2 the lowest error of
-a single frame in showroom and brushed; over eight frames less would do there, and leaves more noise elsewhere."""
-STILL_DENSITY = 2
-"""How much nearer shaded pixels are to each other while nothing moves."""
+MIN_PATHS_FOR_INTERPOLATION = 8.0
+"""Paths per pixel, counted by the worth of a sample, from which samples have so little noise that the kernel need only
+interpolate between them."""
+INTERPOLATION_SIGMA = 1.25
+"""Standard deviation of the screen distance for that, in distances between samples. Of 0.75, 1.25 and 2 it has the
+lowest error of a single frame in showroom and brushed. Over eight frames a lower value would do there, but it leaves
+more noise in other scenes."""
+STILL_SCALE_DIVISOR = 2
+"""The scale is divided by this while the camera stands still, so that more pixels are shaded in each frame."""
 
 
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -46,20 +49,23 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 @dataclass
 class _Chain:
-    """What one stream of frames remembers."""
+    """The state of one stream of frames."""
 
     settings: InteractiveSettings
     chosen: DenoiseSettings
+    """The settings of the filter."""
     temporal: TemporalFilter
     camera: Camera | None = None
     size: tuple[int, int] | None = None
+    """Columns and rows."""
     number: int = 0
+    """Frames so far."""
     resting: Resting = field(default_factory=Resting)
 
 
 @dataclass
 class _Shared:
-    """What the streams of one frame have in common."""
+    """The parts of a frame that its streams share."""
 
     camera: Camera
     seed: int
@@ -69,22 +75,22 @@ class _Shared:
 
 
 class Session:
-    """Renders frames of a scene as an artist moves through it; needs no window.
+    """Renders frames of a scene for a camera that moves. It needs no window.
 
     Parameters
     ----------
     scene : mitsuba.Scene or str
-        What to render, or what `lobewise.render.load_scene` takes.
+        The scene, or its name for `lobewise.render.load_scene`.
     width, height : int, optional
         Size of the images; by default the scene's.
     settings : InteractiveSettings, optional
-        Those of frames that are given none.
+        The settings of frames that are rendered without settings.
     seed : int
-        The same seed and the same calls give the same images.
+        Equal seeds and equal calls give equal images.
     progress : callable, optional
         Called with ``(done, total)`` while a method prepares the scene (voxels, lights).
     options : mapping of mapping, optional
-        By the name of a method, what its class (`PathLight`, `VoxelCones`, `VirtualLights`) takes beside scene and
+        By the name of a method, arguments of its class (`PathLight`, `VoxelCones`, `VirtualLights`) beside scene and
         materials: ``{"voxel_cones": {"resolution": 64}}``.
 
     Raises
@@ -122,7 +128,7 @@ class Session:
 
     @property
     def camera(self) -> Camera:
-        """Where the scene's own sensor stands."""
+        """The camera of the scene's own sensor."""
         return self._stages.start_camera
 
     @property
@@ -136,19 +142,19 @@ class Session:
         return self._stages.scene
 
     def make_sibling(self) -> Session:
-        """Return a session of the same scene that shares what was prepared, and has a history of its own."""
+        """Return a session that shares the prepared scene and has a history of its own."""
         sibling = object.__new__(Session)
         sibling.__dict__.update(self.__dict__)
         sibling._chains = {}
         return sibling
 
     def resize(self, width: int, height: int) -> None:
-        """Render images of another size from now on; histories start anew.
+        """Render images of this size from now on; histories start anew if the size changed.
 
         Raises
         ------
         InputError
-            If there are no pixels.
+            If a side is below 1.
         """
         for name, value in (("width", width), ("height", height)):
             if value < 1:
@@ -160,17 +166,17 @@ class Session:
         self._chains.clear()
 
     def prepare(self, method: str) -> None:
-        """Make a method of indirect light ready now (voxelise, trace lights) instead of with its first frame.
+        """Prepare a method of indirect light (voxelise, trace lights) now instead of with its first frame.
 
         Raises
         ------
         InputError
-            If there is none of that name, or the scene has nothing that it needs.
+            If there is no such method, or if the scene has nothing for it to work with.
         """
         self._methods.get(method)
 
     def update_lights(self) -> None:
-        """Take notice of lights, materials or geometry that changed in the scene."""
+        """Prepare the methods anew and forget all histories, after lights, materials or geometry changed."""
         self._methods.update()
         self._limits.clear()
         self.reset()
@@ -183,19 +189,20 @@ class Session:
         camera : Camera, optional
             By default the scene's own.
         settings : InteractiveSettings, optional
-            By default those of the session. History goes on where they change.
+            By default those of the session. The history is kept when settings change, unless the method or the filter
+            changes.
 
         Raises
         ------
         InputError
-            If the camera's pixels are not square, or the method finds nothing to work with.
+            If the camera's pixels are not square, or if the scene has nothing for the method to work with.
         """
         return self._render(camera or self.camera, [settings or self._settings])[0]
 
     def render_pair(
         self, camera: Camera | None, first: InteractiveSettings, second: InteractiveSettings
     ) -> tuple[InteractiveFrame, InteractiveFrame]:
-        """Return the same frame by two settings, each with a history of its own; guides and direct light are shared."""
+        """Return a frame by two settings. Both share guides and direct light, and each has a history of its own."""
         frames = self._render(camera or self.camera, [first, second])
         return frames[0], frames[1]
 
@@ -218,7 +225,7 @@ class Session:
         return [self._finish(chain, shared) for chain in chains]
 
     def _find_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
-        """Return the stream of frames that goes on with these settings, told whether it stands still."""
+        """Return the stream number ``index``, with these settings and camera; its mean starts anew if they changed."""
         chain = self._chains.get(index)
         chosen = self._choose_filter(settings)
         if chain is None or chain.size != self._size or chain.settings.method != settings.method:
@@ -234,10 +241,13 @@ class Session:
         return chain
 
     def _choose_filter(self, settings: InteractiveSettings) -> DenoiseSettings:
-        """Return the settings of the filter: no wider than noise asks for, no sharper than the light is dense."""
+        """Return the settings of the filter.
+
+        Samples with little noise get a narrower kernel, and sparse virtual lights get wider lobes.
+        """
         chosen, method = settings.make_filter_settings(), self._methods.get(settings.method)
-        if settings.screen_sigma == "auto" and settings.spp * method.worth >= SMOOTH_WORTH:
-            chosen = replace(chosen, screen_sigma=SMOOTH_SIGMA * settings.scale)
+        if settings.screen_sigma == "auto" and settings.spp * method.worth >= MIN_PATHS_FOR_INTERPOLATION:
+            chosen = replace(chosen, screen_sigma=INTERPOLATION_SIGMA * settings.scale)
         if settings.tau != "auto" or not settings.limit_lobes:
             return chosen
         key = settings.method, settings.spp
@@ -273,8 +283,8 @@ class Session:
         width, height = self._size
         scale = min(chain.settings.scale, width, height)
         if chain.resting.frames:
-            # Nobody waits for what stands still, and it is to become right.
-            scale = max(1, scale // STILL_DENSITY)
+            # A camera that stands still leaves time for more samples.
+            scale = max(1, scale // STILL_SCALE_DIVISOR)
         places = list_places(scale)
         place = places[chain.number % len(places)]
         rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
@@ -291,9 +301,9 @@ class Session:
         )
 
     def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
-        """Return the indirect light of some pixels as an image of a shape."""
-        found = self._stages.shade_indirect(method, *pixels, samples, seed)[:2]
-        diffuse, specular = (light.reshape(*shape, 3) for light in found)
+        """Return the indirect light of some pixels as an image of the shape ``shape``."""
+        parts = self._stages.shade_indirect(method, *pixels, samples, seed)[:2]
+        diffuse, specular = (light.reshape(*shape, 3) for light in parts)
         return Radiance(diffuse + specular, diffuse=diffuse, specular=specular)
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
@@ -305,23 +315,23 @@ class Session:
         return upsample(sparse, chain.chosen, bilinear=unfiltered)
 
     def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:
-        """Return the result with the least supported pixels shaded again, and these with their radiance."""
+        """Return the result with its least supported pixels shaded again, and the new samples."""
         spp = chain.settings.spp
         again: list[Again] = []
 
         def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
-            # The samples of the frame itself were drawn with its own seed.
+            # Draw other samples than those of the frame.
             radiance = self._shade(method, (rows, columns), spp, shared.seed ^ (1 << 31), (rows.size, 1))
             again.append((rows, columns, radiance.color[:, 0]))
             return radiance
 
-        # What is shown is the sum.
+        # Only the sum is shown, so diffuse and specular light need no repair.
         whole = replace(result, diffuse=None, specular=None)
         mended = recompute(whole, shade, samples=1.0, budget=chain.settings.adaptive)
         return mended, again[0] if again else None
 
     def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
-        """Return direct light as it is shown: filtered while things move, the mean of all frames as they rest."""
+        """Return the mean of direct light over the frames since the camera stands still, filtered if that is set."""
         settings, new = chain.settings, shared.direct
         mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
         if not settings.filter_direct or settings.similarity == UNFILTERED:
@@ -336,7 +346,7 @@ def _is_same(first: Camera, second: Camera) -> bool:
 
 @contextmanager
 def _watch(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    """Add the wall time of a ``with`` block to what a stage took."""
+    """Add the wall time of a ``with`` block to the seconds of a stage."""
     start = time.perf_counter()
     yield
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start

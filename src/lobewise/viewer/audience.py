@@ -31,9 +31,9 @@ _SLOW_AFTER = 0.8
 class Audience:
     """All browsers, between the page and the process that renders.
 
-    With ``fixed_size`` a picture has the target's size whatever the window's aspect, and never fewer pixels.
-    ``changes`` are settings to begin with: fields of `SceneLook` or `FrameLook`. ``tell`` gets what is to be known of
-    the target beside its pictures. ``controls`` are those of all browsers, by viser's identities of them.
+    With ``fixed_size`` a picture always has the target's size, whatever the window's aspect and the speed of rendering.
+    ``changes`` are settings to begin with, fields of a `Look`. ``tell`` is called with sentences about the target, for
+    whoever started the viewer. ``controls`` holds the controls of all browsers by viser's identities.
     """
 
     def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any], tell: Callable[[str], None]) -> None:

@@ -14,8 +14,14 @@ from lobewise.denoising import denoise, resolve_settings
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
-from lobewise.guides.lobe_fields import make_sg_field
-from lobewise.interactive.views import SHARPEST
+from lobewise.interactive.views import (
+    show_albedo,
+    show_hit_distance,
+    show_normal,
+    show_sharpness,
+    show_weight_sum,
+    spread_samples,
+)
 from lobewise.interchange import Imported, import_file, write_result
 from lobewise.io.exr import write_frame
 from lobewise.io.exr.layout import find_beauty
@@ -28,7 +34,7 @@ from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look
 from lobewise.viewer.messages import Description, FrameReading, Request
-from lobewise.viewer.pictures import MOST_SAMPLES
+from lobewise.viewer.pictures import MAX_SHOWN_SAMPLES
 from lobewise.viewer.shots import Shot
 
 _MOST_RESULTS = 8
@@ -176,54 +182,47 @@ class FrameTarget:
         return denoise(frame, settings)
 
     def _get_view(self, name: str, result: Result | None) -> FloatArray:
-        frame, guides = self._frame, self._frame.gbuffer
-        if name == "image" or result is None:
-            return self._noisy if result is None else result.image
-        if name == "noisy":
+        if name == "noisy" or result is None:
             return self._noisy
+        if name == "image":
+            return result.image
         if name in ("diffuse", "specular"):
             part = getattr(result, name)
-            return _spread(frame, name) if part is None else part
+            return _spread(self._frame, name) if part is None else part
         if name == "weight_sum":
-            return result.weight_sum / (1.0 + result.weight_sum)
+            return show_weight_sum(result.weight_sum)
         if name == "effective_samples":
-            count = np.clip(result.effective_samples, 1.0, MOST_SAMPLES)
-            return np.asarray(np.log(count) / math.log(MOST_SAMPLES), dtype=np.float32)
+            count = np.clip(result.effective_samples, 1.0, MAX_SHOWN_SAMPLES)
+            return np.asarray(np.log(count) / math.log(MAX_SHOWN_SAMPLES), dtype=np.float32)
+        return self._show_guide(name, result)
+
+    def _show_guide(self, name: str, result: Result) -> FloatArray:
+        guides = self._frame.gbuffer
         if name == "sharpness":
-            return _show_sharpness(frame, result)
+            return _show_sharpness(self._frame, result)
         if name == "hit_distance":
-            distance, depth = guides.require("hit_distance", "this view"), guides.require("depth", "this view")
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = distance / (distance + depth)
-            return np.where(np.isinf(distance), np.float32(1.0), np.nan_to_num(share))
+            return show_hit_distance(guides.require("hit_distance", "this view"), guides.require("depth", "this view"))
         if name == "normal":
             normal = guides.require("normal", "this view")
-            there = np.any(normal != 0.0, axis=-1, keepdims=True)
-            return np.where(there, 0.5 + 0.5 * normal, np.float32(0.0))
+            return show_normal(normal, np.any(normal != 0.0, axis=-1))
         diffuse, specular = (guides.require(f"{part}_albedo", "this view") for part in ("diffuse", "specular"))
-        return np.asarray(np.clip(diffuse + specular, 0.0, 1.0), dtype=np.float32)
+        return show_albedo(diffuse, specular)
 
 
 def _spread(frame: Frame | SparseFrame, name: str = "color") -> FloatArray:
-    """Return a radiance at the full size, each sample of a sparse frame over its whole block."""
+    """Return a radiance at the full size; each sample of a sparse frame fills the pixels right of and below it."""
     image: FloatArray = getattr(frame.radiance, name)
     if isinstance(frame, Frame):
         return image
-    rows = np.clip((np.arange(frame.height) - frame.place[0]) // frame.scale, 0, image.shape[0] - 1)
-    columns = np.clip((np.arange(frame.width) - frame.place[1]) // frame.scale, 0, image.shape[1] - 1)
-    return np.ascontiguousarray(image[rows[:, None], columns[None, :]])
+    return np.ascontiguousarray(spread_samples(image, frame.scale, frame.shape, frame.place))
 
 
 def _show_sharpness(frame: Frame | SparseFrame, result: Result) -> FloatArray:
-    """Return the sharpness of the lobes as they were compared, 0 to 1, logarithmic."""
+    """Return the sharpness of the lobes with the band-limit that the result was filtered with."""
     if frame.camera is None:
         raise MissingChannelError("lobe sharpness: expected a camera in the header, got none; write one.")
     tau: Any = result.settings.get("tau")
-    if not isinstance(tau, float):
-        tau = resolve_tau(frame)
-    lobes = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=True)
-    shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.float32(math.log(SHARPEST))
-    return np.where(lobes.valid, np.clip(shown, 0.0, 1.0), np.float32(0.0))
+    return show_sharpness(frame.gbuffer, frame.camera, tau if isinstance(tau, float) else resolve_tau(frame))
 
 
 def resolve_tau(frame: Frame | SparseFrame) -> float:

@@ -1,87 +1,58 @@
-"""What a page asks for: the settings of one side of the wipe, for a scene that is rendered and for a finished frame."""
+"""Looks: the settings of one side of the wipe, of a scene that is rendered or of a finished frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, get_args
 
-from lobewise.settings import SIMILARITIES, Auto, Declared, DenoiseSettings, Knob, Similarity, document, list_knobs
+from lobewise.interactive.settings import InteractiveSettings, Unfiltered
+from lobewise.settings import SIMILARITIES, Auto, DenoiseSettings, Similarity, list_knobs
 
-Method = Literal["paths", "voxel_cones", "virtual_lights"]
-Unfiltered = Literal["none"]
-
-METHODS: tuple[Method, ...] = get_args(Method)
 SCENE_SIMILARITIES = (*reversed(SIMILARITIES), *get_args(Unfiltered))
 FRAME_SIMILARITIES = ("auto", *SCENE_SIMILARITIES)
-
-
-@dataclass(frozen=True)
-class SceneLook(Declared):
-    """How a scene is rendered and filtered; the fields are those of `lobewise.interactive`.
-
-    Those of the filter are as in `lobewise.DenoiseSettings`; "none" interpolates on the screen alone.
-    """
-
-    method: Annotated[Method, Knob("How indirect light is computed.", label="Method")] = "paths"
-    scale: Annotated[
-        int,
-        Knob(
-            "Indirect light is shaded at one pixel of every n x n and upsampled.",
-            low=1,
-            high=16,
-            usual="4 is usual",
-            label="Every nth pixel",
-        ),
-    ] = 4
-    spp: Annotated[int, Knob("Samples of each shaded pixel.", low=1, high=1 << 16, label="Samples")] = 1
-    similarity: Similarity | Unfiltered = "ggx"
-    radius: int = 2
-    beta: float | Auto = "auto"
-    temporal: Annotated[bool, Knob("A frame knows the ones before.", label="Temporal")] = True
-    adaptive: Annotated[
-        float,
-        Knob("Share of the pixels that is shaded again because nothing supports them.", high=1.0, label="Adaptive, %"),
-    ] = 0.05
-    filter_direct: Annotated[
-        bool, Knob("Direct light has one light sample a pixel; filter it too.", label="Filter direct light")
-    ] = True
+SCENE_CONTROLS = ["method", "scale", "spp", "similarity", "radius", "beta", "temporal", "adaptive", "filter_direct"]
+"""Fields of `InteractiveSettings` that have a control on the page, in the order of the controls."""
 
 
 @dataclass(frozen=True)
 class FrameLook:
-    """How a finished frame is filtered; the fields are as in `lobewise.DenoiseSettings`.
+    """How a finished frame is filtered; the fields are those of `lobewise.DenoiseSettings`.
 
     The similarity "none" shows the frame as it is. A sparsely shaded frame has the quality "fast" and the form "full".
     """
 
     similarity: Similarity | Auto | Unfiltered = "auto"
     quality: str = "balanced"
-    form: str = "full"
-    radius: int = 8
+    form: str = DenoiseSettings.form
+    radius: int = DenoiseSettings.radius
     beta: float | Auto = "auto"
-    normal_exponent: float = 64.0
+    normal_exponent: float = DenoiseSettings.normal_exponent
     tau: float | Auto = "auto"
     hit_distance: bool = False
 
 
-document(SceneLook)
-KNOBS = {**list_knobs(DenoiseSettings), **list_knobs(SceneLook)}
-"""What each field means."""
+KNOBS = {**list_knobs(DenoiseSettings), **list_knobs(InteractiveSettings)}
+"""Declarations of all fields of looks."""
 _similarity = KNOBS["similarity"]
 KNOBS["similarity"] = replace(
     _similarity, text=f'{_similarity.text} "none" filters nothing.', choices=FRAME_SIMILARITIES
 )
-Look = SceneLook | FrameLook
+Look = InteractiveSettings | FrameLook
+
+
+def list_controls(look: Look) -> list[str]:
+    """Return the fields of a look that have a control on the page, in the order of the controls."""
+    return SCENE_CONTROLS if isinstance(look, InteractiveSettings) else [item.name for item in fields(look)]
 
 
 def name_sides(left: Look, right: Look) -> tuple[str, str]:
-    """Return labels for the two sides of the wipe: what tells their settings apart.
+    """Return labels for the two sides of the wipe, which name the settings that differ.
 
-    >>> name_sides(SceneLook(radius=2), SceneLook(radius=4))
+    >>> name_sides(InteractiveSettings(radius=2), InteractiveSettings(radius=4))
     ('A: radius 2', 'B: radius 4')
     """
-    differing = [item.name for item in fields(left) if getattr(left, item.name) != getattr(right, item.name)]
-    # Where methods or similarities differ the rest is detail, or means nothing for one of them.
+    differing = [name for name in list_controls(left) if getattr(left, name) != getattr(right, name)]
+    # With another method or similarity the other settings are details, or mean nothing for one of the sides.
     names = [name for name in ("method", "similarity") if name in differing] or differing[:2]
 
     def name(letter: str, look: Look) -> str:
@@ -92,7 +63,7 @@ def name_sides(left: Look, right: Look) -> tuple[str, str]:
 
 
 def _name_value(name: str, value: Any) -> str:
-    """Return a setting as words."""
+    """Return a setting in words."""
     plain = name.replace("_", " ")
     if isinstance(value, bool):
         return plain if value else f"no {plain}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.settings import Knob
 from lobewise.viewer.door.incoming import Control
-from lobewise.viewer.looks import KNOBS, FrameLook, Look, SceneLook
+from lobewise.viewer.looks import KNOBS, FrameLook, Look, list_controls
 from lobewise.viewer.messages import Description
 from lobewise.viewer.pictures import LEGENDS, MOST_STOPS, VIEWS
 from lobewise.viewer.status import write_message
@@ -72,7 +73,7 @@ class LookPanel:
         self._changed = changed
         self._look = look
         self._handles: dict[str, Any] = {}
-        limit = 16 if isinstance(look, SceneLook) or found.sparse else 32
+        limit = 16 if isinstance(look, InteractiveSettings) or found.sparse else 32
         self._sliders = {**SLIDERS, "radius": Slider(0, limit, 1, from_slider=int)}
         choices = {
             "method": found.methods,
@@ -80,17 +81,17 @@ class LookPanel:
             "quality": found.qualities,
             "form": found.forms,
         }
-        for item in fields(look):
-            knob, value, words = KNOBS[item.name], getattr(look, item.name), choices.get(item.name, ())
-            # What leaves no choice has no control.
-            if item.name in choices and (len(words) > 1 or item.name in ("method", "similarity")):
+        for field in list_controls(look):
+            knob, value, words = KNOBS[field], getattr(look, field), choices.get(field, ())
+            # A list of one word is no choice.
+            if field in choices and (len(words) > 1 or field in ("method", "similarity")):
                 names = [NAMES.get(word, word) for word in words]
                 given = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
-                self._keep(item.name, gui.add_dropdown(knob.label, names, **given))
-            elif item.name in self._sliders:
+                self._keep(field, gui.add_dropdown(knob.label, names, **given))
+            elif field in self._sliders:
                 self._slide(knob, value)
-            elif item.name not in choices and (item.name != "hit_distance" or found.hit_distance):
-                self._keep(item.name, gui.add_checkbox(knob.label, value, hint=knob.hint))
+            elif field not in choices and (field != "hit_distance" or found.hit_distance):
+                self._keep(field, gui.add_checkbox(knob.label, value, hint=knob.hint))
         self._refresh()
 
     @property
@@ -102,7 +103,7 @@ class LookPanel:
         """Return what is set."""
         values = {name: self._get(name) for name in self._handles if not name.startswith("auto_")}
         look = replace(self._look, **values)
-        if isinstance(look, SceneLook):
+        if isinstance(look, InteractiveSettings):
             return look
         if look.similarity == "none":
             # One look for all settings that change nothing, so that it is computed once.
@@ -235,9 +236,8 @@ class Panel:
         self._adapt: Any = None
         if scene:
             with gui.add_folder("Pace"):
-                self._accumulate = gui.add_checkbox(
-                    "Accumulate when still", True, hint="Average the frames of a camera that stands still."
-                )
+                knob = KNOBS["accumulate"]
+                self._accumulate = gui.add_checkbox(knob.label, True, hint=knob.hint)
                 if not fixed_size:
                     self._adapt = gui.add_checkbox(
                         "Fewer pixels in motion",

@@ -13,7 +13,7 @@ from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]
 
-MOST_SAMPLES = 256.0
+MAX_SHOWN_SAMPLES = 256.0
 """Effective samples that are shown as 1."""
 MOST_STOPS = 10.0
 """Exposures of the page go from minus this to this, in steps of a tenth."""
@@ -39,7 +39,7 @@ VIEWS = {
 LEGENDS = {
     "sharpness": "dark: sharpness 1, bright: a million (a mirror), logarithmic",
     "weight_sum": "W / (1 + W): half is the support of one sample that matches fully",
-    "effective_samples": f"dark: 1, bright: {MOST_SAMPLES:.0f}, logarithmic",
+    "effective_samples": f"dark: 1, bright: {MAX_SHOWN_SAMPLES:.0f}, logarithmic",
     "history": "dark: none, bright: 40 frames or more",
     "recomputed": "bright: shaded again",
     "hit_distance": "t / (t + d): dark on the surface, half as far as the camera, bright at infinity",

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
-from lobewise.interactive.methods import METHODS
+from lobewise.interactive.settings import METHODS
 from lobewise.interactive.views import VIEWS
 from lobewise.io.exr import write_frame
 from lobewise.render import find_orbit_centre
 from lobewise.render.integrators import tell_unseen
-from lobewise.viewer.looks import SCENE_SIMILARITIES, Look, SceneLook
+from lobewise.viewer.looks import SCENE_SIMILARITIES, Look
 from lobewise.viewer.messages import Description, Request
 from lobewise.viewer.shots import Shot
 
@@ -38,7 +38,7 @@ class SceneTarget:
         width, height = self._first.size
         centre = find_orbit_centre(self._first.scene)
         return Description(
-            look=SceneLook(),
+            look=InteractiveSettings(),
             width=width,
             height=height,
             camera=self._first.camera,
@@ -55,17 +55,23 @@ class SceneTarget:
 
     def show_input(self, request: Request) -> list[Shot]:
         """Return a frame without filters, whose kernels are few: the first picture does not wait for the others."""
-        plain = SceneLook(similarity="none", temporal=False, adaptive=0.0, filter_direct=False)
+        plain = InteractiveSettings(
+            similarity="none", temporal=False, adaptive=0.0, filter_direct=False, accumulate=False
+        )
         session = self._first.make_sibling()
         session.resize(*request.size)
-        return [_to_shot(session.render(request.camera, _to_settings(plain, accumulate=False)))]
+        return [_to_shot(session.render(request.camera, plain))]
 
     def render(self, request: Request) -> list[Shot]:
         """Return the next frame of a browser, or what it had last where nothing is to be rendered.
 
         Raises LobewiseError if the method finds nothing to work with, or the camera is not one.
         """
-        looks = [_to_settings(look, request.accumulate) for look in (request.look, request.other) if look is not None]
+        looks = [
+            _to_settings(look, accumulate=request.accumulate)
+            for look in (request.look, request.other)
+            if look is not None
+        ]
         last = self._last.get(request.client, [])
         if request.fresh or [frame.settings for frame in last] != looks:
             session = self._sessions.get(request.client)
@@ -96,9 +102,9 @@ class SceneTarget:
         return path
 
 
-def _to_settings(look: Look, accumulate: bool) -> InteractiveSettings:
-    assert isinstance(look, SceneLook)
-    return InteractiveSettings(**asdict(look), accumulate=accumulate)
+def _to_settings(look: Look, *, accumulate: bool) -> InteractiveSettings:
+    assert isinstance(look, InteractiveSettings)
+    return replace(look, accumulate=accumulate)
 
 
 def _to_shot(frame: InteractiveFrame) -> Shot:

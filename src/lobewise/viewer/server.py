@@ -39,7 +39,7 @@ class Viewer:
     fixed_size : bool
         Render at that size whatever the window's aspect, and never fewer pixels.
     changes : dict, optional
-        Settings to begin with: fields of `SceneLook` or `FrameLook`.
+        Settings to begin with: fields of `lobewise.interactive.InteractiveSettings` or `FrameLook`.
     token : str, optional
         The secret in the URL without which nobody gets the page: 16 or more letters, digits and any of ``. _ ~ -``; by
         default a random one.

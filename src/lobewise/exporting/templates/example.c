@@ -1,5 +1,5 @@
 /* Filters frame.raw with ${name}_filter, writes output.raw and compares it with expected.raw, which Python made.
-   README.md says how to build it. Run it in this folder; it ends with 0 if both agree. */
+   README.md says how to build the program. Run it in this folder; its exit code is 0 if both results agree. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -8,7 +8,7 @@
 
 enum { WIDTH = ${width}, HEIGHT = ${height}, PIXELS = WIDTH * HEIGHT };
 
-/* Without a handler of its own a program is aborted by the first error. */
+/* Halide's default handler would abort the program. */
 static void on_error(void *context, const char *message)
 {
     (void)context;
@@ -62,7 +62,7 @@ int main(void)
 ${declarations}
     halide_set_error_handler(on_error);
 
-    /* The arrays of the frame, one after the other. */
+    /* Read the arrays of the frame, one after the other. */
     file = open_file("frame.raw", "rb");
 ${reading}
     fclose(file);

@@ -10,8 +10,8 @@ extern "C" {
 
 ${declared}
 
-/* Describes an image of floats whose rows lie one after the other, and in a row the channels of each pixel; with 0
-   channels there is no axis for them. dim is room for three axes and must live as long as the result. */
+/* Describes an image of floats, row after row, with the channels of a pixel together. With 0 channels the image has no
+   axis for channels. dim is memory for three axes and must live as long as the result. */
 static inline halide_buffer_t ${name}_floats(halide_dimension_t *dim, float *pixels, int channels, int width, int height)
 {
     const int sizes[3] = {channels, width, height};

@@ -1,16 +1,17 @@
-// How alike the reflections of two pixels are: weights of a cross-bilateral filter that keeps what differs only in gloss.
+// Weights of a cross-bilateral filter that compares the reflections of two pixels, so that edges of gloss stay sharp.
 //
 // A filter sums over the neighbours j of a pixel i
 //     out_i = sum_j w(i, j) radiance_j / sum_j w(i, j)
-//     w(i, j) = screen weight * position weight * weight of what is reflected
-// and divides the radiance by the albedo of its lobe before, and multiplies the result by it after. Every weight is in
-// [0, 1], symmetric in i and j, and 1 for equal pixels. Make a lobe once per pixel, in a pass of its own, and store it.
+//     w(i, j) = screen weight * position weight * lobe weight
+// It divides the radiance by the albedo of the lobe before, and multiplies the result by the albedo after. Every weight
+// is in [0, 1], symmetric in i and j, and 1 for equal pixels. Make the lobe of each pixel once, in a pass of its own,
+// and store it.
 //
 // Directions are unit vectors in world space: normal and view point away from the surface, view towards the camera.
 // alpha is the microfacet roughness of GGX, the square of what most engines call roughness; 0 is a mirror. tau is a
-// band-limit in radians, the angle of a pixel or more: its square is added to the variance of every lobe, so that a
-// mirror's is finite. 1 / tau^2, the largest sharpness, may be 1e7. beta raises a weight to a power: 2 for a sample per
-// pixel, 4 for four, 10 for 64.
+// band-limit in radians, the angle of a pixel or more: its square is added to the variance of every lobe, so that the
+// lobe of a mirror is finite. 1 / tau^2, the largest sharpness, may be 1e7. Lobe weights are raised to the power
+// beta: 2 for 1 sample per pixel, 4 for 4 samples, 10 for 64.
 //
 // Sources: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination"
 // (weights as normalised product integrals); Wang et al. 2009, "All-Frequency Rendering of Dynamic, Spatially-Varying
@@ -19,18 +20,18 @@
 
 // n.v below which a normal is bent towards the viewer.
 const float LOBEWISE_MIN_COSINE = $MIN_COSINE;
-// Floor of n.v in the warp of a spherical Gaussian: below it the lobe would be sharper than any that a surface has.
+// Floor of n.v in the warp of a spherical Gaussian: below it the lobe would be sharper than any lobe of a surface.
 const float LOBEWISE_MIN_WARP_COSINE = $MIN_WARP_COSINE;
-// Floor of v.m in the Jacobian of the reflection: below it a lobe would have no width across the plane of incidence.
+// Floor of v.m in the Jacobian of the reflection: below it the lobe would have no width across the plane of incidence.
 const float LOBEWISE_MIN_VIEW_COSINE = $MIN_VIEW_COSINE;
 // Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature).
 const float LOBEWISE_GGX_LIMIT = $GGX_LIMIT;
-// Sharpness of the Gaussian that is nearest in L2 to (1 + q)^-2, over that with the same curvature at 0.
+// Sharpness of the Gaussian that is nearest to (1 + q)^-2 in L2, relative to the Gaussian with its curvature at 0.
 const float LOBEWISE_GGX_SHARPNESS = $GGX_SHARPNESS;
 // Exponents b and weights w of (1 + q)^-2 ~ sum w exp(-b q), least squares over the plane: GGX as three Gaussians.
 const vec3 LOBEWISE_MIXTURE_EXPONENTS = $MIXTURE_EXPONENTS;
 const vec3 LOBEWISE_MIXTURE_WEIGHTS = $MIXTURE_WEIGHTS;
-// Floor of the sharpness of each of them before its band-limit: the hemisphere is no wider.
+// Floor of the sharpness of each of the three Gaussians before the band-limit: none is wider than the hemisphere.
 const float LOBEWISE_MIN_SHARPNESS = $MIN_SHARPNESS;
 const float LOBEWISE_PI = 3.14159265;
 
@@ -40,7 +41,7 @@ struct LobewiseSg {
     float sharpness; // 1/rad^2
 };
 
-// A sum of up to four spherical Gaussians about one axis; amplitude 0 for one that is absent.
+// A sum of up to four spherical Gaussians about one axis. A Gaussian that is absent has the amplitude 0.
 struct LobewiseMixture {
     vec3 axis;
     vec4 sharpness; // 1/rad^2, above 0
@@ -61,21 +62,21 @@ float lobewise_screen_weight(vec2 pixel_i, vec2 pixel_j, float sigma) {
     return exp(-0.5 * dot(d, d) / (sigma * sigma));
 }
 
-// Gaussian of the distance in the scene in units of what a pixel covers there, depth * pixel_angle; sigma such units.
-// depth is the distance from the camera. The mean footprint of both pixels keeps the weight symmetric.
+// Gaussian of the distance in the scene. sigma counts footprints. A pixel has the footprint depth * pixel_angle; depth
+// is the distance from the camera. The geometric mean of both footprints keeps the weight symmetric.
 float lobewise_position_weight(vec3 position_i, float depth_i, vec3 position_j, float depth_j, float pixel_angle, float sigma) {
     let vec3 d = (position_j - position_i) / (sigma * pixel_angle);
     return exp(-0.5 * dot(d, d) / (depth_i * depth_j));
 }
 
-// exp(-exponent (1 - n_i.n_j)), what filters usually compare; 1 - a.b is |a - b|^2 / 2, which loses no digits.
+// exp(-exponent (1 - n_i.n_j)), the weight of usual filters. |a - b|^2 / 2 is 1 - a.b without loss of digits.
 float lobewise_normal_weight(vec3 normal_i, vec3 normal_j, float exponent) {
     let vec3 d = normal_j - normal_i;
     return exp(-0.5 * exponent * dot(d, d));
 }
 
 // Overlap of two cosine lobes to the power beta, for diffuse light: ((pi - d) cos d + sin d) / pi at the angle d.
-// A polynomial in 1 - cos d stands for its logarithm to base 2; the error is below 0.004.
+// Its logarithm to base 2 is replaced by a polynomial in 1 - cos d; the error is below 0.004.
 float lobewise_diffuse_weight(vec3 normal_i, vec3 normal_j, float beta) {
     let vec3 d = normal_j - normal_i;
     let float x = 0.5 * dot(d, d);
@@ -83,7 +84,7 @@ float lobewise_diffuse_weight(vec3 normal_i, vec3 normal_j, float beta) {
     return exp2(-beta * x * quotient);
 }
 
-// Bends a normal that faces away towards the viewer. Needed where normals are interpolated or mapped.
+// Bends a normal that faces away from the viewer towards it. Interpolated and mapped normals need this.
 vec3 lobewise_face_viewer(vec3 normal, vec3 view) {
     return normalize(normal + max(LOBEWISE_MIN_COSINE - dot(normal, view), 0.0) * view);
 }
@@ -105,7 +106,7 @@ float lobewise_sg_weight(LobewiseSg i, LobewiseSg j, float beta) {
     return exp(beta * (log(ratio) - 0.5 * i.sharpness * (j.sharpness / total) * dot(d, d)));
 }
 
-// A GGX reflection as three Gaussians, for lobes with a tail; the sum of their integrals does not depend on alpha.
+// A GGX reflection as three Gaussians, which keep its tail. The sum of their integrals does not depend on alpha.
 LobewiseMixture lobewise_make_mixture(vec3 normal, vec3 view, float alpha, float tau) {
     let float cosine = dot(normal, view);
     let float square = alpha * alpha;
@@ -113,7 +114,7 @@ LobewiseMixture lobewise_make_mixture(vec3 normal, vec3 view, float alpha, float
     let float least = LOBEWISE_MIN_SHARPNESS * area;
     let vec3 steepness = max((1.0 - square) * LOBEWISE_MIXTURE_EXPONENTS, vec3(least, least, least));
     let vec3 sharpness = steepness / (area + tau * tau * steepness);
-    // What of each lobe lies on the sphere; below 1e-12 a lobe is a mirror's, of which nothing is missing.
+    // Share of each lobe that lies on the sphere. Below an area of 1e-12 the lobe is a mirror's, and lies on it whole.
     let vec3 decay = exp(-2.0 * steepness / max(area, 1.0e-12));
     let vec3 share = LOBEWISE_MIXTURE_WEIGHTS * (vec3(1.0, 1.0, 1.0) - decay) / steepness;
     let vec3 sphere = 2.0 * LOBEWISE_PI * (vec3(1.0, 1.0, 1.0) - exp(-2.0 * sharpness)) / sharpness;
@@ -145,8 +146,8 @@ float lobewise_mixture_inner(LobewiseMixture i, LobewiseMixture j) {
     return first + second + third + fourth;
 }
 
-// The product integral over the norms, to the power beta. Each norm belongs to one pixel: divide its amplitudes by it
-// once, where they are stored, and the weight is pow(min(lobewise_mixture_inner(i, j), 1.0), beta).
+// The product integral divided by both norms, to the power beta. To save time, divide the amplitudes of each pixel by
+// its norm before you store them: then the weight is pow(min(lobewise_mixture_inner(i, j), 1.0), beta).
 float lobewise_mixture_weight(LobewiseMixture i, LobewiseMixture j, float beta) {
     let float norms = sqrt(lobewise_mixture_inner(i, i)) * sqrt(lobewise_mixture_inner(j, j));
     return exp(beta * log(clamp(lobewise_mixture_inner(i, j) / norms, 1.0e-30, 1.0)));
@@ -160,9 +161,9 @@ LobewiseCovariance lobewise_add_outer(LobewiseCovariance lobe, float weight, vec
     return result;
 }
 
-// An isotropic GGX reflection with the variance noise added. The lobe is reflected about the dominant visible normal m
-// = normalize(a v + b n), not about n; its principal variances A / (1 + limit A) / 2 follow from the Jacobian of the
-// reflection at m and the roughness alpha^2 / (1 - alpha^2) that a projected GGX has (Tokuyoshi and Kaplanyan 2021).
+// An isotropic GGX reflection; the variance noise is added. The view is reflected about the dominant visible normal
+// m = normalize(a v + b n), not about n. The principal variances A / (1 + limit A) / 2 follow from the Jacobian of the
+// reflection at m and the roughness alpha^2 / (1 - alpha^2) of a projected GGX (Tokuyoshi and Kaplanyan 2021).
 LobewiseCovariance lobewise_make_isotropic(vec3 normal, vec3 view, float alpha, float noise) {
     let float cosine = dot(normal, view);
     let float square = alpha * alpha;
@@ -181,7 +182,7 @@ LobewiseCovariance lobewise_make_isotropic(vec3 normal, vec3 view, float alpha, 
     let float along_scale = deficit + LOBEWISE_GGX_LIMIT * along_part;
     let float across = 0.5 * across_part / across_scale + noise;
     let float along = 0.5 * along_part / along_scale + noise;
-    // Across less along, over |v x n|^2: v x n carries the direction, and nothing is 0/0 where n = v.
+    // (across - along) / |v x n|^2. The outer product of v x n restores the factor, without 0/0 where n = v.
     let float lifted = (floored * floored - view_cosine * view_cosine) / max(1.0 - cosine * cosine, 0.5);
     let float change = (a * a - b * b) * inverse_square + lifted;
     let float excess = 2.0 * square * deficit * change / (across_scale * along_scale);
@@ -193,8 +194,9 @@ LobewiseCovariance lobewise_make_isotropic(vec3 normal, vec3 view, float alpha, 
     return lobewise_add_outer(lobe, excess, cross(view, normal));
 }
 
-// Where a step of the normal along a tangent takes the reflection: its image under the Jacobian at m. component and
-// along are tangent.m and tangent.view. The floor of v.m widens only the part across the plane of incidence.
+// The change of the reflected direction when the normal moves along a tangent: the image of the tangent under the
+// Jacobian at m. component and along are tangent.m and tangent.view. The floor of v.m widens only the part across the
+// plane of incidence.
 vec3 lobewise_reflect_step(vec3 tangent, float component, float along, vec3 m, vec3 view, float view_cosine) {
     let float floored = max(view_cosine, LOBEWISE_MIN_VIEW_COSINE);
     let float lift = floored - view_cosine;
@@ -203,7 +205,7 @@ vec3 lobewise_reflect_step(vec3 tangent, float component, float along, vec3 m, v
     return on_m * m + 2.0 * floored * tangent - 2.0 * lift * on_view * view;
 }
 
-// The same as lobewise_make_isotropic for two roughnesses; tangent is a unit vector across the normal.
+// As lobewise_make_isotropic, for two roughnesses. tangent is a unit vector perpendicular to the normal.
 LobewiseCovariance lobewise_make_anisotropic(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float noise) {
     let vec3 bitangent = cross(normal, tangent);
     let vec2 square = alpha * alpha;
@@ -225,7 +227,8 @@ LobewiseCovariance lobewise_make_anisotropic(vec3 normal, vec3 tangent, vec3 vie
     let float weight_v = square.y * deficit.x / (inverse * n);
     let float trace = weight_u * dot(image_u, image_u) + weight_v * dot(image_v, image_v);
     let float area = 16.0 * floored * floored * square.x * square.y;
-    // (A^-1 + c I)^-1 = (A g + c D I) / (g + c tr(A g) + c^2 D), A g the sum of both steps, D its determinant over g.
+    // (A^-1 + c I)^-1 = (A g + c D I) / (g + c tr(A g) + c^2 D). A g is the sum of both steps' outer products, D is the
+    // determinant of A g divided by g.
     let float whole = deficit.x * deficit.y + LOBEWISE_GGX_LIMIT * (trace + LOBEWISE_GGX_LIMIT * area);
     let float half_inverse = 0.5 / whole;
     let float isotropic = half_inverse * LOBEWISE_GGX_LIMIT * area + noise;
@@ -239,12 +242,13 @@ LobewiseCovariance lobewise_make_anisotropic(vec3 normal, vec3 tangent, vec3 vie
     return lobewise_add_outer(lobe, half_inverse * weight_v, image_v);
 }
 
-// What lobewise_ggx_weight compares.
+// The lobe for lobewise_ggx_weight.
 LobewiseCovariance lobewise_make_ggx(vec3 normal, vec3 view, float alpha, float tau) {
     return lobewise_make_isotropic(normal, view, alpha, tau * tau);
 }
 
-// What lobewise_asg_weight compares: the Gaussian nearest to the shape of GGX, which is narrower; the band-limit is not.
+// Narrows a covariance to the Gaussian that is nearest to the shape of GGX. The callers multiply the band-limit by the
+// same factor before, so that the band-limit is not narrowed.
 LobewiseCovariance lobewise_narrow(LobewiseCovariance lobe) {
     var LobewiseCovariance result = lobe;
     result.diagonal = lobe.diagonal / LOBEWISE_GGX_SHARPNESS;
@@ -253,11 +257,12 @@ LobewiseCovariance lobewise_narrow(LobewiseCovariance lobe) {
     return result;
 }
 
+// The lobe for lobewise_asg_weight.
 LobewiseCovariance lobewise_make_asg(vec3 normal, vec3 view, float alpha, float tau) {
     return lobewise_narrow(lobewise_make_isotropic(normal, view, alpha, LOBEWISE_GGX_SHARPNESS * tau * tau));
 }
 
-// Both of a brushed surface: alpha.x along the tangent, alpha.y across.
+// The lobes of a brushed surface: alpha.x is the roughness along the tangent, alpha.y the roughness across it.
 LobewiseCovariance lobewise_make_anisotropic_ggx(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float tau) {
     return lobewise_make_anisotropic(normal, tangent, view, alpha, tau * tau);
 }
@@ -267,9 +272,10 @@ LobewiseCovariance lobewise_make_anisotropic_asg(vec3 normal, vec3 tangent, vec3
     return lobewise_narrow(lobewise_make_anisotropic(normal, tangent, view, alpha, noise));
 }
 
-// What two covariances have in common. With R = tr(S) P - S, the covariance turned by a quarter about its axis, and d
-// the difference of the axes, x is Q = d^T (R_i + R_j) d and y is P = det_i + det_j + t_i t_j - R_i:R_j, t the traces:
-// determinant and second invariant of the sum of the inverses, but for det_i det_j. No frame, no inverse.
+// The two invariants by which covariances are compared, without a local frame and without inverses. R = tr(S) P - S is
+// the covariance turned by a quarter about its axis, where P projects across the axis; d is the difference of the axes,
+// t are the traces. The result is x = d^T (R_i + R_j) d, called Q, and y = det_i + det_j + t_i t_j - R_i:R_j, called P.
+// Divided by det_i det_j, Q is the determinant and P the second invariant of the sum of the inverses.
 vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j) {
     let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
     let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
@@ -284,12 +290,12 @@ vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j) {
     let float quadratic = dot(diagonal_i + diagonal_j, d * d) + 2.0 * dot(beside_i + beside_j, crossed);
     let float inner = dot(diagonal_i, diagonal_j) + 2.0 * dot(beside_i, beside_j);
     let float second = trace_i * trace_j - inner + i.determinant + j.determinant;
-    // sqrt(P) is at least the sum of the roots (Minkowski's inequality); rounding may hide that.
+    // sqrt(P) is at least the sum of the roots (Minkowski's inequality). Rounding may violate this.
     let float roots = sqrt(i.determinant) + sqrt(j.determinant);
     return vec2(max(quadratic, 0.0), max(second, roots * roots));
 }
 
-// A covariance less value in every direction across its axis.
+// Subtracts the variance value from a covariance, in every direction across its axis.
 LobewiseCovariance lobewise_subtract_round(LobewiseCovariance lobe, float value) {
     let vec3 z = lobe.axis;
     var LobewiseCovariance rest = lobe;
@@ -298,7 +304,7 @@ LobewiseCovariance lobewise_subtract_round(LobewiseCovariance lobe, float value)
     return rest;
 }
 
-// The eigenvalues a >= b of a covariance, from its deviation from its mean: free of cancellation.
+// The eigenvalues a >= b of a covariance, computed without cancellation from its deviation from the mean variance.
 vec2 lobewise_eigenvalues(LobewiseCovariance lobe) {
     let float half_trace = 0.5 * dot(lobe.diagonal, vec3(1.0, 1.0, 1.0));
     let LobewiseCovariance rest = lobewise_subtract_round(lobe, half_trace);
@@ -307,8 +313,8 @@ vec2 lobewise_eigenvalues(LobewiseCovariance lobe) {
     return vec2(large, lobe.determinant / large);
 }
 
-// Q and P as in lobewise_compare, for GGX: P in a plane, and R with a along its axis as well, so that lobes which face
-// away from each other are unlike. With L = S - b P, whose rank is 1, R is a P - L.
+// Q and P of lobewise_compare, for GGX. P is computed as if both axes were equal. R gets the variance a along the axis,
+// so that lobes that face away from each other are unlike: R = a I - L, where L = S - b P has rank 1.
 vec2 lobewise_compare_in_plane(LobewiseCovariance i, LobewiseCovariance j) {
     let vec2 values_i = lobewise_eigenvalues(i);
     let vec2 values_j = lobewise_eigenvalues(j);
@@ -325,9 +331,9 @@ vec2 lobewise_compare_in_plane(LobewiseCovariance i, LobewiseCovariance j) {
     return vec2(max(quadratic, 0.0), max(second, roots * roots));
 }
 
-// Overlap of two GGX lobes to the power beta. With s = 2 sqrt(det), q = Q / P:
-// (s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4; unequal sizes count with the exponent 0.6,
-// unequal shapes with 0.9, and the last factor is the autocorrelation of (1 + r^2)^-2 in a plane.
+// Overlap of two GGX lobes to the power beta. With s = 2 sqrt(det) and q = Q / P it is
+// (s_i s_j / P)^0.45 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4. Unequal sizes count with the exponent 0.6,
+// unequal shapes with 0.9. The last factor is the autocorrelation of (1 + r^2)^-2 in a plane.
 float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
     let vec2 compared = lobewise_compare_in_plane(i, j);
     let float root_i = sqrt(i.determinant);
@@ -340,8 +346,8 @@ float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta
 }
 
 // Overlap of two anisotropic spherical Gaussians to the power beta, from the product of Xu et al. 2013 without its
-// eigenvectors: c = Q / (2 P) is the exponent of the product and softness corrects it to first order; the last terms
-// stand for the cosines and the hemispheres.
+// eigenvectors. c = Q / (2 P) is the exponent of the product, and softness corrects it to first order. The last terms
+// approximate the cosines and the hemispheres.
 float lobewise_asg_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
     let vec2 compared = lobewise_compare(i, j);
     let vec3 d = j.axis - i.axis;

@@ -14,6 +14,7 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
+from lobewise.settings import SIMILARITIES
 
 _LAYOUTS = {
     "int": "i", "float": "f", "double": "d", "v2i": "2i", "v2f": "2f", "v2d": "2d", "v3i": "3i", "v3f": "3f",
@@ -269,10 +270,11 @@ def _describe_table(table: LobeTable) -> str:
 
 
 def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
+    """Return the similarities that can be computed from images of the G-buffer and a camera, the simplest first."""
     if "normal" not in gbuffer:
         return ()
-    lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
-    return ("normal", "sg", "sg_mixture", "asg", "ggx") if lobes else ("normal",)
+    has_lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
+    return SIMILARITIES if has_lobes else ("normal",)
 
 
 def _note_lobes(gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]) -> str:

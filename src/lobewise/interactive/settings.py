@@ -1,0 +1,85 @@
+"""The settings of an interactive frame; importing them costs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args
+
+from lobewise.errors import require_choice
+from lobewise.settings import SIMILARITIES, Auto, Declared, DenoiseSettings, Knob, Similarity, document
+
+Method = Literal["paths", "voxel_cones", "virtual_lights"]
+Unfiltered = Literal["none"]
+
+METHODS: tuple[Method, ...] = get_args(Method)
+"""Ways of computing indirect light."""
+UNFILTERED: Unfiltered = "none"
+"""The similarity that switches the filter off."""
+_OF_THE_FILTER = ("beta", "radius", "screen_sigma", "tau", "normal_exponent")
+
+
+@dataclass(frozen=True)
+class InteractiveSettings(Declared):
+    """Parameters of a frame of `Session`.
+
+    ``beta``, ``radius``, ``screen_sigma``, ``tau`` and ``normal_exponent`` are those of `lobewise.DenoiseSettings`; the
+    radius counts shaded pixels. So is ``similarity``, which may also be "none": samples are then interpolated on the
+    screen, without filter and history.
+    """
+
+    method: Annotated[Method, Knob("How indirect light is computed.", label="Method")] = "paths"
+    scale: Annotated[
+        int,
+        # The upper end is `lobewise.sparse_frame.MAX_SCALE`, whose module needs NumPy.
+        Knob(
+            "Indirect light is shaded at one pixel of every n x n and upsampled.",
+            low=1,
+            high=16,
+            usual="4 is usual",
+            label="Every nth pixel",
+        ),
+    ] = 4
+    spp: Annotated[int, Knob("Samples of each shaded pixel.", low=1, high=1 << 16, label="Samples")] = 1
+    similarity: Similarity | Auto | Unfiltered = "ggx"
+    beta: float | Auto = "auto"
+    radius: int = 2
+    screen_sigma: float | Auto = "auto"
+    tau: float | Auto = "auto"
+    normal_exponent: float = DenoiseSettings.normal_exponent
+    temporal: Annotated[bool, Knob("A frame knows the ones before.", label="Temporal")] = True
+    adaptive: Annotated[
+        float,
+        Knob(
+            "Share of the pixels that is shaded again because nothing supports them.",
+            high=1.0,
+            usual="0.05 is usual",
+            label="Adaptive, %",
+        ),
+    ] = 0.05
+    limit_lobes: Annotated[
+        bool,
+        Knob(
+            'Where tau is "auto", widen lobes to what light that is not sampled by the BRDF can show: virtual lights '
+            'on a sharp lobe are spikes, which a narrow kernel would keep (Tokuyoshi 2015, "Limitations (2)").'
+        ),
+    ] = True
+    filter_direct: Annotated[
+        bool, Knob("Direct light has one light sample a pixel; filter it too.", label="Filter direct light")
+    ] = True
+    accumulate: Annotated[
+        bool, Knob("Average frames for as long as neither camera nor settings change.", label="Accumulate when still")
+    ] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_choice("similarity", self.similarity, ("auto", *SIMILARITIES, UNFILTERED))
+        self.make_filter_settings()
+
+    def make_filter_settings(self) -> DenoiseSettings:
+        """Return the settings of the filter; its similarity is "auto" where this one is "none"."""
+        similarity = "auto" if self.similarity == "none" else self.similarity
+        same: dict[str, Any] = {name: getattr(self, name) for name in _OF_THE_FILTER}
+        return DenoiseSettings(similarity=similarity, **same)
+
+
+document(InteractiveSettings)
