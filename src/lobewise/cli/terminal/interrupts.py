@@ -1,4 +1,4 @@
-"""What the program says of Ctrl-C, and how often it came."""
+"""Exit code and message of Ctrl-C, and the Ctrl-C signals that the process received."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ EXIT_INTERRUPTED = 130
 INTERRUPTED = "interrupted; every output is whole, or as it was."
 
 interrupts: list[int] = []
-"""Signals of Ctrl-C that this process got: a library may turn the exception of one into another."""
+"""Numbers of the Ctrl-C signals that this process received. A library may turn KeyboardInterrupt into another error."""
