@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.denoising.planning import frame_plans
+from lobewise.denoising.planning.foretelling import count_bytes, estimate_seconds_per_megapixel, foretell
 from lobewise.denoising.planning.frame_plans import FramePlan, describe_frame, find_reach, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_high, plan_layer
 from lobewise.denoising.planning.steps import HISTORY, SAMPLES, GuideStep, LayerPlan, PassStep
 from lobewise.denoising.running import LayerRun
 from lobewise.frame import Frame
-from lobewise.settings import QUALITIES, ResolvedSettings
+from lobewise.settings import QUALITIES, DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import QUALITIES as LIBRARY
 from tests.denoising.test_denoising import make_frame
 
 
@@ -109,3 +112,22 @@ def test_a_printed_plan_names_every_stage_and_step() -> None:
     assert sum(line[0].isdigit() for line in lines) == len(plan.stages)
     assert sum("->" in line for line in lines) == sum(len(each.steps) for each in plan.layers.values())
     assert any("13 images" in line for line in lines)
+
+
+def test_time_and_memory_follow_the_plan() -> None:
+    frame = make_frame()
+    settings = resolve(frame, quality="high")
+    plan = make_plan(frame, quality="high")
+    usual = estimate_seconds_per_megapixel(plan, settings)
+    assert usual == pytest.approx(LIBRARY["high"].seconds_per_megapixel)
+    wide = resolve(frame, quality="high", radius=16)
+    assert estimate_seconds_per_megapixel(make_plan(frame, quality="high", radius=16), wide) > 2.0 * usual
+    assert count_bytes(frame) >= sum(getattr(frame.gbuffer, name).nbytes for name in frame.gbuffer.names)
+
+
+def test_what_is_foretold_is_what_denoise_says() -> None:
+    frame = make_frame()
+    lines = foretell(frame, DenoiseSettings(quality="balanced"))
+    assert denoise(frame, quality="balanced").method in lines[0]
+    assert lines[-2].startswith("Memory: ")
+    assert lines[-1].startswith("Time: ")

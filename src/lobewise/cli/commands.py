@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -15,11 +15,13 @@ from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
 from lobewise.cli.options.common import Input
 from lobewise.cli.options.reading import PassReading
-from lobewise.cli.options.spreading import with_groups
+from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.rendering import render
-from lobewise.cli.terminal.help import EXAMPLES, HELP_NAMES, App
+from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, HELP_NAMES, App
 from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
+from lobewise.errors import InputError
+from lobewise.settings import DenoiseSettings
 
 app = App(
     name="lobewise",
@@ -86,10 +88,17 @@ app.add_typer(bench, name="bench")
 
 
 @app.command(epilog=EXAMPLES["inspect"])
+@with_settings(
+    DenoiseSettings,
+    *("quality", "with_oidn", "similarity", "form", "radius", "hit_distance"),
+    only_given=True,
+    group=FILTER_DETAILS,
+)
 @with_groups
 def inspect(
     source: Input,
     *,
+    settings: dict[str, Any],
     everything: Annotated[
         bool, typer.Option("--all", help="Show every channel, what each is read as, and how it is converted.")
     ] = False,
@@ -97,6 +106,12 @@ def inspect(
         bool, typer.Option("--attributes", "-a", help="Show every channel and the attributes as well.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    plan: Annotated[
+        bool,
+        typer.Option(
+            "--plan", help="Print which steps denoising will run, with kernels, memory and time; filters nothing."
+        ),
+    ] = False,
     reading: PassReading,
 ) -> None:
     """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing."""
@@ -106,6 +121,16 @@ def inspect(
     from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange import describe_file
 
+    if plan:
+        if as_json or everything or attributes:
+            raise InputError(
+                "--plan", expected="no --json, --all or --attributes beside it", got="both", action="leave one out"
+            )
+        print_plan(source, reading, settings)
+        return
+    if settings:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
+        raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
     found = describe_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
@@ -113,6 +138,16 @@ def inspect(
     print_summary(found, reading.list_words())
     if everything or attributes:
         print_description(found, with_attributes=attributes)
+
+
+def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
+    """Print the plan by which `denoise` would filter a file."""
+    from lobewise.denoising.planning.foretelling import foretell
+    from lobewise.interchange import import_file
+
+    found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
+    for line in foretell(found.frame, DenoiseSettings(**settings)):
+        typer.echo(line)
 
 
 @app.command()

@@ -19,6 +19,7 @@ from lobewise.lobes.covariance import find_round_covariance, make_covariance_lob
 from lobewise.lobes.directions import face_viewer, find_tangent, reflect
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, find_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
+from lobewise.settings.choices import get_similarity
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,7 @@ def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
         complain("position", "it or depth tells where a surface is", "render the position or the depth")
     if not 1e-5 <= tau <= 1.0:
         raise InputError("tau", expected="an angle from 1e-5 to 1 radian", got=str(tau), action="leave it out")
-    if similarity == "sg" or gbuffer.tangent is not None or gbuffer.alpha_v is None:
+    if not get_similarity(similarity).has_covariance or gbuffer.tangent is not None or gbuffer.alpha_v is None:
         return
     if not np.array_equal(gbuffer.alpha_u, gbuffer.alpha_v, equal_nan=True):
         complain(
@@ -226,14 +227,15 @@ def collect_guides(
 ) -> tuple[dict[str, NDArray[Any] | None], dict[str, Any]]:
     """Return the images and numbers that `define_lobes` reads."""
     assert gbuffer.shape is not None
-    directed = similarity != "sg" and gbuffer.tangent is not None
+    has_covariance = get_similarity(similarity).has_covariance
+    directed = has_covariance and gbuffer.tangent is not None
     images = {
         "normal": gbuffer.normal,
         "position": gbuffer.position,
         "depth": gbuffer.depth,
         "kind": gbuffer.lobe_kind,
         "alpha_u": gbuffer.alpha_u,
-        "alpha_v": gbuffer.alpha_v if directed or similarity == "sg" else None,
+        "alpha_v": gbuffer.alpha_v if directed or not has_covariance else None,
         "tangent": gbuffer.tangent if directed and gbuffer.alpha_v is not None else None,
     }
     numbers = {
@@ -249,16 +251,17 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
     alphas, known = read_alphas(grid, kind)
-    if similarity == "sg":
+    record = get_similarity(similarity)
+    if record.has_covariance:
+        axis, shape = _make_covariance(grid, normal, view, cosine, alphas, kind, record.fits_gaussian)
+        neutral = [0.0] * 6 + [1.0]
+        finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
+    else:
         (noise,) = grid.get("noise")
         variance = find_ggx_variance(HALIDE, cosine, alphas, noise)
         axis, shape = reflect(normal, view, cosine), [1.0 / variance]
         neutral = [1.0]
         finite = is_finite(axis[0] + axis[1] + axis[2] + variance)
-    else:
-        axis, shape = _make_covariance(grid, normal, view, cosine, alphas, kind, similarity == "asg")
-        neutral = [0.0] * 6 + [1.0]
-        finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
     specular = surface & known & finite
     lambert = hl.Expr(False)
     if kind is not None:
@@ -274,13 +277,13 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
         return hl.select(which == 1, value, which == 2, diffuse, hl.f32(harmless))
 
     flat: list[hl.Expr] = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)]
-    if similarity != "sg":
+    if record.has_covariance:
         variance = hl.f32(1.0 / LAMBERT_SIMILARITY_SHARPNESS)
         flat = [*find_round_covariance(variance, normal), variance * variance]
     axis = [choose(value, diffuse, 0.0) for value, diffuse in zip(axis, normal, strict=True)]
     shape = [choose(*each) for each in zip(shape, flat, neutral, strict=True)]
     truth = [hl.u8(which != 0)]
-    return [truth, axis, shape] if similarity == "sg" else [truth, axis, shape[:6], shape[6:]]
+    return [truth, axis, shape[:6], shape[6:]] if record.has_covariance else [truth, axis, shape]
 
 
 def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:

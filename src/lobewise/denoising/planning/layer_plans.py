@@ -169,22 +169,8 @@ def plan_balanced(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
 
 def plan_high(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
     """Return the plan of the quality "high": thirteen images from narrow to wide, and their mixture."""
-    radius = settings.radius
-    pilot_radius, _ = scale_kernel(PILOT_RADIUS, 1, radius, follows=False)
-    pilot = PassStep(
-        reads=(SAMPLES, "guide 1"),
-        writes=("pilot",),
-        variants=PILOT_VARIANTS,
-        radius=pilot_radius,
-        sigma=PILOT_SIGMA,
-        noise=PILOT_NOISE,
-        is_pilot=True,
-    )
-    steps: list[Step] = [
-        GuideStep(reads=(SAMPLES,), writes=("guide 1",)),
-        pilot,
-        GuideStep(reads=("pilot",), writes=("guide 2",)),
-    ]
+    steps: list[Step] = [GuideStep(reads=(SAMPLES,), writes=("guide 1",)), plan_pilot(settings)]
+    steps.append(GuideStep(reads=("pilot",), writes=("guide 2",)))
     names: list[str] = []
     for variants in DENSE:
         writes = tuple(f"dense {len(names) + number + 1}" for number in range(len(variants)))
@@ -192,7 +178,7 @@ def plan_high(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
             reads=(SAMPLES, "guide 2"),
             writes=writes,
             variants=variants,
-            radius=radius,
+            radius=settings.radius,
             sigma=DENSE_SIGMA,
             noise=DENSE_NOISE[traits.network],
             reads_seen=traits.has_seen,
@@ -201,35 +187,45 @@ def plan_high(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
         steps.append(dense)
         names += writes
     narrow, middle, source = (names[number] for number in (NARROW, MIDDLE, WIDE))
-    guides = ["guide 2"]
     for number, each in enumerate(SPARSE_STEPS_PIXELS):
-        guides.append(f"guide {number + 3}")
-        writes = tuple(f"sparse {number + 1}.{variant + 1}" for variant in range(len(SPARSE)))
-        taps, step = scale_kernel(SPARSE_RADIUS_TAPS, each, radius, follows=True)
-        steps += [
-            GuideStep(reads=(source,), writes=(guides[-1],)),
-            PassStep(
-                reads=(source, guides[-1]),
-                writes=writes,
-                variants=SPARSE,
-                radius=taps,
-                step=step,
-                sigma=DENSE_SIGMA,
-                noise=SPARSE_NOISE,
-                reads_seen=traits.has_seen,
-            ),
-        ]
+        guide, writes = f"guide {number + 3}", tuple(f"sparse {number + 1}.{k + 1}" for k in range(len(SPARSE)))
+        taps, step = scale_kernel(SPARSE_RADIUS_TAPS, each, settings.radius, follows=True)
+        sparse = PassStep(
+            reads=(source, guide),
+            writes=writes,
+            variants=SPARSE,
+            radius=taps,
+            step=step,
+            sigma=DENSE_SIGMA,
+            noise=SPARSE_NOISE,
+            reads_seen=traits.has_seen,
+        )
+        steps += [GuideStep(reads=(source,), writes=(guide,)), sparse]
         names += writes
         source = writes[0]
     mix = MixStep(
-        reads=(*names, *guides[:2]),
+        reads=(*names, "guide 2", "guide 3"),
         writes=("light",),
         candidates=tuple(names),
         counted=(narrow, middle),
-        guides=tuple(guides[:2]),
+        guides=("guide 2", "guide 3"),
         network=traits.network,
     )
     return LayerPlan((*steps, mix, FinishStep(reads=("light", middle), writes=("image",), support=middle)))
+
+
+def plan_pilot(settings: ResolvedSettings) -> PassStep:
+    """Return the first pass of the quality "high"."""
+    radius, _ = scale_kernel(PILOT_RADIUS, 1, settings.radius, follows=False)
+    return PassStep(
+        reads=(SAMPLES, "guide 1"),
+        writes=("pilot",),
+        variants=PILOT_VARIANTS,
+        radius=radius,
+        sigma=PILOT_SIGMA,
+        noise=PILOT_NOISE,
+        is_pilot=True,
+    )
 
 
 def scale_kernel(taps: int, step: int, radius: int, *, follows: bool) -> tuple[int, int]:

@@ -39,6 +39,11 @@ class Step:
         """Pixels from the pixel of the step to the furthest pixel that it reads."""
         return 0
 
+    @property
+    def taps(self) -> int:
+        """Neighbours that the kernel reads for a pixel."""
+        return 0
+
     def describe(self) -> str:
         """Return what the step does, in a few words."""
         raise NotImplementedError
@@ -60,6 +65,12 @@ class FilterStep(Step):
         """Return the form and the size of the kernel."""
         size = 2 * self.reach + 1
         return f"{self.form} kernel, {size}x{size} pixels"
+
+    @property
+    def taps(self) -> int:
+        """A row and a column, five levels of 5x5, or the whole square."""
+        size = 2 * self.radius + 1
+        return {"separable": 2 * size, "atrous": 5 * 5 * 5}.get(self.form, size * size)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +188,11 @@ class PassStep(Step):
     def reach(self) -> int:
         """Pixels to the last tap."""
         return self.radius * self.step
+
+    @property
+    def taps(self) -> int:
+        """The whole square."""
+        return (2 * self.radius + 1) ** 2
 
     def describe(self) -> str:
         """Return kernel, exponents and noise."""
