@@ -1,4 +1,4 @@
-"""What "auto" stands for on a frame, and how noisy that is."""
+"""The values that "auto" stands for on a frame, and the estimate of its noise that they follow."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: Similarity = "ggx"
-"""What "auto" takes where the frame has lobes: the winner of benchmarks/results/similarities.json."""
+"""Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""
 DEFAULT_QUALITY: Quality = "high"
-"""What "auto" takes for the full form: the best of ours in the mean of every set of scenes that was measured
+"""Quality of "auto" for the full form. Of our qualities it has the least mean error on every measured set of scenes
 (docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
 BETA_DIFFUSE, BETA_SPECULAR = 2.0, 1.0
 """Exponents of the lobe similarity that "auto" stands for where the passes are guided by the noise."""
 GUIDED_TAU = 0.01
 """Band-limit of the lobes, radians, that "auto" stands for where the passes are guided by the noise: lobes need not be
 widened for it."""
-NOISE, FALL = 0.0825, 0.56
-"""Of `expect_noise`: what it is at 4 samples, and with which power of their count it falls."""
+NOISE_AT_4_SPP, NOISE_EXPONENT = 0.0825, 0.56
+"""Relative variance that `expect_noise` gives for 4 samples per pixel, and the power of the sample count by which it
+falls."""
 
 
 def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> DenoiseSettings:
@@ -50,16 +51,16 @@ def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> De
 def ask(
     settings: DenoiseSettings | None, changes: Mapping[str, Any], *, whole: bool = True, with_features: bool = False
 ) -> DenoiseSettings:
-    """Return what `denoise` is asked for: settings with single parameters replaced, quality and ``with_oidn`` chosen.
+    """Return the settings that `denoise` runs with: parameters replaced, quality and ``with_oidn`` chosen.
 
     Parameters
     ----------
     settings, changes
         As of `denoise`.
     whole : bool
-        Whether the image is denoised as a whole, which Open Image Denoise needs.
+        Whether the image is denoised as a whole; Open Image Denoise needs whole images.
     with_features : bool
-        Whether pixels are compared by features of the caller, of which Open Image Denoise would know nothing.
+        Whether the caller compares pixels by features of its own, which Open Image Denoise does not read.
 
     Raises
     ------
@@ -72,12 +73,12 @@ def ask(
 
 
 def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features: bool = False) -> str:
-    """Return why Open Image Denoise is left out although that is left to `denoise`; empty where it is not left out.
+    """Return why `denoise` leaves Open Image Denoise out on its own; empty where it does not.
 
     Parameters
     ----------
     settings : DenoiseSettings
-        Before anything is chosen.
+        Settings of the user, with every "auto".
     whole, with_features : bool
         As of `ask`.
     """
@@ -89,7 +90,7 @@ def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features
 
 
 def choose_quality(settings: DenoiseSettings) -> Quality:
-    """Return the quality that "auto" stands for in `denoise`; others are returned as they are."""
+    """Return the quality, with "auto" replaced by the quality that `denoise` takes for it."""
     if settings.quality != "auto":
         return settings.quality
     if settings.asks_for_oidn:
@@ -98,7 +99,7 @@ def choose_quality(settings: DenoiseSettings) -> Quality:
 
 
 def leaves_oidn_open(settings: DenoiseSettings) -> bool:
-    """Return whether it is left to `denoise` to use Open Image Denoise: nothing is named that excludes it."""
+    """Return whether `denoise` may choose Open Image Denoise: no setting asks for it or rules it out."""
     return settings.with_oidn == "auto" and settings.quality == "auto" and settings.form == "full"
 
 
@@ -121,7 +122,7 @@ def require_full(settings: DenoiseSettings) -> None:
 
 
 def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:
-    """Return the similarity that "auto" stands for on this frame; others are returned as they are."""
+    """Return the similarity, with "auto" replaced by the similarity for this frame."""
     if settings.similarity != "auto":
         return settings.similarity
     guides = frame.gbuffer
@@ -132,8 +133,9 @@ def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:
 def choose_beta(spp: float) -> float:
     """Return the exponent of the lobe similarity for a sample count: narrower kernels as the noise falls.
 
-    The bias of a kernel grows with the square of its area and the variance falls with it, so the best exponent goes
-    with the cube root of the sample count; the factor is fitted (benchmarks/results/similarities.json, "tuned beta").
+    The bias of a kernel grows with the square of its area, and its variance falls with its area. So the best exponent
+    is proportional to the cube root of the sample count. The factor is fitted (benchmarks/results/similarities.json,
+    "tuned beta").
     """
     return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
 
@@ -141,7 +143,7 @@ def choose_beta(spp: float) -> float:
 def choose_screen_sigma(spp: float, radius: int) -> float:
     """Return the standard deviation of the screen distance, pixels, for a sample count.
 
-    It bounds what lobes cannot see: how fast the reflected light itself changes.
+    Lobes do not tell how fast the reflected light changes. The screen distance bounds the error of this.
     """
     return max(radius * min(1.0, 0.6 * math.pow(8.0 / max(spp, 1.0), 0.25)), 0.5)
 
@@ -149,19 +151,19 @@ def choose_screen_sigma(spp: float, radius: int) -> float:
 def choose_tau(spp: float, pixel_tau: float) -> float:
     """Return the band-limit of the lobes, radians, for a sample count; never below that of a pixel.
 
-    A sharp lobe passes the noise of what it reflects, so few samples ask for more smoothing than the pixel does, and
-    mirrors become sharp as their noise goes. The factor was fitted on the built-in scenes.
+    A sharp lobe shows the noise of the light that it reflects. So few samples need wider lobes than the pixel asks for,
+    and mirrors become sharp as their noise falls. The factor was fitted on the built-in scenes.
     """
     return max(0.03 * math.sqrt(4.0 / max(spp, 0.25)), pixel_tau)
 
 
 def can_use_hits(frame: AnyFrame) -> bool:
-    """Return whether the frame tells where its surfaces are and how far away is what they reflect."""
+    """Return whether the frame has hit distances, and the places of its surfaces."""
     return frame.gbuffer.hit_distance is not None and frame.is_placed
 
 
 def needs_spp(settings: DenoiseSettings) -> bool:
-    """Return whether what "auto" stands for depends on the noise, for the quality "fast"."""
+    """Return whether an "auto" of these settings depends on the noise, for the quality "fast"."""
     return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
 
 
@@ -188,13 +190,21 @@ def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
 def resolve_settings(
     frame: AnyFrame, settings: DenoiseSettings, scale: int = 1, *, spp: float | None = None
 ) -> ResolvedSettings:
-    """Return ``settings`` with every "auto" replaced by what it stands for on this frame, for the quality "fast".
+    """Return ``settings`` with every "auto" replaced by its value for this frame, for the quality "fast".
 
-    With one of ``scale`` times ``scale`` pixels shaded there are fewer samples for the same area, so the screen sigma
-    and the band-limit are those of fewer samples per pixel. The lobe similarity gets stricter instead, because
-    samples of another material are as near as those of the own one (fitted on the built-in scenes at scale 4).
-    What lobes hit is compared only where that is asked for: it costs time and gains nothing in the mean.
-    ``spp`` is what `estimate_spp` says of the whole image, where the frame is a part of it.
+    Where one of ``scale`` times ``scale`` pixels is shaded, an area has fewer samples. So screen sigma and band-limit
+    are those of fewer samples per pixel. The lobe similarity gets stricter instead, because samples of another
+    material are as near as samples of the same material (fitted on the built-in scenes at scale 4). Hits are compared
+    only where the user asks for it: the comparison costs time and does not lower the mean error.
+
+    Parameters
+    ----------
+    frame : Frame or SparseFrame
+    settings : DenoiseSettings
+    scale : int
+        Pixels from one shaded pixel to the next.
+    spp : float, optional
+        Result of `estimate_spp` for the whole image, where the frame is a part of it.
     """
     sigma, tau = settings.screen_sigma, settings.tau
     if spp is None:
@@ -204,7 +214,8 @@ def resolve_settings(
     beta = choose_beta(spp) * math.pow(density, -0.15)
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     if tau == "auto":
-        # Half way between noise and count: noise that is not the lobe's own (small lights seen in a mirror) stays.
+        # Take the mean of measured noise and sample count: wider lobes do not remove the noise of small lights that a
+        # mirror shows.
         tau = max(scale * choose_tau(math.sqrt(spp * (frame.spp or spp)), 0.0), pixel_tau)
     return ResolvedSettings(
         quality="fast",
@@ -226,7 +237,7 @@ def resolve_settings(
 
 
 def estimate_spp(frame: AnyFrame) -> float:
-    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0; see `judge_noise`."""
+    """Return the samples per pixel at which a well-lit scene has the noise of this frame, > 0; see `judge_noise`."""
     return judge_noise(list_relative_variances(frame), frame.spp)
 
 
@@ -244,18 +255,18 @@ def list_relative_variances(frame: AnyFrame) -> NDArray[np.float64]:
 
 
 def judge_noise(variances: NDArray[np.float64], spp: int | None) -> float:
-    """Return how many samples per pixel of a well-lit scene the noise is worth, > 0.
+    """Return the samples per pixel at which a well-lit scene has this noise, > 0.
 
-    Where the frame has its variance, the median relative variance of the mean is compared with what a well-lit scene
-    has at the same sample count, `expect_noise`. A dim, indirectly lit room is then worth fewer samples than it took.
-    Without variance it is the sample count itself, and without that 4.
+    Where the frame has a variance, its median relative variance is compared with `expect_noise` at the same sample
+    count. A dim, indirectly lit room then counts as fewer samples than it took. Without a variance the result is the
+    sample count of the frame, and without a sample count 4.
 
     Parameters
     ----------
     variances : (count,)
-        What `list_relative_variances` gives.
+        Result of `list_relative_variances`.
     spp : int or None
-        Samples that the frame took.
+        Samples per pixel of the frame.
     """
     if not variances.size:
         return float(spp or 4.0)
@@ -266,13 +277,13 @@ def judge_noise(variances: NDArray[np.float64], spp: int | None) -> float:
 
 
 def expect_noise(spp: float) -> float:
-    """Return the relative variance that the built-in ``showroom`` has at a sample count, its median over the pixels.
+    """Return the median relative variance of the pixels of the built-in ``showroom`` at a sample count.
 
-    It falls more slowly than 1/spp because few samples hide the tail.
+    It falls more slowly than 1/spp, because few samples miss the tail of the noise.
     """
-    return NOISE * math.pow(4.0 / spp, FALL)
+    return NOISE_AT_4_SPP * math.pow(4.0 / spp, NOISE_EXPONENT)
 
 
 def expect_spp(noise: float) -> float:
-    """Return at how many samples a pixel `expect_noise` is ``noise``."""
-    return 4.0 * math.pow(NOISE / noise, 1.0 / FALL)
+    """Return the samples per pixel at which `expect_noise` gives ``noise``."""
+    return 4.0 * math.pow(NOISE_AT_4_SPP / noise, 1.0 / NOISE_EXPONENT)

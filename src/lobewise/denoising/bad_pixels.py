@@ -1,4 +1,4 @@
-"""Pixels that are no radiance (not finite, or negative), and those that no filter gave anything to: filled."""
+"""Bad pixels, whose radiance is not finite or negative, and holes, to which no filter gave a value: both are filled."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.sparse_frame import AnyFrame
 
 SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)
-"""Standard deviations, pixels, over which the nearest are looked for, one after the other; at last all that there are
-within the kernel."""
+"""Standard deviations of the rounds that fill holes, pixels. None weighs all pixels of the kernel alike."""
 REFILL_REACH = len(SIGMAS) * ATROUS_REACH
-"""Pixels from which a hole is told anything: each round reads what the one before it filled."""
+"""Reach of the filling, pixels: each round reads the pixels that the round before filled."""
 
 
 def find_good(image: FloatArray) -> NDArray[np.bool_]:
@@ -24,7 +23,7 @@ def find_good(image: FloatArray) -> NDArray[np.bool_]:
 
     Channel by channel: NumPy's reductions over an axis of three are several times slower.
     """
-    # Not-finite compares false with everything, so the good side is what is tested.
+    # NaN compares false with everything, so the test asks for good pixels.
     each = (image >= 0.0) & (image <= np.finfo(np.float32).max)
     good: NDArray[np.bool_] = each[..., 0] & each[..., 1] & each[..., 2]
     return good
@@ -46,7 +45,7 @@ def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
 
 
 def require_some_good(bad: int, count: int, what: str) -> None:
-    """Raise InputError if all of ``count`` are bad; ``what`` they are is a pixel or a sample."""
+    """Raise InputError if all of ``count`` are bad; ``what`` is the word for one of them, "pixel" or "sample"."""
     if bad == count:
         raise InputError(
             "radiance",

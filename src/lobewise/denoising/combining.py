@@ -1,9 +1,10 @@
-"""Our image, that of a neural denoiser and the noisy one, mixed pixel by pixel.
+"""The mixture of our image, the image of a neural denoiser and the noisy image, pixel by pixel.
 
-A network that was trained on pictures is good where light is smooth or looks like other pictures; lobes and halves are
-good where a surface reflects in a way that only its guides tell. Which of the two to trust is read off how far they are
-apart, how noisy the image is and which of them the samples are nearer to (`lobewise.filters.noise.agreement`), by a
-small network that was trained on random scenes with guides missing (``benchmarks/training/shares.py``).
+A denoiser that was trained on pictures is good where light is smooth or looks like other pictures. Our filters are good
+where only the guides tell how a surface reflects. A small network gives the shares of the three images. It reads how
+far the images are apart, how noisy the frame is and which image the samples are nearer to
+(`lobewise.filters.noise.agreement`). It was trained on random scenes with guides missing
+(``benchmarks/training/shares.py``).
 """
 
 from __future__ import annotations
@@ -26,27 +27,29 @@ from lobewise.peers import denoise_oidn, name_oidn_guides
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_similarity
 
-DARKEST = 1e-30
-"""Radiance up to which there is no share of it."""
+MAX_BLACK_RADIANCE = 1e-30
+"""Radiance up to which light counts as black, so that no part has a share of it."""
 TRUST_WITHOUT_HALVES = 0.75
-"""What the network's shares are multiplied by where the frame has no halves, unless pixels share samples (the peer
-leaves that noise). The network was trained on frames of our renderer. Most files without halves are of others, where it
-trusts our image too much (docs/quality.md)."""
+"""Factor of the shares that the network gives to other images than the peer's where the frame has no halves. Where
+pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
+renderer. Most files without halves are of other renderers, and on these it trusts our image too much
+(docs/quality.md)."""
 
 
 def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> FloatArray:
-    """Return a mixture of our image, the peer's and the noisy one, pixel by pixel, (height, width, 3).
+    """Return the mixture of our image, the peer's image and the noisy image, (height, width, 3).
 
-    Where the frame has neither albedo nor normal it is the peer's image: the network was trained on no such frame.
+    Where the frame has neither albedo nor normal, the result is the peer's image: the network was trained on no such
+    frame.
 
     Parameters
     ----------
     frame : Frame
-        The noisy one.
+        The noisy frame.
     ours, peer : (height, width, 3)
-        Finite, >= 0; the peer's is that of `denoise_with_peer`.
+        Our image, and the image of `denoise_with_peer`; finite, >= 0.
     noisy : (height, width, 3)
-        The image of the frame without fireflies. Bad pixels are taken from ours.
+        The noisy image without fireflies. Our image replaces its bad pixels.
     """
     if not can_mix(frame):
         return peer
@@ -63,7 +66,7 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: Floa
         shares = shares * np.float32(TRUST_WITHOUT_HALVES)
     noisy = np.where(find_good(noisy)[..., None], noisy, ours)
     mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
-    # Of images that are many orders of magnitude apart, rounding leaves less than 0.
+    # Where the images are many orders of magnitude apart, rounding can leave a negative value.
     return np.maximum(mixed, np.float32(0.0))
 
 
@@ -76,13 +79,13 @@ def find_mixture(
     halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
 ) -> FloatArray:
-    """Return the shares of our image, of the noisy one and of the peer's, shape (height, width, 3), which sum to 1.
+    """Return the shares of our image, the noisy image and the peer's image, (height, width, 3); they sum to 1.
 
     Parameters
     ----------
     noisy, ours, peer : (height, width, 3)
     network : Network
-        Which reads `see_mixture` and has three outputs.
+        It reads the features of `see_mixture` and has three outputs.
     halves, shared
         As in `see_mixture`.
     """
@@ -100,7 +103,7 @@ def see_mixture(
     halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield some rows and what is known of the three images there: `find_agreement`, then `find_detail` of the peer's.
+    """Yield rows and their features: `find_agreement` of the three images, then `find_detail` of the peer's image.
 
     Parameters
     ----------
@@ -120,18 +123,18 @@ def can_mix(frame: Frame) -> bool:
 
 
 def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "") -> str:
-    """Return in one sentence, without a stop, what makes the image.
+    """Return a sentence without a full stop: the filters and networks that make the image.
 
     Parameters
     ----------
     settings : DenoiseSettings
-        Of which quality and ``with_oidn`` are chosen.
+        Its quality and its ``with_oidn`` are chosen.
     guides : sequence of str
-        What `lobewise.peers.name_oidn_guides` gives.
+        Result of `lobewise.peers.name_oidn_guides`.
     mixes : bool
-        What `can_mix` gives.
+        Result of `can_mix`.
     why_ours : str
-        What `lobewise.denoising.automatic.explain_ours` gives.
+        Result of `lobewise.denoising.automatic.explain_ours`.
     """
     ours = "lobewise's own filters"
     if settings.similarity != "auto":
@@ -147,16 +150,16 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
 
 
 class Shares(NamedTuple):
-    """An image, and what makes it up.
+    """An image and the light that it is made of.
 
     Parameters
     ----------
     image : (height, width, 3)
-        The sum of the parts and of the exact light times its gain.
+        The sum of the parts, plus the exact light times its gain.
     parts : list of (height, width, 3)
         Light that surfaces scatter.
     gain : (height, width, 3)
-        What light that no surface scatters (emission, background) is multiplied by, >= 0; mostly 1.
+        Factor of the exact light, which no surface scatters (emission, background), >= 0; mostly 1.
     """
 
     image: FloatArray
@@ -165,23 +168,23 @@ class Shares(NamedTuple):
 
 
 def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> Shares:
-    """Return the parts of ``before`` scaled so that with the exact light, which is in none, they make up ``image``.
+    """Return the parts of ``before``, scaled so that they and the exact light sum to ``image``.
 
-    Exact light stays as it is, and each part keeps its share of what is left. Where the image is darker than the exact
-    light alone, or there is no other light, the exact light is scaled instead: out of focus it is noisy, and the
-    mixture is not. Where there is no light of either kind the image stays what it was, 0.
+    The exact light is the light of ``before`` that is in no part. It stays, and each part keeps its share of the rest.
+    Where the image is darker than the exact light alone, or there is no other light, the exact light is scaled: out of
+    focus it is noisy, and the mixture is not. Where there is no light at all, the image stays 0.
 
     Parameters
     ----------
     image, before : (height, width, 3)
-        The mixture, and what it was mixed from.
+        The mixture, and our image that it was mixed from.
     parts : sequence of (height, width, 3)
-        Of ``before``; bad pixels count as 0.
+        Parts of ``before``; bad pixels count as 0.
     """
     good = [np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts]
     filtered = np.sum(good, axis=0, dtype=np.float32)
     rest = np.maximum(before - filtered, np.float32(0.0))
-    scattered, exact = filtered > DARKEST, rest > DARKEST
+    scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
     image = np.where(scattered | exact, image, before)
     scaled = exact & (~scattered | (image < rest))
     gain = np.divide(image, rest, out=np.ones_like(rest), where=scaled)
@@ -191,7 +194,7 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
 
 
 def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
-    """Return what Open Image Denoise makes of the frame, its bad pixels replaced by ours; finite, >= 0.
+    """Return the image of Open Image Denoise; ours replaces bad pixels of the input and the result; finite, >= 0.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the samples say of a result: where it lost detail, and whether it is worse than its input."""
+"""The evidence of the samples about a result: where it lost detail, and whether it is worse than its input."""
 
 from __future__ import annotations
 
@@ -18,29 +18,30 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
 MAX_CONCENTRATION = 4.0
-"""Of the error of our own filters, which lies along edges and textures (docs/quality.md)."""
+"""Concentration that `find_noisy_share` expects of the error of our filters: this error lies along edges and textures
+(docs/quality.md)."""
 MIN_SHARE_BLURRED = 0.01
-"""Share of the pixels in which a result has clearly more error than its input, from which on one is told."""
+"""Share of the pixels. The user is told if a result has clearly more error than its input in more of them."""
 MAX_RADIANCE = 1e36
-"""Of a pixel of which some is taken back."""
+"""Radiance above which no share of a pixel is taken back, because sums of it overflow."""
 Rows = NDArray[np.float64]
 
 
 def take_back_noisy(
     frame: Frame, image: FloatArray, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], level: float
 ) -> list[FloatArray]:
-    """Return the parts of a result mixed with the noisy ones, where what a filter took away is detail.
+    """Return the filtered parts, mixed with the noisy parts where the filter removed detail.
 
     Parameters
     ----------
     frame : Frame
-        Noisy.
+        The noisy frame.
     image : array, shape (height, width, 3)
-        The result: the parts and what is in none of them.
+        The filtered image: the sum of the parts and of the light that is in no part.
     noisy : sequence of arrays, shape (height, width, 3)
-        The layers of the frame without fireflies.
+        The noisy layers without fireflies.
     parts : sequence of arrays, shape (height, width, 3)
-        What became of the layers. What is not finite stays.
+        The filtered layers. Values that are not finite stay.
     level : float
         Mean light of the samples of the whole image, radiance over albedo, > 0.
     """
@@ -48,19 +49,19 @@ def take_back_noisy(
     shared = frame.noise_is_shared
     share = find_share_taken_back(image, color, load_networks()["noisy"], halves=halves, level=level, shared=shared)
     if halves is not None:
-        # What halves prove counts on textures as well that are like none which the network has seen.
+        # Halves prove lost detail on textures that the network has not seen, too.
         floor = (DARK_SHARE * level) ** 2
         certain = find_noisy_share(
             image, color, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
         )
         share = np.maximum(share, certain)
-    # Parts are added up later: near the largest float their sum would overflow.
+    # The parts are added later, and near the largest float their sum overflows.
     share = np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
     return [_mix(part, light, share) for part, light in zip(parts, noisy, strict=True)]
 
 
 def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
-    """Return the image from one half of the samples and from the other, None where the frame has none."""
+    """Return the images of both halves of the samples, None where the frame has no halves."""
     a, b = frame.half_a, frame.half_b
     return None if a is None or b is None else (a.color, b.color)
 
@@ -74,7 +75,7 @@ def find_share_taken_back(
     level: float,
     shared: bool,
 ) -> FloatArray:
-    """Return the share of the noisy image with which a mixture of both has the least error, as a network tells it.
+    """Return the share of the noisy image at which a network expects the least error of the mixture.
 
     The network was trained on random scenes, with and without guides and halves (``benchmarks/training/shares.py``).
 
@@ -83,7 +84,7 @@ def find_share_taken_back(
     filtered, noisy, halves, level, shared
         As in `lobewise.filters.noise.detail.find_detail`.
     network : Network
-        Of two outputs: the share of the noisy image, and that of the filtered one.
+        Its two outputs are the shares of the noisy and of the filtered image.
 
     Returns
     -------
@@ -99,24 +100,24 @@ def find_share_taken_back(
 
 def _mix(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore", over="ignore"):
-        # As in the total, a negative part is no light.
+        # A negative part counts as no light, as in the total.
         mixed = part + share[..., None] * (np.maximum(noisy, np.float32(0.0)) - part)
     return np.where(np.isfinite(mixed) & (share > 0.0)[..., None], mixed, part)
 
 
 def count_blurred(frame: Frame, image: FloatArray, rows: slice = slice(None)) -> Rows:
-    """Return for some rows in how many pixels a result has clearly more error than its input, and how many they have.
+    """Return for each row the number of pixels with clearly more error than the input, and the number of pixels.
 
-    The halves of the samples are not looked at, which the quality "fast" does not read either.
+    The count does not read the halves of the samples, because the quality "fast" does not read them either.
 
     Parameters
     ----------
     frame : Frame
-        Noisy; `lobewise.filters.noise.evidence.REACH` rows around those that are asked for tell on them.
+        The noisy frame. A count depends on `lobewise.filters.noise.evidence.REACH` rows to each side.
     image : array, shape (height, width, 3)
         The result.
     rows : slice
-        Which rows.
+        Rows to count.
 
     Returns
     -------
@@ -130,7 +131,7 @@ def count_blurred(frame: Frame, image: FloatArray, rows: slice = slice(None)) ->
         shared=frame.noise_is_shared,
         by_darker=True,
     )[rows]
-    # With equal errors the best mixture is half of each.
+    # Where both errors are equal, the best share is one half.
     blurred = np.count_nonzero(share > 0.5, axis=-1)
     return np.stack([blurred, np.full(len(blurred), share.shape[1])], axis=-1).astype(np.float64)
 
@@ -141,7 +142,7 @@ def describe_blurred(rows: Rows) -> tuple[str, ...]:
     Parameters
     ----------
     rows : array, shape (height, 2)
-        What `count_blurred` gave.
+        Result of `count_blurred`.
     """
     blurred, count = rows.sum(axis=0) if len(rows) else (0.0, 0.0)
     if not blurred >= MIN_SHARE_BLURRED * max(count, 1.0):
