@@ -32,10 +32,10 @@ def make_texture() -> FloatArray:
 
 
 def list_noise(kind: str, a: FloatArray, b: FloatArray) -> dict[str, Any]:
-    """Return what is told of the noise."""
+    """Return the arguments that describe the noise."""
     if kind == "halves":
         return {"halves": (a, b)}
-    # A variance that says too little, as of samples that missed what is bright.
+    # A variance that is too small, as if the samples missed bright light.
     return {"variance": np.full_like(a, np.square(a - b).mean() / 40.0)} if kind == "variance" else {}
 
 

@@ -50,7 +50,7 @@ def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
     assert guide.dtype == np.float32
     assert guide.shape == expected.shape
     np.testing.assert_allclose(guide[..., :3], expected[..., :3], rtol=1e-6, atol=1.2 * LOGARITHM)
-    # A quarter of the square of a difference d is out by half of d times its error, which is that of two logarithms.
+    # The error of d^2 / 4 is d / 2 times the error of the difference d, which is that of two logarithms.
     d = np.sqrt(4.0 * expected[..., 3].max())
     np.testing.assert_allclose(guide[..., 3], expected[..., 3], rtol=1e-5, atol=1.2 * LOGARITHM * d)
 
@@ -62,7 +62,7 @@ def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
 
 
 def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
-    # At a border, so that what lies beyond it counts too.
+    # Put the pixel at a border, so that pixels beyond the border count too.
     shape, (row, column) = (12, 15), (0, 5)
     a, b = np.ones((*shape, 3), np.float32), np.ones((*shape, 3), np.float32)
     b[row, column, 1] = 3.0
@@ -169,7 +169,7 @@ def test_any_layout_of_the_arrays_will_do() -> None:
     frozen = a.copy()
     frozen.flags.writeable = False
     np.testing.assert_array_equal(make_noise_guide(frozen, np.asfortranarray(b), LEVEL), expected)
-    # What lies before and behind an image is none of the kernel's business.
+    # The kernel must not read memory before or behind an image.
     flat = np.full(a.size + 512, np.nan, np.float32)
     flat[256:-256] = a.ravel()
     np.testing.assert_array_equal(make_noise_guide(flat[256:-256].reshape(a.shape), b, LEVEL), expected)
