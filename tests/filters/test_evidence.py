@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import recipe
+from lobewise.denoising import stages
 from lobewise.denoising.evidence import describe_blurred
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
@@ -116,7 +116,7 @@ def test_a_texture_that_no_guide_tells_comes_back(
     frame = Frame(Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), **halves, spp=1024)
     noise = rel_mse(frame.radiance.color, truth)
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < 1.1 * noise
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
+    monkeypatch.setattr(stages, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
 
 

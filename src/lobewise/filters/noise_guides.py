@@ -28,7 +28,7 @@ from lobewise.frame import FloatArray
 BLUR_RADIUS = 3
 """Radius of the blur of the variance, pixels."""
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
-BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
+VARIANCE_BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 """Gaussian of standard deviation 1 pixel, which blurs the variance."""
 VARIANCE_FLOOR = 5e-4
 """Smallest variance of the mean of logarithms: relative differences below about 4 % are never distinguished."""
@@ -55,7 +55,7 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     logs[X, C, Y] = hl.mux(C, values)
     steps = [logs[X, k, Y] - logs[X, k + COLORS, Y] for k in range(COLORS)]
     spread[X, Y] = sum((step * step for step in steps), hl.f32(0.0)) * hl.f32(0.25 / COLORS)
-    taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), BLUR, strict=True))
+    taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), VARIANCE_BLUR, strict=True))
     rows[X, Y] = sum((hl.f32(weight) * spread[X + k, Y] for k, weight in taps), hl.f32(0.0))
     variance = sum((hl.f32(weight) * rows[X, Y + k] for k, weight in taps), floor)
     half = hl.f32(0.5)
@@ -136,7 +136,7 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
-    quarter of the squared difference of both logarithms, averaged over the colours and blurred by `BLUR`.
+    quarter of the squared difference of both logarithms, averaged over the colours and blurred by `VARIANCE_BLUR`.
 
     Parameters
     ----------
