@@ -18,7 +18,7 @@ LEVEL = 1.7
 """How bright the whole image is taken to be; any number will do."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ALBEDO_FLOOR = 1e-3
-VARIANCE_FLOOR = 5e-4
+MIN_VARIANCE = 5e-4
 # The kernels' log2 is good to 1e-4, of which a natural logarithm has ln 2.
 LOGARITHM = 7e-5
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 3), (33, 17), (70, 65)]
@@ -42,7 +42,7 @@ def noise_guide_reference(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     logs = np.log(both + LOG_OFFSET_SHARE * LEVEL)
     spread = 0.25 * np.mean((logs[0] - logs[1]) ** 2, axis=-1)
     variance = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
-    return np.concatenate([logs.mean(axis=0), variance[..., None] + VARIANCE_FLOOR], axis=-1)
+    return np.concatenate([logs.mean(axis=0), variance[..., None] + MIN_VARIANCE], axis=-1)
 
 
 def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
@@ -71,14 +71,14 @@ def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
     spread = np.zeros(shape)
     spread[row, column] = 0.25 / 3.0 * np.log((3.0 + offset) / (1.0 + offset)) ** 2
     expected = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
-    found = guide[..., 3] - np.float32(VARIANCE_FLOOR)
+    found = guide[..., 3] - np.float32(MIN_VARIANCE)
     np.testing.assert_allclose(found, expected, rtol=5e-4, atol=1e-7)
 
 
 def test_alike_halves_have_the_least_variance() -> None:
     a, _ = make_halves((33, 17))
     guide = make_noise_guide(a, a, LEVEL)
-    np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
+    np.testing.assert_array_equal(guide[..., 3], np.float32(MIN_VARIANCE))
 
 
 @pytest.mark.parametrize("scale", [1e-4, 7.0, 1e5])
@@ -102,7 +102,7 @@ def test_a_black_image_has_a_guide() -> None:
     guide = make_noise_guide(black, black, 0.0)
     assert np.isfinite(guide).all()
     np.testing.assert_allclose(guide[..., :3], np.log(1e-30), rtol=1e-5)
-    np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
+    np.testing.assert_array_equal(guide[..., 3], np.float32(MIN_VARIANCE))
 
 
 def make_samples(shape: tuple[int, int]) -> tuple[tuple[FloatArray, FloatArray], FloatArray, NDArray[np.bool_]]:

@@ -30,9 +30,9 @@ BLUR_RADIUS = 3
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
 VARIANCE_BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 """Gaussian of standard deviation 1 pixel, which blurs the variance."""
-VARIANCE_FLOOR = 5e-4
+MIN_VARIANCE = 5e-4
 """Smallest variance of the mean of logarithms: relative differences below about 4 % are never distinguished."""
-LONE_FLOOR = 1e-4
+MIN_VARIANCE_WITHOUT_HALVES = 1e-4
 """Smallest variance for an image without halves, whose noise is estimated from more pixels than with halves."""
 LOG_OFFSET_SHARE = 0.04
 """Offset added before taking the logarithm, as a share of the mean light of the whole image."""
@@ -132,7 +132,7 @@ def find_level(rows: NDArray[np.float64]) -> float:
 
 
 @returns_host_images
-def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = VARIANCE_FLOOR) -> Image:
+def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = MIN_VARIANCE) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
@@ -152,9 +152,9 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
     kernel = get_kernel(device, ("noise guide",), _make_noise_guide)
-    return run_kernel(kernel, device, images, offset=find_dark(level), floor=floor)["guide"]
+    return run_kernel(kernel, device, images, offset=find_log_offset(level), floor=floor)["guide"]
 
 
-def find_dark(level: float) -> float:
+def find_log_offset(level: float) -> float:
     """Return the offset under the logarithms of an image with mean light ``level``."""
     return max(LOG_OFFSET_SHARE * level, 1e-30)
