@@ -1,4 +1,4 @@
-"""Devices: which there are, why one is missing, and what stays on one between kernels."""
+"""Devices: which are found, why one is missing, and images that stay on a device between kernels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from lobewise.filters.dual_buffer import Exponents, PassRequest, filter_dual_buf
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.settings import DenoiseSettings
 
-pytestmark = pytest.mark.processor  # each test says itself what it runs on
+pytestmark = pytest.mark.processor  # Each test names its own device.
 
 # Float32 in another order of operations and with other roundings of quotients and roots, over two or three passes.
 DEVICE_RELATIVE = 1e-4

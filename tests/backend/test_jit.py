@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: what is kept, what is not, and what happens to files that are not whole."""
+"""Compiled kernels on disk: which are kept, what their names depend on, damaged files; and checks of calls."""
 
 from __future__ import annotations
 
@@ -342,11 +342,11 @@ class TestCalls:
 
 @pytest.fixture
 def parameters() -> list[Parameter]:
-    """Return those of a kernel that reads a colour, a mask and a guide and writes an image."""
+    """Return the parameters of a kernel that reads a colour, a mask and a guide and writes an image."""
     signature = Signature("mean")
     signature.image("colour", "height", "width", 3)
     signature.image("mask", "height", "width", type=hl.UInt(8))
-    # Whenever it is declared, what is written comes last.
+    # Outputs come last, whenever they are declared.
     signature.output("image", "height", "width", 3)
     signature.image("guide", "height", "width", 3)
     signature.count("radius", 1, 8)
@@ -369,7 +369,7 @@ def make_call(**changes: Any) -> dict[str, Any]:
 
 
 class TestCheckedCalls:
-    """Machine code checks nothing: what is wrong must be told before it runs."""
+    """Machine code checks nothing: wrong arguments must be refused before it runs."""
 
     def test_what_fits(self, parameters):
         check_call("mean", parameters, make_call())

@@ -1,4 +1,4 @@
-"""Machine code is taken from this user's files alone, and only whole object files reach the loader."""
+"""Machine code is read only from files of this user, and only whole object files reach the loader."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = [
 
 @pytest.fixture(autouse=True)
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every test be told again."""
+    """Let every test see its warnings."""
     monkeypatch.setattr(disk, "_told", set())
 
 

@@ -49,7 +49,7 @@ def get_screen_distance_squared(i: Pixels, j: Pixels) -> FloatImage:
 
 
 def get_shift(feature: SgFeature | GgxFeature | AsgFeature, i: Pixels, j: Pixels) -> FloatImage | None:
-    """Return what the hits add to the difference of the axes; None without the term."""
+    """Return the shift that the hits add to the difference of the axes; None without hits."""
     if feature.hits is None:
         return None
     arrays = feature.axis, feature.hits.position, feature.hits.inverse_distance

@@ -32,7 +32,7 @@ def draw_pairs(rng: np.random.Generator, shape: tuple[int, int], count: int) -> 
 
 
 class _Kernel(NamedTuple):
-    """A compiled similarity and what it reads of both pixels: channels, whether they are known; offsets, scalars."""
+    """A compiled similarity and its inputs: channels of both pixels, whether they have meaning, offsets, scalars."""
 
     result: hl.Func
     channels: list[hl.ImageParam]

@@ -1,9 +1,9 @@
-"""Memory that ends where a page begins that nobody may touch: a kernel that reads or writes beyond a buffer crashes.
+"""Buffers next to protected pages: a kernel that reads or writes beyond a buffer crashes.
 
-As a plugin (``pytest -p tests.filters.guard_pages``) it puts every buffer of every call of a kernel on the processor
-there, flush against the page behind it or the one before it, as the environment variable ``GUARD_PAGES`` says ("end",
-"start"). What is written is copied back, and what lies between the rows of a part of an image must stay as it was.
-Nothing more is promised to kernels than that entries are aligned to their own size (`lobewise.backend.buffers.lend`).
+As a plugin (``pytest -p tests.filters.guard_pages``) it moves all buffers of kernels on the processor to a protected
+page: behind them or before them, as the environment variable ``GUARD_PAGES`` says ("end", "start"). Outputs are copied
+back, and memory between the rows of a part of an image must not change. Kernels may only assume that entries are
+aligned to their own size (`lobewise.backend.buffers.lend`).
 """
 
 from __future__ import annotations

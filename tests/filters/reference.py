@@ -115,7 +115,7 @@ def filter_reference(
     modulate: bool = True,
     strictness: FloatArray | None = None,
 ) -> ReferenceOutput:
-    """Return what the filter gives; see `engine.run_filter`.
+    """Return the result of `run_filter`, computed in float64.
 
     Pixels outside the mask are 0.
     """
@@ -134,7 +134,7 @@ def filter_reference(
 
 
 def stack_frames(before: Feature, now: Feature) -> Feature:
-    """Return a feature of one image that has the rows of the frame before and below them those of this one.
+    """Return a feature of one image with the rows of the frame before above the rows of this frame.
 
     Its parameters are those of this frame. A feature of the distance on the screen has no meaning between two frames.
     """
@@ -154,7 +154,7 @@ def reproject_reference(
     masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     features: tuple[Sequence[Feature], Sequence[Feature]],
 ) -> FloatImage:
-    """Return what every pixel brings along from the frame before, (height, width, 8); see `run_reprojection`."""
+    """Return the result of `run_reprojection`, (height, width, 8), computed in float64."""
     height, width = masks[1].shape
     pairs = [stack_frames(*pair) for pair in zip(*features, strict=True)]
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Samples added to a history, and what they say of it, against the definitions."""
+"""Accumulation of samples into a history, and the trust in the history, against the definitions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SHAPE = (13, 21)
 RADIUS = 2
 CASES = [(1, (0, 0)), (2, (1, 0)), (3, (0, 2)), (4, (3, 1))]
 GROWTH, OWN = 0.5, 1.4
-# The logarithm of the kernels, to a power of three at most.
+# Relative error: that of the kernels' logarithm, raised to a power of at most 3.
 TOLERANCE = 2e-3
 FLOOR = 1e-3
 
@@ -61,7 +61,7 @@ def make_grid(given: dict[str, Any], scale: int, place: tuple[int, int]) -> Samp
 
 
 def accumulate(given: dict[str, Any], scale: int, place: tuple[int, int], **changes: Any) -> AccumulatedOutput:
-    """Return what the kernel makes of it."""
+    """Return the result of the kernel."""
     options = {"radius": RADIUS, "history": given["history"], "trust": given["trust"], "growth": GROWTH, "own": OWN}
     return make_grid(given, scale, place).accumulate(given["samples"], **{**options, **changes})
 

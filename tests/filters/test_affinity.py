@@ -32,7 +32,7 @@ def make_inputs(rng: np.random.Generator, size: tuple[int, int], features: int =
 
 
 def shift(image: Array, down: int, right: int, outside: float) -> Array:
-    """Return the image whose pixel (y, x) is that of (y + down, x + right), ``outside`` beyond the image."""
+    """Return the image moved so that pixel (y, x) is (y + down, x + right) of the original; ``outside`` beyond it."""
     height, width = image.shape[-2:]
     moved = np.full(image.shape, outside)
     rows, columns = np.arange(height) + down, np.arange(width) + right
@@ -44,7 +44,7 @@ def shift(image: Array, down: int, right: int, outside: float) -> Array:
 
 
 def filter_slowly(inputs: AffinityInputs, step: int) -> Array:
-    """Return what the filter returns, in float64."""
+    """Return the filter's result, computed in float64."""
     light, features, centre, source, *more = (np.asarray(each, np.float64) for each in inputs if each is not None)
     total, sums = centre.copy(), centre * light
     for v in range(-2, 3):

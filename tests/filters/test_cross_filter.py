@@ -18,15 +18,15 @@ from lobewise.lobes.vectors import LUMINANCE
 from tests.features.frames import SIZES, make_feature, make_mask, make_radiance
 from tests.filters.reference import ReferenceOutput, filter_reference
 
-# What features say is held against their oracles in tests/features; a form is the same code for all of them. Planes of
-# several features side by side, of which the second has an intermediate value and weights that are approximate.
+# tests/features compares features with their oracles; a form runs the same code for all features. These two have planes
+# side by side; the second has an intermediate stage and approximate weights.
 LOBES = ("position", "ggx")
-# An offset, and planes; the weight of a pixel with itself is 1 exactly.
+# One feature of the offset and one with planes; the weight of a pixel with itself is exactly 1.
 PLACE = ("screen", "position")
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4; ggx expands 1/|m|^2 to third order.
 RELATIVE = {LOBES: 1e-3, PLACE: 1e-4}
 EVERY_FORM = ["full", "separable", pytest.param("atrous", marks=pytest.mark.slow)]
-# One radius for all: each other one would compile every kernel again.
+# One radius for all tests: another would compile all kernels again.
 RADIUS = 3
 
 
@@ -49,7 +49,7 @@ def make_impulse(shape: tuple[int, int], at: tuple[int, int]) -> FloatArray:
 
 @cache
 def ask_oracle(form: str, shape: tuple[int, int], at: tuple[int, int] | None = None) -> ReferenceOutput:
-    """Return what the oracle makes of noise, or of an impulse; the same for every device."""
+    """Return the oracle's result for noise or an impulse; it serves all devices."""
     radiance = make_radiance(shape) if at is None else make_impulse(shape, at)
     return filter_reference(radiance, make_mask(shape), make_features(LOBES, shape), form=form, radius=RADIUS)
 
@@ -206,7 +206,7 @@ def make_strictness(shape: tuple[int, int], low: float, high: float) -> FloatArr
 def run_strictly(
     radiance: FloatArray, strictness: FloatArray, form: str, *, mask: FloatArray | None = None
 ) -> FilterOutput:
-    """Return what the filter makes of ``radiance`` by positions, whose similarity with themselves is 1 exactly."""
+    """Return ``radiance`` filtered by positions; the similarity of a position with itself is exactly 1."""
     shape = strictness.shape
     usable = make_mask(shape) if mask is None else mask
     features = make_features(PLACE, shape)

@@ -1,4 +1,4 @@
-"""What tells noise from detail, and the share that a network makes of it."""
+"""Features that distinguish noise from detail, and the shares that a network predicts from them."""
 
 from __future__ import annotations
 

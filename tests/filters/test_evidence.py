@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import recipe
+from lobewise.denoising import stages
 from lobewise.denoising.evidence import describe_blurred
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
@@ -32,10 +32,10 @@ def make_texture() -> FloatArray:
 
 
 def list_noise(kind: str, a: FloatArray, b: FloatArray) -> dict[str, Any]:
-    """Return what is told of the noise."""
+    """Return the arguments that describe the noise."""
     if kind == "halves":
         return {"halves": (a, b)}
-    # A variance that says too little, as of samples that missed what is bright.
+    # A variance that is too small, as if the samples missed bright light.
     return {"variance": np.full_like(a, np.square(a - b).mean() / 40.0)} if kind == "variance" else {}
 
 
@@ -116,7 +116,7 @@ def test_a_texture_that_no_guide_tells_comes_back(
     frame = Frame(Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), **halves, spp=1024)
     noise = rel_mse(frame.radiance.color, truth)
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < 1.1 * noise
-    monkeypatch.setattr(recipe, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
+    monkeypatch.setattr(stages, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
 
 

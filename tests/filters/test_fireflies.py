@@ -1,4 +1,4 @@
-"""Fireflies: against the definition in NumPy, what must go, what must stay, strange numbers, borders, threads."""
+"""Fireflies against the definition in NumPy: light that must go or stay, bad numbers, borders, threads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lobewise.lobes.vectors import LUMINANCE
 Image = NDArray[np.float32]
 SIZES = [(1, 1), (1, 7), (2, 3), (9, 2), (17, 33), (70, 41)]
 STRANGE = np.float32([np.nan, np.inf, -np.inf, -1.0, 1e-42, 1e37])
-# Some operations in float32.
+# Relative error of a few operations in float32.
 ROUNDING = 2e-6
 
 
@@ -130,7 +130,7 @@ def test_a_firefly_goes_and_a_glint_of_three_stays(place: tuple[int, int], compa
     step = 1 if x < 20 else -1
     for k in range(companions + 1):
         a[y, x + k * step] = b[y, x + k * step] = 100.0
-    # The other halves did not see it, but for what the window's means are made of.
+    # The other half of the pixel did not see the firefly.
     b[y, x] = 0.5
     bounded = bound_fireflies((a, b), None, mask)
     if companions == 2:

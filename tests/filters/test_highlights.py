@@ -1,4 +1,4 @@
-"""Highlights: against the definition in NumPy, what is one and what is none, strange numbers, what adds up."""
+"""Highlights against the definition in NumPy: spots that are highlights or not, bad numbers, sums of the parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mixing of candidates against its definition in NumPy and SciPy, and what a convex average promises."""
+"""The mixing of candidates against its definition in NumPy and SciPy, and properties of a convex average."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHAPES = [(1, 1), (3, 40), (33, 50)]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 BINOMIAL = np.poly1d([0.5, 0.5]) ** 4
 BORDER = 10
-"""Pixels beyond which a pixel is told nothing: 2 and 6 of the blurs and 1 of the slope, and one to spare."""
+"""Distance from which pixels do not affect a pixel: 2 and 6 for the blurs, 1 for the slope, and one to spare."""
 
 LOGARITHM = 1.2e-4
 """The kernels' log2 is good to 1e-4; the rest is for squares of differences, which float32 rounds."""
@@ -74,7 +74,7 @@ def force_shares(network: Network, scores: Any) -> Network:
 
 
 def make_inputs(shape: tuple[int, int]) -> tuple[Pairs, int, FloatArray, float]:
-    """Return what the kernels are given."""
+    """Return the arguments of the kernels."""
     pairs = make_pairs(shape)
     a, b = pairs[MIDDLE]
     return pairs, MIDDLE, make_extras(shape), float(np.mean((0.5 * (a + b)) @ LUMINANCE))
@@ -138,7 +138,7 @@ class TestDefinition:
         np.testing.assert_allclose(found, expected, rtol=SHARE, atol=1e-9)
 
     def test_shares_are_those_of_no_one_candidate(self):
-        # Else the test above would tell nothing of the network.
+        # Otherwise the test above would not depend on the network.
         pairs, *rest = make_inputs((33, 50))
         for k in range(CANDIDATES):
             lit: Pairs = [
@@ -160,7 +160,7 @@ class TestDefinition:
         # At the first row: the rows beyond it are that row again.
         beyond[: row + 3, column - 2 : column + 3] = 0.25 * weights
         expected = np.stack([weights @ beyond[y : y + 5] for y in range(shape[0])])
-        # The least that a feature tells is 1e-8.
+        # Features do not go below log2(1e-8).
         np.testing.assert_allclose(variance, expected, rtol=1e-4, atol=1.1e-8)
 
     def test_black_and_alike_candidates_have_features(self):
@@ -172,7 +172,7 @@ class TestDefinition:
 
     @pytest.mark.slow
     def test_two_candidates_and_other_extras(self):
-        # As Open Image Denoise and ours are mixed: halves alike, and the first is what the other is compared with.
+        # Open Image Denoise and our result are mixed like this: equal halves, and the first is the middle candidate.
         pairs = [(a, a) for a, _ in make_pairs((7, 8), 2)]
         extras = make_extras((7, 8), 5)
         network = make_network(count_features(2, 5), 2, (3, 6))
@@ -242,7 +242,7 @@ class TestLaws:
         frozen.flags.writeable = False
         odd[0] = frozen, np.asfortranarray(pairs[0][1])
         odd[1] = pairs[1][0][::-1].copy()[::-1], pairs[1][1].astype(np.float64)
-        # What lies before and behind an image is none of the kernel's business.
+        # The kernel must not read memory before or behind an image.
         flat = np.full(extras.size + 512, np.nan, np.float32)
         flat[256:-256] = extras.ravel()
         weights = tuple(np.asfortranarray(each.astype(np.float64)) for each in NETWORK.weights)

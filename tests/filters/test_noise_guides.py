@@ -18,7 +18,7 @@ LEVEL = 1.7
 """How bright the whole image is taken to be; any number will do."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 ALBEDO_FLOOR = 1e-3
-VARIANCE_FLOOR = 5e-4
+MIN_VARIANCE = 5e-4
 # The kernels' log2 is good to 1e-4, of which a natural logarithm has ln 2.
 LOGARITHM = 7e-5
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 3), (33, 17), (70, 65)]
@@ -42,7 +42,7 @@ def noise_guide_reference(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     logs = np.log(both + LOG_OFFSET_SHARE * LEVEL)
     spread = 0.25 * np.mean((logs[0] - logs[1]) ** 2, axis=-1)
     variance = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
-    return np.concatenate([logs.mean(axis=0), variance[..., None] + VARIANCE_FLOOR], axis=-1)
+    return np.concatenate([logs.mean(axis=0), variance[..., None] + MIN_VARIANCE], axis=-1)
 
 
 def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
@@ -50,7 +50,7 @@ def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
     assert guide.dtype == np.float32
     assert guide.shape == expected.shape
     np.testing.assert_allclose(guide[..., :3], expected[..., :3], rtol=1e-6, atol=1.2 * LOGARITHM)
-    # A quarter of the square of a difference d is out by half of d times its error, which is that of two logarithms.
+    # The error of d^2 / 4 is d / 2 times the error of the difference d, which is that of two logarithms.
     d = np.sqrt(4.0 * expected[..., 3].max())
     np.testing.assert_allclose(guide[..., 3], expected[..., 3], rtol=1e-5, atol=1.2 * LOGARITHM * d)
 
@@ -62,7 +62,7 @@ def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
 
 
 def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
-    # At a border, so that what lies beyond it counts too.
+    # Put the pixel at a border, so that pixels beyond the border count too.
     shape, (row, column) = (12, 15), (0, 5)
     a, b = np.ones((*shape, 3), np.float32), np.ones((*shape, 3), np.float32)
     b[row, column, 1] = 3.0
@@ -71,14 +71,14 @@ def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
     spread = np.zeros(shape)
     spread[row, column] = 0.25 / 3.0 * np.log((3.0 + offset) / (1.0 + offset)) ** 2
     expected = gaussian_filter(spread, 1.0, mode="nearest", radius=3)
-    found = guide[..., 3] - np.float32(VARIANCE_FLOOR)
+    found = guide[..., 3] - np.float32(MIN_VARIANCE)
     np.testing.assert_allclose(found, expected, rtol=5e-4, atol=1e-7)
 
 
 def test_alike_halves_have_the_least_variance() -> None:
     a, _ = make_halves((33, 17))
     guide = make_noise_guide(a, a, LEVEL)
-    np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
+    np.testing.assert_array_equal(guide[..., 3], np.float32(MIN_VARIANCE))
 
 
 @pytest.mark.parametrize("scale", [1e-4, 7.0, 1e5])
@@ -102,7 +102,7 @@ def test_a_black_image_has_a_guide() -> None:
     guide = make_noise_guide(black, black, 0.0)
     assert np.isfinite(guide).all()
     np.testing.assert_allclose(guide[..., :3], np.log(1e-30), rtol=1e-5)
-    np.testing.assert_array_equal(guide[..., 3], np.float32(VARIANCE_FLOOR))
+    np.testing.assert_array_equal(guide[..., 3], np.float32(MIN_VARIANCE))
 
 
 def make_samples(shape: tuple[int, int]) -> tuple[tuple[FloatArray, FloatArray], FloatArray, NDArray[np.bool_]]:
@@ -169,7 +169,7 @@ def test_any_layout_of_the_arrays_will_do() -> None:
     frozen = a.copy()
     frozen.flags.writeable = False
     np.testing.assert_array_equal(make_noise_guide(frozen, np.asfortranarray(b), LEVEL), expected)
-    # What lies before and behind an image is none of the kernel's business.
+    # The kernel must not read memory before or behind an image.
     flat = np.full(a.size + 512, np.nan, np.float32)
     flat[256:-256] = a.ravel()
     np.testing.assert_array_equal(make_noise_guide(flat[256:-256].reshape(a.shape), b, LEVEL), expected)

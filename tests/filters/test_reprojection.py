@@ -60,7 +60,7 @@ def make_random_mask(shape: tuple[int, int], seed: int) -> NDArray[np.bool_]:
 
 
 def reproject_plainly(past: FloatArray, places: FloatArray) -> FloatArray:
-    """Return what is gathered where everything resembles everything."""
+    """Return the history reprojected without features, so that all pixels are similar."""
     masks = make_mask(places.shape[:2]), make_mask(places.shape[:2])
     return run_reprojection(past, places, masks, ([], []))
 
@@ -112,7 +112,7 @@ def test_of_two_places_the_better_counts_more(kinds: tuple[str, ...], virtual_fr
         expected = ((1.0 - share) * first + share * second) * 0.5
         expected[..., SQUARED_WEIGHT] *= 0.5
         expected[..., AGREEMENT] *= 2.0
-        # What is mixed by the square of an agreement errs by two of it more.
+        # Mixing by squared agreements adds twice their error.
         np.testing.assert_allclose(out, expected, rtol=4.0 * tolerance, atol=1e-6, err_msg=str(shape))
 
 

@@ -1,4 +1,4 @@
-"""The noise of images without halves: how well residuals tell it, and what it does for the filters."""
+"""The noise of images without halves: the accuracy of residuals, and their use in the filters."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def make_mirror(noise: float, contrast: float) -> tuple[Frame, np.ndarray]:
 
 @pytest.mark.parametrize("quality", ["balanced", "high"])
 def test_detail_that_stands_out_of_the_noise_stays(quality: str) -> None:
-    """Lobes as wide as these would average them away, an error of 1.9: only the noise tells that they are none."""
+    """Lobes as wide as these would average the detail away, an error of 1.9: only the noise estimate keeps it."""
     frame, reference = make_mirror(0.05, contrast=0.8)
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, reference) < 0.02
 

@@ -1,4 +1,4 @@
-"""Specks of blurred lights: against the definition in NumPy, what is moved and what stays, borders, strange numbers."""
+"""Specks of blurred lights against the definition in NumPy: light that is moved or stays, borders, bad numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reference BRDFs against the integrals that define them, and single lobes against the best one that there is."""
+"""Reference BRDFs against the integrals that define them, and single lobes against the best fit."""
 
 import numpy as np
 import pytest

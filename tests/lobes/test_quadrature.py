@@ -1,4 +1,4 @@
-"""The yardstick itself: grids of different shape and size must give the same integrals, and known ones."""
+"""The quadrature itself: grids of different shape and size must give equal integrals, and known ones."""
 
 import numpy as np
 import pytest

@@ -43,7 +43,7 @@ from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid, run_upsampling
 from lobewise.filters.mixing import mix_candidates
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
-from lobewise.filters.noise_guides import LONE_FLOOR, VARIANCE_FLOOR, find_dark, make_noise_guide
+from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import ResolvedSettings
@@ -247,14 +247,14 @@ def make_first_guide(noisy: NoisyLayer, device: str) -> Image:
         )
         (found,) = filter_dual_buffer(itself)
         return compare_halves(noisy, Halves(found.a, found.b), device)
-    image, dark = download(noisy.samples[0]), find_dark(noisy.level)
+    image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
     return compare_halves(noisy, Halves(*halves), device)
 
 
 def compare_halves(noisy: NoisyLayer, halves: Halves, device: str) -> Image:
     """Return the guide of a pass from two images that are as far apart as their noise."""
-    floor = VARIANCE_FLOOR if noisy.is_whole else LONE_FLOOR
+    floor = MIN_VARIANCE if noisy.is_whole else MIN_VARIANCE_WITHOUT_HALVES
     return make_noise_guide(halves.a, halves.b, noisy.level, device, floor=floor)
 
 
@@ -291,7 +291,7 @@ def split_lone(found: DualBufferOutput, level: float, *, joined: bool) -> DualBu
     mean = download(found.a)
     # The mean of two halves filtered by the same weights is worth twice as many samples as this one image.
     worth = np.float32(0.5) * download(found.effective_samples)
-    halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_dark(level))
+    halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_log_offset(level))
     return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
 
 

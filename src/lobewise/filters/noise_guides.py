@@ -28,11 +28,11 @@ from lobewise.frame import FloatArray
 BLUR_RADIUS = 3
 """Radius of the blur of the variance, pixels."""
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
-BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
+VARIANCE_BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 """Gaussian of standard deviation 1 pixel, which blurs the variance."""
-VARIANCE_FLOOR = 5e-4
+MIN_VARIANCE = 5e-4
 """Smallest variance of the mean of logarithms: relative differences below about 4 % are never distinguished."""
-LONE_FLOOR = 1e-4
+MIN_VARIANCE_WITHOUT_HALVES = 1e-4
 """Smallest variance for an image without halves, whose noise is estimated from more pixels than with halves."""
 LOG_OFFSET_SHARE = 0.04
 """Offset added before taking the logarithm, as a share of the mean light of the whole image."""
@@ -55,7 +55,7 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     logs[X, C, Y] = hl.mux(C, values)
     steps = [logs[X, k, Y] - logs[X, k + COLORS, Y] for k in range(COLORS)]
     spread[X, Y] = sum((step * step for step in steps), hl.f32(0.0)) * hl.f32(0.25 / COLORS)
-    taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), BLUR, strict=True))
+    taps = list(zip(range(-BLUR_RADIUS, BLUR_RADIUS + 1), VARIANCE_BLUR, strict=True))
     rows[X, Y] = sum((hl.f32(weight) * spread[X + k, Y] for k, weight in taps), hl.f32(0.0))
     variance = sum((hl.f32(weight) * rows[X, Y + k] for k, weight in taps), floor)
     half = hl.f32(0.5)
@@ -132,11 +132,11 @@ def find_level(rows: NDArray[np.float64]) -> float:
 
 
 @returns_host_images
-def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = VARIANCE_FLOOR) -> Image:
+def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = MIN_VARIANCE) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
-    quarter of the squared difference of both logarithms, averaged over the colours and blurred by `BLUR`.
+    quarter of the squared difference of both logarithms, averaged over the colours and blurred by `VARIANCE_BLUR`.
 
     Parameters
     ----------
@@ -152,9 +152,9 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
     kernel = get_kernel(device, ("noise guide",), _make_noise_guide)
-    return run_kernel(kernel, device, images, offset=find_dark(level), floor=floor)["guide"]
+    return run_kernel(kernel, device, images, offset=find_log_offset(level), floor=floor)["guide"]
 
 
-def find_dark(level: float) -> float:
+def find_log_offset(level: float) -> float:
     """Return the offset under the logarithms of an image with mean light ``level``."""
     return max(LOG_OFFSET_SHARE * level, 1e-30)

@@ -1,1 +1,1 @@
-"""Second definitions, in NumPy and mostly float64, that only tests use: what the package computes is held against."""
+"""Second, independent definitions in NumPy, mostly float64: tests compare the package with them."""

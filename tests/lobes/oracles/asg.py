@@ -58,7 +58,7 @@ class AsgProduct(NamedTuple):
     amplitude: Array
     """``exp(-c)``, shape (...); the exponent of the product is exact."""
     smooth: Array
-    """``max(axis.z_i, 0) max(axis.z_j, 0)``, shape (...): what stands for the two cosines."""
+    """``max(axis.z_i, 0) max(axis.z_j, 0)``, shape (...), which approximates the two cosines."""
 
 
 def _outer(a: Array) -> Array:
@@ -268,7 +268,7 @@ def asg_similarity(lobe_i: AsgLobe, lobe_j: AsgLobe) -> Array:
 def asg_approx_similarity(
     lobe_i: AsgLobe, lobe_j: AsgLobe, beta: ArrayLike = 1.0, *, shift: ArrayLike | None = None
 ) -> Array:
-    """Return the similarity of two lobes without eigenvectors, in [0, 1]: what the image kernels compute. Approximate.
+    """Return the similarity of two lobes without eigenvectors, in [0, 1], as the image kernels do. Approximate.
 
     Parameters
     ----------
@@ -402,7 +402,7 @@ def make_ggx_asg(
     view, normal : array_like, shape (..., 3)
         Unit vectors away from the surface, ``normal.view > 0``.
     alpha_u, alpha_v : array_like
-        Roughness along and across ``tangent``, >= 0; ``alpha_v`` defaults to ``alpha_u``. What exceeds 1 counts as 1.
+        Roughness along and across ``tangent``, >= 0; ``alpha_v`` defaults to ``alpha_u``. Values above 1 count as 1.
     tangent : array_like, shape (..., 3), optional
         Unit vector perpendicular to ``normal``; not needed where the two roughnesses are equal.
     dominant : bool

@@ -16,7 +16,7 @@ def find_hit_shift(
     inverse_i: ArrayLike,
     inverse_j: ArrayLike,
 ) -> Array:
-    """Return what the hits add to ``z_j - z_i``: the step between the surface points over t, across the lobes.
+    """Return the shift added to ``z_j - z_i``: the step between the surface points over t, across the lobes.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def find_hit_shift(
     position_i, position_j : array_like, shape (..., 3)
         Surface points.
     inverse_i, inverse_j : array_like, shape (...)
-        Inverse hit distances; their mean counts, which is what keeps the weight symmetric.
+        Inverse hit distances; their mean counts, which keeps the weight symmetric.
 
     Returns
     -------

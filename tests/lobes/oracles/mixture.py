@@ -140,7 +140,7 @@ def make_ggx_mixture(
         How many, see `GGX_MIXTURES`.
     albedo : array_like
         Directional albedo, the scale of the lobe: the integral over the sphere is ``albedo sum w / b``, which is all
-        of GGX but what no number of lobes reaches, 0.760, 0.918, 0.967 or 0.985 of it.
+        of GGX times 0.760, 0.918, 0.967 or 0.985 for 1 to 4 lobes.
     dominant : bool
         False: mirror about the normal (Wang et al. 2009). True: about the dominant visible normal m, with sharpnesses
         times ``m.n`` over ``v.m`` (see `brdf.ggx_dominant_visible_normal`).

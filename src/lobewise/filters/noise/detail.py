@@ -58,7 +58,7 @@ MAX_STANDARD_ERRORS = 8.0
 MIN_RELATIVE_SQUARE, MIN_RATIO, MIN_RELATIVE_LIGHT = 1e-8, 1e-3, 1e-4
 """Smallest arguments of logarithms: a square over squared local luminance, a ratio of squares, a luminance over the
 image's."""
-BAND_ROWS, STRIP_ROWS = 256, 64
+BAND_ROWS, FEATURE_ROWS = 256, 64
 """Rows whose neighbourhoods are averaged at once, and rows whose features are held in memory at once."""
 
 
@@ -118,8 +118,8 @@ def find_detail(
         bottom, first = min(top + BAND_ROWS, len(noisy)), max(top - REACH, 0)
         band = slice(first, bottom + REACH)
         pooled = _pool({name: None if each is None else each[band] for name, each in images.items()}, floor)
-        for start in range(top, bottom, STRIP_ROWS):
-            rows = slice(start, min(start + STRIP_ROWS, bottom))
+        for start in range(top, bottom, FEATURE_ROWS):
+            rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
             (found,) = run_pointwise(_define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
             yield rows, np.asarray(found)

@@ -33,12 +33,12 @@ from lobewise.frame import FloatArray
 
 MARGIN_STANDARD_ERRORS = 2.2
 """Standard errors subtracted from the mean excess; chosen among 1.7, 2.2 and 3 (docs/quality.md)."""
-LEVELS = 4
+BLUR_COUNT = 4
 """Number of blurs. Each blurs the result of the one before with taps twice as far apart. Their standard deviations are
 1, 2.2, 4.6 and 9.2 pixels."""
-FIRST_LEVEL = 1
+FIRST_BLUR = 1
 """First blur that counts: fewer than 60 products do not estimate their own spread well."""
-REACH: int = POOLING_REACH + 2 * (2**LEVELS - 1)
+REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
 """Distance of the farthest pixel that affects a pixel's share, rows or columns."""
 _MIN_SQUARE = 1e-30
 
@@ -93,12 +93,12 @@ def find_noisy_share(
     images = {"filtered": filtered, "noisy": noisy, **told}
     (sums,) = run_pointwise(_define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
     levels = []
-    for number in range(LEVELS):
+    for number in range(BLUR_COUNT):
         sums = blur_image(sums, 2**number)
         levels.append(sums)
     wide = np.ascontiguousarray(levels[-1][..., 1])
     share = np.zeros(wide.shape, np.float32)
-    for number in range(FIRST_LEVEL, LEVELS):
+    for number in range(FIRST_BLUR, BLUR_COUNT):
         held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
         error = MARGIN_STANDARD_ERRORS**2 * factor / count_weights(number)
         numbers = {"error": np.float32(error), "most": np.float32(concentration)}
