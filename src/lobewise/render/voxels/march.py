@@ -43,7 +43,7 @@ MIN_STEP = 1e-3
 """Smallest step, in edges of a voxel: a step that ends on a border must reach the next voxel."""
 
 MIN_TRANSMITTANCE = 0.1
-"""Transmittance. Below it a cone ends."""
+"""Smallest transmittance of a cone that goes on."""
 
 
 @dataclass
