@@ -76,14 +76,14 @@ def test_layers_have_albedos_too(scene: Frame, spots: np.ndarray) -> None:
     ("name", "value", "told"),
     [
         ("normal", 0.0, "normal is of length 0 on a surface"),
-        ("normal", np.nan, "normal is no number"),
+        ("normal", np.nan, "normal is not finite"),
         ("normal", 50.0, "normal is longer than 1.5"),
         ("diffuse_albedo", -0.5, "diffuse_albedo is below 0"),
-        ("specular_albedo", np.nan, "specular_albedo is no number"),
+        ("specular_albedo", np.nan, "specular_albedo is NaN"),
         ("alpha_u", -1.0, "alpha_u is out of [0, 1]"),
-        ("alpha_v", np.nan, "alpha_v is no number"),
+        ("alpha_v", np.nan, "alpha_v is NaN"),
         ("depth", -3.0, "depth is below 0"),
-        ("depth", np.nan, "depth is no number"),
+        ("depth", np.nan, "depth is NaN"),
     ],
 )
 def test_unusable_values_are_counted(name: str, value: float, told: str, scene: Frame) -> None:

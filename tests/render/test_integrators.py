@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.render.integrators import DEEPEST, DEPTH, plan_light, tell_unseen
+from lobewise.render.integrators import DEPTH, MAX_DEPTH, plan_light, tell_unseen
 from lobewise.render.own_light import make_box_sensor
 from tests.render.tolerances import Z_MEAN
 
@@ -113,7 +113,7 @@ def test_the_scenes_own_integrator_renders_what_paths_do_not(mi: Any, integrator
     ("integrator", "depth"),
     [
         (None, DEPTH),
-        ({"type": "path"}, DEEPEST),
+        ({"type": "path"}, MAX_DEPTH),
         ({"type": "path", "max_depth": 3}, 3),
         ({"type": "prb", "max_depth": 4}, 4),
         ({"type": "direct"}, 2),
@@ -141,7 +141,7 @@ def test_what_asked_for_goes_first(mi: Any) -> None:
     hidden = make_scene(mi, {"type": "path", "max_depth": 5, "hide_emitters": True})
     plan = plan_light(hidden, "paths")
     assert plan.own is None
-    assert "not that of the scene's own 'path'" in plan.told
+    assert "the scene's own 'path' would give other light" in plan.told
 
 
 def test_surfaces_that_hold_media_have_no_lobe(mi: Any) -> None:
@@ -224,7 +224,7 @@ def test_mistakes_are_told(mi: Any) -> None:
     cases: list[tuple[str, Any]] = [
         (r"integrator: expected one of auto, paths, scene", lambda: render_frame(fog, spp=1, integrator="scen")),
         (r"max_depth: .*'volpath', renders the light, got 4", lambda: render_frame(fog, spp=1, max_depth=4)),
-        (r"light: expected 'all' beside a scene's own", lambda: render_frame(fog, spp=1, light="indirect")),
+        (r"light: expected 'all' with the scene's own", lambda: render_frame(fog, spp=1, light="indirect")),
         (r"integrator: .*for sparse frames, got 'volpath'", lambda: render_sparse_frame(fog, spp=1, scale=2)),
         (r"integrator: .*for single pixels, got 'volpath'", lambda: render_pixels(fog, [0], [0], spp=1)),
         (r"integrator: expected one that makes an image of light, got 'depth'", lambda: render_frame(depth, spp=1)),

@@ -106,18 +106,18 @@ def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
                 above, below = (part > MAX_ALBEDO).any(axis=-1), (part < MIN_ALBEDO).any(axis=-1)
             yield Unusable(name, "above 1", _count(above), "it counts as 1 there")
             yield Unusable(name, "below 0", _count(below), "it counts as 0 there")
-            yield Unusable(name, "no number", _count(np.isnan(part).any(axis=-1)), "they are not compared with others")
+            yield Unusable(name, "NaN", _count(np.isnan(part).any(axis=-1)), "they are not compared with others")
     for name in ALPHAS:
         alpha = getattr(guides, name)
         if alpha is not None and not (float(alpha.max()) <= 1.0 and float(alpha.min()) >= 0.0):
             part = alpha[rows]
-            fate = "it is bounded there"
+            fate = "it is clamped there"
             yield Unusable(name, "out of [0, 1]", _count((part < 0.0) | (part > 1.0)), fate)
-            yield Unusable(name, "no number", _count(np.isnan(part)), "they are not compared with others")
+            yield Unusable(name, "NaN", _count(np.isnan(part)), "they are not compared with others")
     if guides.depth is not None and not float(guides.depth.min()) >= 0.0:
         part = guides.depth[rows]
-        yield Unusable("depth", "below 0", _count(part < 0.0), "they pass as they are")
-        yield Unusable("depth", "no number", _count(np.isnan(part)), "they pass as they are")
+        yield Unusable("depth", "below 0", _count(part < 0.0), "they are not filtered")
+        yield Unusable("depth", "NaN", _count(np.isnan(part)), "they are not filtered")
     yield from _list_odd_normals(frame, rows)
 
 
@@ -141,8 +141,8 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
     if lost.any():
         alone = (lost & (_count_neighbours(lost) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
         length = np.abs(guides.normal[rows]).max(axis=-1)
-        yield Unusable("normal", "of length 0 on a surface", _count(alone & (length == 0.0)), "they pass as they are")
-        yield Unusable("normal", "no number", _count(lost[rows] & ~np.isfinite(length)), "they pass as they are")
+        yield Unusable("normal", "of length 0 on a surface", _count(alone & (length == 0.0)), "they are not filtered")
+        yield Unusable("normal", "not finite", _count(lost[rows] & ~np.isfinite(length)), "they are not filtered")
 
 
 def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""How far images are from their references, and sequences of them: one figure each."""
+"""Errors of images and of sequences, compared with references."""
 
 from __future__ import annotations
 

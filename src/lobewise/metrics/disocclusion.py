@@ -1,4 +1,4 @@
-"""Which surface points the frame before did not show: where a history can hold nothing that is right."""
+"""Finds disoccluded pixels: the previous frame did not show their surface, so no history of it can exist."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from lobewise.images import refuse_size
 from lobewise.motion import compute_motion
 
 MOVING_PIXELS = 0.05
-"""Motion beyond that of a still point by more than this, in pixels, is that of an object; less is rounding."""
+"""Smallest difference in pixels between the motion of an object and the motion of a still point. Less is rounding."""
 
 DEPTH_SLACK = 2.0
-"""What depths of one surface may differ by, in units of the change of depth from a pixel to the next."""
+"""Largest difference of depths on one still surface, in units of the change of depth between neighbouring pixels."""
 
 MOVING_DEPTH = 0.1
-"""What the depth of a moving object may change by from frame to frame, relative to it."""
+"""Largest change of a moving object's depth from frame to frame, relative to the depth."""
 
 NORMAL_COSINE = 0.5
-"""Normals further apart, here 60 degrees, are those of two surfaces."""
+"""Smallest cosine between normals of one surface: an angle of 60 degrees."""
 
 TAP_WEIGHT = 0.125
-"""Of the four pixels about a place those count whose share of bilinear interpolation is at least this."""
+"""Smallest weight in bilinear interpolation of the pixels, of four, that are compared."""
 
 
 @dataclass(frozen=True)
 class _View:
-    """What a frame saw: per pixel the surface point, its distance (0 for none), its normal where known."""
+    """The surfaces of a frame: per pixel the surface point, its distance (0 for background), its normal if known."""
 
     position: FloatArray
     depth: FloatArray
@@ -43,21 +43,21 @@ def find_disoccluded(
 ) -> NDArray[np.bool_]:
     """Return the pixels whose surface point the previous frame did not show, shape (height, width).
 
-    Each point is followed to its place in the previous frame: by ``gbuffer.motion``, or without it as a point that
-    stands still. It was not seen where that place is outside the image, or where none of the pixels about it showed
-    its surface. The background counts as a surface of its own, infinitely far.
+    Each point is followed to its place in the previous frame by ``gbuffer.motion``, or as a still point without motion.
+    It was not shown if the place is outside the image, or if none of the four pixels around it showed its surface. The
+    background counts as a surface, infinitely far.
 
-    Two pixels show one surface if their normals, where both frames have them, are less than 60 degrees apart, and if
-    the previous depth is that expected at the place. A point that stands still has a known distance from the previous
-    camera; the depth may differ from it by what it changes by within about two pixels. Of a point that moves by itself,
-    which motion beyond that of the camera tells, only the place is known: its depth may have changed by a tenth.
+    Two pixels show one surface if their normals (if both frames have them) are less than 60 degrees apart, and if the
+    previous depth is the expected one. For a still point this is the distance from the previous camera; the depth may
+    differ by its change within about two pixels. A point whose motion is not that of the camera moves by itself; its
+    depth may have changed by a tenth.
 
     Parameters
     ----------
     gbuffer, previous_gbuffer : GBuffer
         Each with ``position`` or ``depth``; ``motion`` of the first and ``normal`` of both are used where given.
     camera, previous_camera : Camera
-        Those of the two frames.
+        Cameras of the two frames.
 
     Raises
     ------
@@ -68,8 +68,8 @@ def find_disoccluded(
 
     Notes
     -----
-    Two surfaces that face alike and are nearer to each other than about two pixels are wide are taken for one, as are
-    a moving object and what was within a tenth of its distance in front of it. Reflections are not followed.
+    Two surfaces with similar normals count as one if their distance is less than about two pixel widths. A moving
+    object and a surface in front of it count as one within a tenth of the distance. Reflections are not followed.
     """
     now, before = _look(gbuffer, camera, "gbuffer"), _look(previous_gbuffer, previous_camera, "previous_gbuffer")
     height, width = now.depth.shape
@@ -80,7 +80,7 @@ def find_disoccluded(
     still = compute_motion(camera, previous_camera, now.position, now.depth)
     motion = still if gbuffer.motion is None else gbuffer.motion
     column, row = np.meshgrid(np.arange(width), np.arange(height))
-    # Places count from the centre of the first pixel.
+    # Coordinates are 0 at the centre of the first pixel.
     x, y = column + motion[..., 0].astype(np.float64), row + motion[..., 1].astype(np.float64)
     inside = (x >= -0.5) & (x < width - 0.5) & (y >= -0.5) & (y < height - 0.5)
     x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
@@ -105,7 +105,7 @@ def find_disoccluded(
 
 
 def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
-    """Return position and depth, whichever of the two the G-buffer has, and 0 for what is not there."""
+    """Return position and depth, computed from each other if one is missing, and 0 for the background."""
     if gbuffer.position is None and gbuffer.depth is None:
         raise MissingChannelError(
             name, expected="position or depth", got="neither", action="render the guides with the frame"
@@ -114,19 +114,19 @@ def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
         depth = gbuffer.depth
     else:
         assert gbuffer.position is not None
-        # No surface lies just at the origin: that is how a file without depths says that there is none.
+        # Files without depths store the position 0 for the background.
         found = gbuffer.position.any(axis=-1)
         depth = np.where(found, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0).astype(np.float32)
     position = gbuffer.position if gbuffer.position is not None else camera.make_positions(depth)
-    # Whatever stands there without a surface must not travel on.
+    # Replace values of the background that are not finite.
     depth = np.where(np.isfinite(depth) & np.isfinite(position).all(axis=-1), depth, np.float32(0))
     return _View(np.where(depth[..., None] > 0, position, np.float32(0)), depth, gbuffer.normal)
 
 
 def _measure_change(depth: FloatArray, camera: Camera) -> FloatArray:
-    """Return by how much the depth of a pixel's surface changes within a pixel, at least the width of a pixel there.
+    """Return the change of depth within a pixel: the width of the pixel plus, along each axis, the step to a neighbour.
 
-    Along each axis that is the smaller step to a neighbour, so that the far side of an edge does not count.
+    The smaller of the two steps counts, so that edges of objects do not count.
     """
     total = depth * camera.get_pixel_angle(depth.shape[0])
     for axis in (0, 1):

@@ -1,7 +1,7 @@
-"""How far an image is from its reference. Every metric refuses pixels that are not finite, so that none flatters.
+"""Errors of an image compared with its reference.
 
 Images are linear and scene-referred, shape (height, width, 3). A mask chooses the pixels that count, for example the
-specular ones. All sums are taken in float64.
+specular ones. All sums are in float64. Pixels that are not finite raise an error: skipping them would lower the error.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from lobewise.frame import GBuffer, LobeKind
 from lobewise.images import refuse_size
 
 EPSILON = 0.01
-"""Added to the denominators of `rel_mse` and `smape`: below a radiance of about 0.1 errors count as absolute ones."""
+"""Constant in the denominators of `rel_mse` and `smape`. Below a radiance of about 0.1 errors are nearly absolute."""
 
 FLIP_PIXELS_PER_DEGREE = 3840.0 * math.pi / 180.0
-"""About 67: a display of 3840 pixels across seen from its own width away, as FLIP's authors choose."""
+"""About 67: a display 3840 pixels wide, seen from a distance of its width, as FLIP's authors choose."""
 
 METRICS = ("mse", "rel_mse", "smape", "psnr", "flip")
-"""Every metric. Less is better, but for `psnr`."""
+"""All metrics. Lower is better, except for `psnr`."""
 
 
 def mse(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
@@ -48,8 +48,8 @@ def mse(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -
 def rel_mse(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Return the relative mean squared error, ``mean((a - r)^2 / (r^2 + 0.01))`` over pixels and colour channels.
 
-    The 0.01 is added to the square, so that it equals a radiance of 0.1. Other programs use other epsilons, or divide
-    by the squared luminance: figures compare only within one definition.
+    The 0.01 is added to the square and so corresponds to a radiance of 0.1. Other programs use other epsilons, or
+    divide by the squared luminance: values of different definitions cannot be compared.
 
     Parameters and errors are those of `mse`.
 
@@ -77,7 +77,7 @@ def smape(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None)
 def psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, *, peak: float = 1.0) -> float:
     """Return the peak signal-to-noise ratio in decibels, ``10 log10(peak^2 / mse)``; infinite for equal images.
 
-    It is taken of the linear values, neither clipped nor tone mapped, so that one bright wrong pixel weighs much.
+    Values are linear, neither clipped nor tone mapped, so a single bright wrong pixel has a large weight.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, 
     mask : array_like of bool, shape (height, width), optional
         Pixels that count; all by default.
     peak : float
-        The radiance that counts as full signal, > 0.
+        Radiance of the full signal, > 0.
 
     Raises
     ------
@@ -100,16 +100,16 @@ def psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, 
 
 
 def flip(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = None, *, hdr: bool = True) -> float:
-    """Return the mean FLIP error, in [0, 1]: what somebody sees who flips between the two images.
+    """Return the mean FLIP error, in [0, 1]: the difference that people see when they flip between the two images.
 
     Parameters
     ----------
     image, reference : array_like, shape (height, width, 3)
-        With ``hdr`` linear radiance, finite, its negative values taken as 0; else sRGB-encoded values in [0, 1].
+        With ``hdr`` finite linear radiance, whose negative values count as 0; otherwise sRGB-encoded values in [0, 1].
     mask : array_like of bool, shape (height, width), optional
-        Pixels of the error map that count; all by default. The map itself is always made of the whole image.
+        Pixels of the error map that count; all by default. The map is always made from the whole image.
     hdr : bool
-        Whether to look at the image at many exposures, chosen from the reference, with the ACES tone curve.
+        Whether to compare at many exposures, chosen from the reference, with the ACES tone curve.
 
     Raises
     ------
@@ -172,15 +172,15 @@ def evaluate(
 
 
 def find_specular_pixels(gbuffer: GBuffer) -> NDArray[np.bool_]:
-    """Return where the surface has a specular lobe, whatever else it has: shape (height, width).
+    """Return which pixels show a surface with a specular lobe, shape (height, width).
 
     Raises
     ------
     MissingChannelError
-        If the G-buffer does not tell: neither ``lobe_kind`` nor ``specular_albedo``.
+        If the G-buffer has neither ``lobe_kind`` nor ``specular_albedo``.
     """
     if gbuffer.lobe_kind is not None:
-        # The averaged kind of a pixel half covered by a lobe rounds to the nearest.
+        # Some renderers average kinds over a pixel: round to the nearest.
         return np.asarray(np.rint(gbuffer.lobe_kind) != float(LobeKind.NONE), dtype=np.bool_)
     if gbuffer.specular_albedo is not None:
         return np.asarray((gbuffer.specular_albedo > 0.0).any(axis=-1), dtype=np.bool_)
@@ -221,7 +221,7 @@ def _flip_map(a: NDArray[np.float64], r: NDArray[np.float64], *, hdr: bool) -> N
     test, target = (np.ascontiguousarray(np.maximum(x, 0.0), dtype=np.float32) for x in (a, r))
     parameters: dict[str, Any] = {"ppd": FLIP_PIXELS_PER_DEGREE}
     if hdr and not (target > 0.0).any():
-        # The exposures are chosen from the reference, and a black one leaves nothing to choose from.
+        # FLIP cannot choose exposures from a black reference.
         parameters |= {"startExposure": 0.0, "stopExposure": 0.0}
     error, _, _ = flip_evaluator.evaluate(
         target, test, "HDR" if hdr else "LDR", applyMagma=False, computeMeanError=False, parameters=parameters
@@ -232,7 +232,7 @@ def _flip_map(a: NDArray[np.float64], r: NDArray[np.float64], *, hdr: bool) -> N
 def check_pair(
     image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return image, reference and mask as every metric takes them, or raise InputError as `mse` does."""
+    """Return image and reference in float64, and a mask; raise InputError as in `mse`."""
     a, r = require_image("image", image), require_image("reference", reference)
     if a.shape != r.shape:
         raise refuse_size("image", "the reference", r.shape, a.shape, "compare images of one size")

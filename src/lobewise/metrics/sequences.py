@@ -1,4 +1,4 @@
-"""What only shows in motion: flicker from frame to frame, and ghosts where something came into view."""
+"""Errors in motion: flicker from frame to frame, and ghosts in pixels that came into view."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lobewise.metrics.images import EPSILON, check_pair, rel_mse
 
 
 class Flicker:
-    """The `flicker` of a sequence whose frames come one by one; it holds one frame and its reference."""
+    """Computes `flicker` frame by frame. It stores one frame and its reference."""
 
     def __init__(self) -> None:
         self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
@@ -22,19 +22,19 @@ class Flicker:
         self._steps = 0
 
     def add(self, image: ArrayLike, reference: ArrayLike, *, cut: bool = False) -> float | None:
-        """Take the next frame; return the flicker of the step to it, or None where there is no step.
+        """Add the next frame; return the flicker of the step to it, or None if there is no step.
 
         Parameters
         ----------
         image, reference : array_like, shape (height, width, 3)
             Linear radiance, finite.
         cut : bool
-            Whether this frame does not continue the one before, so that the change between them does not count.
+            Whether there is a cut before this frame, so that the change does not count.
 
         Raises
         ------
         InputError
-            If the sizes differ, from each other or from the frame before, or a pixel is not finite.
+            If a size differs from that of the reference or of the previous frame, or a pixel is not finite.
         """
         a, r, _ = check_pair(image, reference, None)
         before, self._before = self._before, (a, r)
@@ -54,7 +54,7 @@ class Flicker:
         Raises
         ------
         InputError
-            If no frame has followed another.
+            If there has been no step.
         """
         if self._steps == 0:
             raise InputError(
@@ -64,22 +64,22 @@ class Flicker:
 
 
 def flicker(images: Iterable[ArrayLike], references: Iterable[ArrayLike]) -> float:
-    """Return how unlike the changes from frame to frame are to those of the reference.
+    """Return the relative squared error of the changes from frame to frame, compared with those of the reference.
 
-    That is the relative squared error of the changes, ``((a_t - a_s) - (r_t - r_s))^2 / ((r_t^2 + r_s^2) / 2 + 0.01)``
-    with ``s`` the frame before ``t``, averaged over frames, pixels and colour channels. An error that stays as it is
-    does not flicker. Noise that is new in every frame has twice its `rel_mse`. A still reference gives the `rel_mse`
-    of the changes, and a sequence played backwards flickers as much as forwards.
+    It is the mean of ``((a_t - a_s) - (r_t - r_s))^2 / ((r_t^2 + r_s^2) / 2 + 0.01)`` over frames, pixels and colour
+    channels, where ``s`` is the frame before ``t``. A constant error does not flicker. Noise that is new in every frame
+    has a flicker of twice its `rel_mse`. With a still reference, flicker is the `rel_mse` of the changes. A sequence
+    played backwards has the same flicker.
 
     Parameters
     ----------
     images, references : iterable of array_like, shape (height, width, 3)
-        Linear radiance, finite, in the order of time; taken one by one.
+        Linear radiance, finite, in the order of time; read one by one.
 
     Raises
     ------
     InputError
-        If there are fewer than two frames, not as many references, the sizes differ, or a pixel is not finite.
+        If there are fewer than two frames, the numbers of frames or their sizes differ, or a pixel is not finite.
     """
     steps = Flicker()
     for image, reference in zip_longest(images, references):
@@ -93,23 +93,23 @@ def flicker(images: Iterable[ArrayLike], references: Iterable[ArrayLike]) -> flo
 
 
 def ghosting(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
-    """Return the `rel_mse` of the pixels that came into view, in which a history shows what is no longer there.
+    """Return the `rel_mse` of the pixels that came into view, where a wrong history shows ghosts.
 
     Parameters
     ----------
     image, reference : array_like, shape (height, width, 3)
         Linear radiance, finite.
     mask : array_like of bool, shape (height, width)
-        The pixels that came into view; see `find_disoccluded`. Where there are none the result is NaN.
+        Pixels that came into view; see `find_disoccluded`. If there are none the result is NaN.
 
     Raises
     ------
     InputError
-        If the sizes differ, a pixel is not finite, or the mask is no array of booleans.
+        If the sizes differ, a pixel is not finite, or the mask is not an array of booleans.
     """
     chosen = np.asarray(mask)
     if chosen.dtype == np.bool_ and chosen.ndim == 2 and not chosen.any():
-        # All that is refused of other masks is refused of this one.
+        # Raise the same errors as for masks that choose pixels.
         check_pair(image, reference, ~chosen)
         return float("nan")
     return rel_mse(image, reference, chosen)

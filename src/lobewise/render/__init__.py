@@ -1,6 +1,6 @@
-"""Rendering, the only importer of Mitsuba. Importing this package does not import it: its first use does."""
+"""Rendering with Mitsuba, which no other room imports. Mitsuba is imported at the first use of a name."""
 
 import lazy_loader
 
-# As in the package itself: the names are in __init__.pyi, which `attach_stub` reads.
+# `attach_stub` reads the names from __init__.pyi.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,8 @@
-"""Mitsuba and Dr.Jit without types.
+"""Mitsuba and Dr.Jit as untyped modules, with helpers for their loops.
 
-Their stubs describe one variant, know no broadcasting and miss overloads, and are absent where the packages are; so
-that the checker says the same everywhere, the rest of this room takes the two modules from here. Importing this raises
-`MissingDependencyError` where they are not installed.
+Their type stubs describe one variant, know no broadcasting, miss overloads, and are absent if the packages are not
+installed. The rest of this room imports the two modules from here, so that the type checker reports the same on every
+machine. Importing this module raises `MissingDependencyError` if they are not installed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ mi: Any = mitsuba
 
 
 class _DrJit:
-    """Dr.Jit's functions by NumPy's names: what the formulas of `lobewise.lobes` are written in."""
+    """Dr.Jit's functions under NumPy's names, for the formulas of `lobewise.lobes`."""
 
     number = staticmethod(float)
     where = staticmethod(dr.select)
@@ -41,7 +41,7 @@ class _DrJit:
 
     @staticmethod
     def expm1(value: Any) -> Any:
-        """Return ``exp(value) - 1``, which loses digits near 0, where no formula here is."""
+        """Return ``exp(value) - 1``. It loses digits near 0, but the formulas used here take no values near 0."""
         return dr.exp(value) - 1.0
 
 
@@ -49,7 +49,7 @@ DRJIT: Namespace = _DrJit()
 
 
 def starts_as(kind: str, value: Any = 0) -> Any:
-    """Return a field of a dataclass whose default is a new array of a type of Mitsuba's, which a variant brings."""
+    """Return a dataclass field whose default is a new array of a Mitsuba type, found by name once a variant is set."""
 
     def make() -> Any:
         return getattr(mi, kind)(value) if value else dr.zeros(getattr(mi, kind))
@@ -58,7 +58,7 @@ def starts_as(kind: str, value: Any = 0) -> Any:
 
 
 def follow(state: Any, step: Callable[[Any], Any], label: str) -> Any:
-    """Return a state, a dataclass, after ``step`` changed it in place again and again while its lane is ``active``."""
+    """Return a state, a dataclass, after calling ``step`` on it, in place, while its field ``active`` is true."""
 
     def take(state: Any) -> tuple[Any]:
         step(state)

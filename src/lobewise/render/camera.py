@@ -16,19 +16,18 @@ from lobewise.errors import InputError, name_value
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4
-"""Largest difference, per component of a unit direction, between the sensor's rays and the pinhole's."""
-
+"""Largest difference, per component of a unit direction, between the rays of a sensor and of its pinhole camera."""
 
 LENS = "ThinLensCamera"
-PINHOLE = 1e-6
-"""Radius of a lens, world units, up to which it is none: Mitsuba makes one of 0 a little wider."""
+MAX_PINHOLE_RADIUS = 1e-6
+"""Largest radius of a lens that counts as a pinhole, world units. Mitsuba turns a radius of 0 into a tiny one."""
 
 _chosen: ContextVar[Any] = ContextVar("sensor", default=None)
 
 
 @contextmanager
 def use_sensor(sensor: Any) -> Iterator[None]:
-    """Render with a sensor, inside a ``with`` block, in place of the scene's first."""
+    """Render with a sensor in place of the scene's first one, inside a ``with`` block."""
     before = _chosen.set(sensor)
     try:
         yield
@@ -37,12 +36,12 @@ def use_sensor(sensor: Any) -> Iterator[None]:
 
 
 def get_sensor(scene: Any) -> Any:
-    """Return the sensor that a scene is rendered with: its first, or that of `use_sensor`.
+    """Return the sensor that a scene is rendered with: its first one, or that of `use_sensor`.
 
     Raises
     ------
     InputError
-        If there is none.
+        If the scene has no sensor.
     """
     chosen = _chosen.get()
     if chosen is not None:
@@ -55,25 +54,21 @@ def get_sensor(scene: Any) -> Any:
 
 
 def get_image_size(scene: Any) -> tuple[int, int]:
-    """Return ``(width, height)`` of the film of the scene's first sensor, of its crop window where it has one.
-
-    Raises
-    ------
-    InputError
-        If the scene has no sensor.
-    """
+    """Return ``(width, height)`` of the crop window of the sensor's film, which is by default the whole film."""
     width, height = get_sensor(scene).film().crop_size()
     return int(width), int(height)
 
 
 PLUGINS = {"PerspectiveCamera": "perspective", LENS: "thinlens", "OrthographicCamera": "orthographic"}
-"""Names of sensors in scene files, by class."""
+"""Names of sensors in scene files, by class name."""
 
 
 def has_lens(scene: Any) -> bool:
-    """Return whether a scene is seen through a lens of some width."""
+    """Return whether a scene is seen through a lens that is wider than a pinhole."""
     sensor = get_sensor(scene)
-    return sensor.class_name() == LENS and bool(np.array(mi.traverse(sensor)["aperture_radius"]).item() > PINHOLE)
+    return sensor.class_name() == LENS and bool(
+        np.array(mi.traverse(sensor)["aperture_radius"]).item() > MAX_PINHOLE_RADIUS
+    )
 
 
 def _get_perspective_sensor(scene: Any, *, lens: bool = False) -> Any:
@@ -89,21 +84,21 @@ def _get_perspective_sensor(scene: Any, *, lens: bool = False) -> Any:
 
 
 def get_camera(scene: Any, *, lens: bool = False) -> Camera:
-    """Return the pinhole camera of a scene's first sensor; with ``lens`` that in the middle of one.
+    """Return the pinhole camera of a scene's sensor; with ``lens`` also the pinhole in the middle of a lens.
 
-    A shifted principal point, and a crop window off the film's centre, are its ``shift``.
+    The ``shift`` of the camera holds a shifted principal point and an off-centre crop window.
 
     Raises
     ------
     InputError
-        If the scene has no sensor, or its rays are not those of a pinhole camera with square-on film: another type
-        of sensor, a mirrored ``to_world``.
+        If the scene has no sensor, or the sensor's rays are not those of a pinhole camera with a perpendicular film:
+        because of its type, or because ``to_world`` mirrors.
     """
     sensor = _get_perspective_sensor(scene, lens=lens)
     width, height = get_image_size(scene)
     parameters = mi.traverse(sensor)
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    # The angle is the whole film's, of which a crop window shows a part.
+    # The angle is that of the whole film; a crop window shows a part of it.
     half_width = np.tan(0.5 * np.deg2rad(np.array(parameters["x_fov"]).item())) * width / sensor.film().size()[0]
     fov_y = 2.0 * np.arctan(half_width * height / width)
     camera = Camera(position=matrix[:3, 3], forward=matrix[:3, 2], up=matrix[:3, 1], fov_y=float(fov_y))
@@ -113,7 +108,7 @@ def get_camera(scene: Any, *, lens: bool = False) -> Camera:
         return np.array(rays.d, dtype=np.float64).T
 
     edges = find_directions(np.array([[0.0, 1.0], [0.0, 1.0]]))
-    # On the plane at distance 1, where the mean of opposite corners is the centre of the image.
+    # Project opposite corners onto the plane at distance 1. Their mean is the centre of the image.
     plane = edges / (edges @ camera.forward)[:, None] @ np.stack([camera.right, camera.up], axis=-1)
     shift = plane.mean(axis=0)
     if np.abs(shift).max() > RAY_TOLERANCE:
@@ -123,22 +118,22 @@ def get_camera(scene: Any, *, lens: bool = False) -> Camera:
     expected = camera.make_ray_directions(width, height)[corners[1], corners[0]]
     error = float(np.abs(directions - expected).max())
     if not error < RAY_TOLERANCE:
-        got = f"rays that differ by {error:.2g} from it"
+        got = f"rays that differ from it by {error:.2g}"
         action = "remove negative scales from the sensor"
         raise InputError("sensor", expected="a pinhole whose film is centred and not mirrored", got=got, action=action)
     return camera
 
 
 def set_camera(scene: Any, camera: Camera) -> None:
-    """Put a scene's first sensor where a camera is; `get_camera` returns that camera then, in single precision.
+    """Move a scene's sensor to a camera. `get_camera` then returns this camera in single precision.
 
-    The size of the image stays.
+    The size of the image does not change.
 
     Raises
     ------
     InputError
-        If the scene has no perspective sensor, the camera's pixels are not square, or its image is shifted in another
-        way than the sensor's.
+        If the scene has no perspective sensor, the camera's pixels are not square, or the camera's shift is not that of
+        the sensor.
     """
     sensor = _get_perspective_sensor(scene)
     width, height = get_image_size(scene)

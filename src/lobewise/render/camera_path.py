@@ -1,4 +1,4 @@
-"""Where the camera is in each frame of a sequence: standing still, on an orbit, or as a file says."""
+"""Cameras of the frames of a sequence: on an orbit, or read from a file."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from lobewise.render.camera import get_camera
 Vector = NDArray[np.float64]
 
 SLOW_ORBIT = 0.25
-"""Degrees a frame: in the built-in scenes at 512x512 no surface moves by more than 2.3 pixels."""
+"""Speed of an orbit, degrees per frame. At it no surface of the built-in scenes moves by more than 2.3 pixels per frame
+at 512x512."""
 
 _MAX_BYTES = 16 << 20
-"""Of a camera path: a hundred thousand frames."""
+"""Largest size of a file with a camera path, bytes: a hundred thousand frames."""
 _KEYS = ("position", "target", "forward", "up", "fov_y")
 
 
 def find_orbit_centre(scene: Any) -> Vector:
-    """Return the surface point that the middle of the image shows, or the middle of the scene where there is none."""
+    """Return the surface point in the middle of the image, or the middle of the scene if there is no surface."""
     camera = get_camera(scene)
     ray = mi.Ray3f(mi.Point3f(*map(float, camera.position)), mi.Vector3f(*map(float, camera.forward)))
     found = scene.ray_intersect(ray)
@@ -35,23 +36,23 @@ def find_orbit_centre(scene: Any) -> Vector:
 
 
 def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame: float = SLOW_ORBIT) -> list[Camera]:
-    """Return the cameras of an orbit that begins at ``camera`` and looks at the same side of the centre all along.
+    """Return the cameras of an orbit about ``centre`` that begins at ``camera``.
 
     Parameters
     ----------
     camera : Camera
         The first camera of the path.
     centre : array_like, shape (3,)
-        The point about which the camera turns; the axis is the camera's own up.
+        Point about which the camera turns; the axis is the camera's own up.
     frames : int
-        How many cameras, at least 1.
+        Number of cameras, at least 1.
     degrees_per_frame : float
-        Degrees from frame to frame; positive values move the camera to its right.
+        Angle from frame to frame, degrees; positive values move the camera to its right.
 
     Raises
     ------
     InputError
-        If the count is below 1, or the centre or the angle is not finite.
+        If ``frames`` is below 1, or the centre or the angle is not finite.
     """
     pivot = np.asarray(centre, dtype=np.float64)
     for name, got, expected, good in (
@@ -63,7 +64,7 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
             raise InputError(name, expected=expected, got=name_value(got), action="pass another")
 
     def turn(vector: Vector, angle: float) -> Vector:
-        """Rodrigues' rotation about the camera's up."""
+        """Rotate about the camera's up by Rodrigues' formula."""
         axis = camera.up
         along = axis * (axis @ vector)
         return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))
@@ -76,24 +77,18 @@ def make_orbit(camera: Camera, centre: ArrayLike, frames: int, degrees_per_frame
 
 
 def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
-    """Return the cameras of a JSON file: a list of objects, one for each frame.
+    """Return the cameras in a JSON file: a list of objects, one for each frame.
 
-    Each has ``position`` and either ``target``, a point, or ``forward``, a direction, as lists of three numbers of
-    world space; it may have ``up`` and ``fov_y``, the full vertical angle of view in degrees.
-
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    camera : Camera
-        Gives the angle of view to frames that have none; their up is (0, 1, 0).
+    Each object has ``position`` and either ``target``, a point, or ``forward``, a direction, as lists of three numbers
+    in world space. It may have ``up``, by default (0, 1, 0), and ``fov_y``, the full vertical angle of view in degrees,
+    by default that of ``camera``.
 
     Raises
     ------
     FileError
-        If the file cannot be read, or is no JSON.
+        If the file cannot be read, or is not JSON.
     InputError
-        If it is not such a list, or an entry is no camera.
+        If the file does not hold such a list.
     """
     name = f"camera path {str(path)!r}"
     data = read_document(path, _MAX_BYTES, what="camera path", holds="a JSON list of cameras")
@@ -116,7 +111,7 @@ def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
         raise InputError(name, expected=expected, got=got, action="say where the camera is and where it looks")
     position = require_numbers(f"{name}, position", entry["position"], 3)
     aim = "target" if "target" in entry else "forward"
-    with np.errstate(over="ignore"):  # the camera refuses what is not finite
+    with np.errstate(over="ignore"):  # `Camera` refuses numbers that are not finite
         forward = require_numbers(f"{name}, {aim}", entry[aim], 3) - (position if aim == "target" else 0.0)
     if not forward.any():
         raise InputError(name, expected="a direction of view", got="a length of 0", action="look at another point")

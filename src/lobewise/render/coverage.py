@@ -1,9 +1,9 @@
-"""What the area of every pixel shows, told by the surfaces that the centres of the pixels around it show.
+"""Coverage: the shares of every pixel's area that show the surfaces at the centres of its 3x3 neighbours.
 
-Filters work with one surface per pixel, that of its centre, so what they return has stairs at silhouettes and at the
-edges of textures. With shares of the surfaces around, a pixel can be put together afterwards from what was filtered:
-the sum over its 3x3 neighbours of the share times the neighbour's value. Rays of the camera are cheap beside paths, so
-a fixed pattern of them finds the shares, and with them averages of normals and albedos that have no noise.
+Filters work with one surface per pixel, that of its centre. So their results have stairs at silhouettes and at the
+edges of textures. With coverage a pixel can be composited afterwards: the sum over its 3x3 neighbours of share times
+filtered value. Camera rays are cheap compared with paths. A fixed pattern of them finds the shares, and with them means
+of normals and albedos without noise.
 """
 
 from __future__ import annotations
@@ -16,49 +16,50 @@ from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface
-from lobewise.render.tracing.points import MOST_LAYERS, OPAQUE_FROM, find_points
+from lobewise.render.tracing.points import MAX_LAYERS, MIN_SURFACE_OPACITY, find_points
 from lobewise.render.tracing.rays import make_ray
 
 RAYS = 16
-"""Rays of the pattern: each of 16 rows and of 16 columns of the pixel holds one."""
+"""Rays of the pattern: each of 16 rows and each of 16 columns of the pixel holds one."""
 
 NORMAL_SCALE = 0.2
-"""Angle between normals, radians, that counts as much as each of the following scales."""
+"""Angle between normals at distance 1, radians."""
 
 PLANE_SCALE = 2.0
-"""Distance of a point from another's tangent plane, in widths of a pixel where it lies."""
+"""Distance of a point from another point's tangent plane at distance 1, in widths of a pixel on the surface."""
 
 ALPHA_SCALE = 0.3
-"""Difference of the natural logarithms of alphas."""
+"""Difference of the natural logarithms of alphas at distance 1."""
 
-LEAST_ALPHA = 1e-3
-"""Alphas below are as good as this one: mirrors."""
+MIN_ALPHA = 1e-3
+"""Smallest alpha in comparisons: all smaller ones count as this one."""
 
 ALBEDO_SCALE = 0.1
-"""Difference of albedos, diffuse and specular together, root mean square over the colours."""
+"""Difference of albedos, diffuse plus specular, at distance 1: root mean square over the colours."""
 
-OTHER_KIND = 4.0
-"""What another kind of lobe, or another lobe table, adds to the squared distance."""
+OTHER_KIND_DISTANCE = 4.0
+"""Squared distance added if the kind of lobe, or the lobe table, differs."""
 
-ONLY_ONE = 1e6
-"""What it adds that only one of two rays meets a surface: more than anything else, so that it is the last choice."""
+MISS_DISTANCE = 1e6
+"""Squared distance added if only one of two rays hits a surface: larger than all others, so the last choice."""
 
 SCREEN_WEIGHT = 0.3
-"""Weight of the squared distance on the screen, in pixels: of surfaces that are alike the nearest stands for a ray.
+"""Squared distance per squared pixel between the ray and the centre: of alike surfaces the nearest is chosen.
 
-Nothing here is critical: with any one of the scales halved or doubled, or this between 0.03 and 1, albedos rebuilt from
-those of the centres are at most a twentieth further from the true means. A larger one leaves more pixels to themselves.
+None of the constants is critical: with one of the scales halved or doubled, or with this weight between 0.03 and 1,
+albedos composited from those of the centres are at most a twentieth further from the true means. With a larger weight
+more pixels show only their own centre.
 """
 
-LEAST_LIGHT = 1e-3
-"""Share of a ray that masks let through below which what is behind them no longer counts."""
+MIN_LIGHT_SHARE = 1e-3
+"""Share of the light of a ray that masks let through. Below it, surfaces behind the masks are ignored."""
 
 _NEIGHBOURS = tuple((row, column) for row in (-1, 0, 1) for column in (-1, 0, 1))
 
 
 @dataclass
 class _Look:
-    """What a ray sees of surfaces, as far as they are compared (Dr.Jit arrays; a PyTree); all 0 where it sees none."""
+    """Properties of the surface that a ray hits, for comparison (Dr.Jit arrays; a PyTree); all 0 for a miss."""
 
     found: Any
     position: Any
@@ -71,12 +72,10 @@ class _Look:
 
 @dataclass
 class _Sums:
-    """Running sums over the rays of a pixel.
-
-    They are how many rays each neighbour stands for, normals, albedos of both lobes, and emission.
-    """
+    """Running sums over the rays of a pixel (Dr.Jit arrays; a PyTree)."""
 
     counts: list[Any] = field(default_factory=lambda: [mi.Float(0) for _ in _NEIGHBOURS])
+    """Number of rays that were assigned to each neighbour."""
     normal: Any = starts_as("Vector3f")
     diffuse_albedo: Any = starts_as("Color3f")
     specular_albedo: Any = starts_as("Color3f")
@@ -85,6 +84,8 @@ class _Sums:
 
 @dataclass
 class _Layers:
+    """State of a ray on its way through masks: the first surface more opaque than not, and sums over all surfaces."""
+
     ray: Any
     si: Any = starts_as("SurfaceInteraction3f")
     surface: Surface = field(default_factory=Surface)
@@ -107,14 +108,14 @@ def trace_coverage(
     size: tuple[int, int],
     emission: bool = True,
 ) -> dict[str, Any]:
-    """Return the guides of a run of pixels that belong to their areas, as Dr.Jit arrays by their names in `GBuffer`.
+    """Return the guides that describe the areas of a run of pixels, as Dr.Jit arrays by their names in `GBuffer`.
 
     ``coverage`` is a list of nine Float, ``mean_normal`` a Vector3f, and ``mean_diffuse_albedo``,
-    ``mean_specular_albedo`` and, with ``emission``, ``mean_emission`` are Color3f. Rays are the same in every
-    pixel; a pixel's values do not depend on the run, ``pixels``: the first (row-major) and how many, of an image of
-    ``size``, width and height.
+    ``mean_specular_albedo`` and, with ``emission``, ``mean_emission`` are Color3f. ``pixels`` holds the first pixel
+    (row-major) of the run and their number, ``size`` the width and height of the image. The pattern of rays is the same
+    in every pixel, and a pixel's values do not depend on the run.
     """
-    # The centres of the run, and of a row and a pixel more on each side.
+    # Trace the centres of the run, and of one more row and pixel on each side.
     begin = max(pixels[0] - size[0] - 1, 0)
     end = min(sum(pixels) + size[0] + 1, size[0] * size[1])
     width, height, first = (dr.opaque(mi.UInt32, number) for number in (*size, begin))
@@ -126,13 +127,7 @@ def trace_coverage(
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     column, row = mi.Int32(pixel % width), mi.Int32(pixel // width)
     angle = dr.opaque(mi.Float, camera.get_pixel_angle(size[1]))
-    neighbours, inside = [], []
-    for down, right in _NEIGHBOURS:
-        x, y = column + right, row + down
-        there = (x >= 0) & (y >= 0) & (x < mi.Int32(width)) & (y < mi.Int32(height))
-        index = mi.UInt32(y * mi.Int32(width) + x - mi.Int32(first))
-        neighbours.append(dr.gather(_Look, centres, index, there))
-        inside.append(there)
+    neighbours, inside = _gather_neighbours(centres, column, row, mi.Int32(width), mi.Int32(height), mi.Int32(first))
 
     def take(index: Any, sums: _Sums) -> tuple[_Sums]:
         x, y = find_place(index)
@@ -140,8 +135,8 @@ def trace_coverage(
         layers = _look_through(scene, materials, ray)
         look = _make_look(layers.si, layers.surface)
         footprint = angle * dr.norm(layers.si.p - ray.o)
-        # The pixel itself comes first and keeps what another is not better for.
         distances = [_find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k) for k in range(9)]
+        # Assign the ray to the pixel itself unless a neighbour is nearer.
         best, least = mi.UInt32(4), distances[4]
         for k in (0, 1, 2, 3, 5, 6, 7, 8):
             nearer = inside[k] & (distances[k] < least)
@@ -167,19 +162,36 @@ def trace_coverage(
     return found
 
 
-def find_place(index: Any) -> tuple[Any, Any]:
-    """Return where in a pixel the pattern's ray ``index`` goes, right and down from its corner, in (0, 1).
+def _gather_neighbours(
+    centres: _Look, column: Any, row: Any, width: Any, height: Any, first: Any
+) -> tuple[list[_Look], list[Any]]:
+    """Return the centres around each pixel, in the order of `_NEIGHBOURS`, and whether each lies inside the image.
 
-    Source: Hammersley's points, a (0, 4, 2)-net in base 2 (Niederreiter 1992, section 4.1): also the 4x4, 2x8 and 8x2
-    blocks of the pixel hold one ray each.
+    ``first`` is the number of the pixel with the first of the centres.
+    """
+    neighbours, inside = [], []
+    for down, right in _NEIGHBOURS:
+        x, y = column + right, row + down
+        there = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        neighbours.append(dr.gather(_Look, centres, mi.UInt32(y * width + x - first), there))
+        inside.append(there)
+    return neighbours, inside
+
+
+def find_place(index: Any) -> tuple[Any, Any]:
+    """Return the place of the pattern's ray ``index`` in a pixel, right and down from its corner, in (0, 1).
+
+    Source: Hammersley's points, a (0, 4, 2)-net in base 2 (Niederreiter 1992, section 4.1): each of the pixel's 4x4,
+    2x8 and 8x2 blocks holds one ray as well.
     """
     return (mi.Float(index) + 0.5) / RAYS, (mi.Float(dr.brev(index) >> 28) + 0.5) / RAYS
 
 
 def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Layers:
-    """Return the first surface of a ray that is more opaque than not, and the sums over all, weighted by opacity.
+    """Return the first surface on a ray that is more opaque than not, and the sums over all surfaces on it.
 
-    Emission is that of lamps and of the background, weighted by how much light reaches the camera from there.
+    Normals and albedos are weighted by opacity. Emission of lamps and of the background is weighted by the share that
+    surfaces in front let through.
     """
 
     def add(state: _Layers) -> _Layers:
@@ -196,9 +208,9 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
         state.count += 1
         state.si = dr.select(state.settled, state.si, si)
         state.surface = dr.select(state.settled, state.surface, surface)
-        state.settled |= ~found | (surface.opacity >= OPAQUE_FROM)
+        state.settled |= ~found | (surface.opacity >= MIN_SURFACE_OPACITY)
         state.ray = si.spawn_ray(state.ray.d)
-        state.active = found & (state.light > LEAST_LIGHT) & (state.count < MOST_LAYERS)
+        state.active = found & (state.light > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
         return state
 
     if not any(material.can_be_transparent for material in materials.values()):
@@ -212,7 +224,7 @@ def _make_look(si: Any, surface: Surface) -> _Look:
     seen = {
         "position": mi.Vector3f(si.p),
         "normal": surface.normal,
-        "log_alpha": dr.log(dr.maximum(mi.Vector2f(surface.alpha_u, surface.alpha_v), LEAST_ALPHA)),
+        "log_alpha": dr.log(dr.maximum(mi.Vector2f(surface.alpha_u, surface.alpha_v), MIN_ALPHA)),
         "albedo": surface.diffuse_albedo + surface.specular_albedo,
         "lobe_kind": surface.lobe_kind,
         "material": surface.material,
@@ -221,9 +233,9 @@ def _make_look(si: Any, surface: Surface) -> _Look:
 
 
 def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
-    """Return the squared distance between what a ray sees and what a centre shows; 0 where neither sees a surface.
+    """Return the squared distance between the surfaces of a ray and of a pixel centre; 0 if both miss.
 
-    Departs: the chord between the normals stands for their angle, short of it by a quarter at a right angle.
+    Departs: the chord between the normals approximates their angle; at a right angle it is a tenth shorter.
     """
     offset = look.position - centre.position
     planes = dr.square(dr.dot(look.normal, offset)) + dr.square(dr.dot(centre.normal, offset))
@@ -232,11 +244,11 @@ def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
     distance += dr.squared_norm(look.log_alpha - centre.log_alpha) * ALPHA_SCALE**-2
     distance += dr.squared_norm(look.albedo - centre.albedo) * (ALBEDO_SCALE**-2 / 3.0)
     other = (look.lobe_kind != centre.lobe_kind) | (look.material != centre.material)
-    distance += dr.select(other, OTHER_KIND, 0.0)
-    return distance + dr.select(look.found != centre.found, ONLY_ONE, 0.0)
+    distance += dr.select(other, OTHER_KIND_DISTANCE, 0.0)
+    return distance + dr.select(look.found != centre.found, MISS_DISTANCE, 0.0)
 
 
 def _find_shift(x: Any, y: Any, k: int) -> Any:
-    """Return what the way on the screen from a ray to the centre of neighbour ``k`` adds to their squared distance."""
+    """Return the part of the squared distance that the way on the screen to the centre of neighbour ``k`` adds."""
     down, right = _NEIGHBOURS[k]
     return SCREEN_WEIGHT * (dr.square(x - 0.5 - right) + dr.square(y - 0.5 - down))

@@ -1,14 +1,14 @@
-"""The guides of every pixel: one surface, that of the pixel-centre ray, for all that must belong together.
+"""The guides of every pixel.
 
-An average over samples blends position, normal and roughness at a silhouette into a surface that is nowhere, and its
-lobe fits neither side; so these come from one ray. Albedos are averages over the samples: radiance is divided by them,
-and the average of a product is closest to the product of averages taken over the same samples. Averages over the
-areas of pixels, for what wants silhouettes as smooth as the picture's, are in `lobewise.render.coverage`. The hit
-distance is the harmonic mean, over the samples whose first bounce was specular and the mirror ray of the pixel's
-centre, because filters use its inverse, in which a miss is 0; the hit position is the mean weighted by 1/t, which along
-one ray lies at just that distance. The hit normal and the hit albedo are plain averages over the same samples and
-mirror ray, a miss being 0; they follow perfect mirrors and smooth glass to the first surface that shows something of
-its own.
+- Position, normal, tangent, roughness and kind of lobe come from the ray through the pixel's centre. A mean over
+  samples would blend both sides of a silhouette into a surface that does not exist, whose lobe fits neither side.
+- Albedos are means over the samples. Radiance is divided by them, and the mean of a product is closest to the product
+  of means over the same samples.
+- Hits are means over the samples whose first bounce was specular, and the mirror ray of the pixel's centre. The hit
+  distance is the harmonic mean, because filters use its inverse, in which a miss is 0. The hit position is the mean
+  weighted by 1/t, which along one ray lies at the hit distance. Hit normal and hit albedo are plain means with 0 for a
+  miss. They follow perfect mirrors and smooth glass to the first surface that is neither.
+- Means over the areas of pixels, for smooth silhouettes, are in `lobewise.render.coverage`.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
-from lobewise.render.tracing.points import OPAQUE_FROM, Points, find_points
+from lobewise.render.tracing.points import MIN_SURFACE_OPACITY, Points, find_points
 from lobewise.render.tracing.rays import invert_distance
 
 Moves = Mapping[str, ArrayLike]
-"""By the id of a shape that moved, the matrix (4, 4) that takes its world points to where the frame before had them."""
+"""For each moved shape, by its id: the matrix (4, 4) that maps its world points to their previous positions."""
 
 
 def trace_guides(
@@ -39,9 +39,9 @@ def trace_guides(
 ) -> dict[str, Any]:
     """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
 
-    Beside the fields of `GBuffer` these are ``shape`` (a number that `move_back` understands), ``mirror_count`` (1
-    where a mirror ray was sent), ``mirror_inverse`` (its 1/t), ``mirror_position`` (its hit over t), ``mirror_normal``
-    and ``mirror_albedo`` (what it sees) and ``mirror_ends`` (0 where paths would go on, through a mask or by a mirror).
+    Beside the fields of `GBuffer` these are ``shape`` (a number for `move_back`) and the results of the mirror ray:
+    ``mirror_count`` (1 if it was traced), ``mirror_inverse`` (1/t), ``mirror_position`` (position over t),
+    ``mirror_normal``, ``mirror_albedo``, and ``mirror_ends`` (0 if a path would go on, through a mask or by a mirror).
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
@@ -49,28 +49,28 @@ def trace_guides(
     eye = mi.Point3f(*(float(value) for value in camera.position))
     shiny, mirrored = trace_mirror_rays(scene, points)
     guides = _collect_guides(points, eye, shiny, mirrored)
-    # Those of `render_frame` are averages.
+    # `render_frame` takes the means of albedos over the samples instead.
     guides = {name: value for name, value in guides.items() if not name.endswith("albedo")}
     seen = shiny & mirrored.is_valid()
     surface = dispatch_surface(materials, mirrored.bsdf(), mirrored, seen)
     guides["mirror_normal"] = dr.select(seen, surface.normal, 0.0)
     guides["mirror_albedo"] = dr.select(seen, find_seen_albedo(surface, mirrored), 0.0)
-    passes = seen & (is_mirror(surface) | (surface.opacity < OPAQUE_FROM))
+    passes = seen & (is_mirror(surface) | (surface.opacity < MIN_SURFACE_OPACITY))
     guides["mirror_ends"] = dr.select(shiny & ~passes, mi.Float(1), 0.0)
     dr.eval(guides)
     return guides
 
 
 def find_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
-    """Return the guides of points as `trace_guides` does, and their albedos, not evaluated yet.
+    """Return the guides of points, as in `trace_guides` but with albedos, not evaluated yet.
 
-    ``eye`` is the camera's position: depths count from there, not from the near plane where Mitsuba's rays begin.
+    Depths are distances from ``eye``, the camera's position. Mitsuba's rays begin at the near plane instead.
     """
     return _collect_guides(points, eye, *trace_mirror_rays(scene, points))
 
 
 def trace_mirror_rays(scene: Any, points: Points) -> tuple[Any, Any]:
-    """Return where a ray that a perfect mirror would reflect was sent, and what it hits."""
+    """Return at which points a mirror ray was traced (those with a specular lobe), and its hits."""
     si, surface, found = points.si, points.surface, points.active
     shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
     view = -points.ray.d
@@ -95,11 +95,10 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
 
 
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:
-    """Return where each pixel's surface point was in the frame before, (height, width, 3).
+    """Return where each pixel's surface point was in the previous frame, (height, width, 3).
 
-    Each pixel shows a ``shape`` (height, width), as `trace_guides` numbers them, at a ``position`` (height, width, 3).
-    A mesh, a sphere or whatever else: its points keep their places in it. InputError if the scene has no shape of an
-    id, or a matrix is none.
+    ``shape`` (height, width) holds the numbers of `trace_guides`. Shapes move as rigid bodies or by another affine map.
+    InputError if the scene has no shape with an id of ``moves``, or a matrix is not finite or not (4, 4).
     """
     numbers = {each.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(each))[0]) for each in scene.shapes()}
     before = position
@@ -108,7 +107,7 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
         matrix = np.asarray(move, dtype=np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             got = f"an array of shape {matrix.shape}"
-            action = "pass what takes points of now to where they were"
+            action = "pass the matrix that maps points to their previous positions"
             raise InputError(f"moves[{name!r}]", expected="a finite matrix of shape (4, 4)", got=got, action=action)
         there = position @ matrix[:3, :3].T + matrix[:3, 3]
         before = np.where((shape == numbers[name])[..., None], there, before)

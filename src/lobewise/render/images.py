@@ -1,4 +1,4 @@
-"""Images from what was summed over the samples of pixels."""
+"""Images made from the sums over the samples of pixels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def to_image(value: Any) -> FloatArray:
 
 
 def finish_hits(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return hit distances (0 unknown, inf nothing seen) and hit positions of a run of pixels."""
+    """Return hit distances (0 if unknown, inf for a miss) and hit positions of a run of pixels."""
     count = to_image(totals.hit_count) + to_image(guides["mirror_count"])
     inverse = to_image(totals.hit_inverse) + to_image(guides["mirror_inverse"])
     position = to_image(totals.hit_position) + to_image(guides["mirror_position"])
@@ -29,9 +29,9 @@ def finish_hits(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, Flo
 
 
 def finish_seen(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean normals and albedos of what the reflections of a run of pixels see; 0 for misses and unknown.
+    """Return the mean hit normals and hit albedos of a run of pixels; 0 for misses and unknown hits.
 
-    A mirror ray that paths would follow further counts only where no sample was reflected.
+    A mirror ray that paths would follow further counts only if no sample was reflected.
     """
     count = to_image(totals.hit_count)
     weight = np.where(count > 0, to_image(guides["mirror_ends"]), to_image(guides["mirror_count"]))
@@ -42,7 +42,7 @@ def finish_seen(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, Flo
 
 
 def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
-    """Return the guides of a run of pixels by their path in `Frame`, pixels first, and ``shape``."""
+    """Return the guides of a run of pixels, pixels first, by their path in `Frame`, and ``shape``."""
     assert sums.totals is not None
     own = GBuffer.__dataclass_fields__
     images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
@@ -55,9 +55,9 @@ def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, Flo
 
 
 def finish_radiance(sums: Sums, spp: int, has_direct: bool) -> dict[str, FloatArray]:
-    """Return radiance, halves and variance of a run of pixels by their path in `Frame`, pixels first.
+    """Return radiance, halves and variance of a run of pixels, pixels first, by their path in `Frame`.
 
-    A black image of direct light would say that nothing is lit directly, so there is none where it was not asked for.
+    Without ``has_direct`` there is no image of direct light. A black one would mean that no surface is lit directly.
     """
     assert sums.odd is not None and sums.squares is not None and sums.totals is not None
     even, odd = _to_images(sums.even), _to_images(sums.odd)
@@ -83,11 +83,11 @@ def _scale(prefix: str, sums: Lobes, count: int) -> dict[str, FloatArray]:
 
 
 def join(tiles: list[dict[str, FloatArray]], width: int, height: int) -> dict[str, FloatArray]:
-    """Return images, (height, width, ...) each, of runs of their pixels one after the other."""
+    """Return images, (height, width, ...) each, joined from successive runs of pixels."""
     whole = {name: np.concatenate([tile[name] for tile in tiles]) for name in tiles[0]}
     return {name: image.reshape(height, width, *image.shape[1:]) for name, image in whole.items()}
 
 
 def select(images: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    """Return the images whose path begins with a prefix, by the rest of it."""
+    """Return the images whose path begins with a prefix, by the rest of the path."""
     return {name.split(".", 1)[1]: value for name, value in images.items() if name.startswith(prefix + ".")}

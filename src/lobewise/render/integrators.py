@@ -1,9 +1,9 @@
-"""Whose light a frame holds: that of the paths of this package, or that of the scene's own integrator.
+"""Chooses who renders the light of a frame: the path tracer of this package, or the scene's own integrator.
 
-A scene file says how its light is to be computed, and only some of Mitsuba's integrators estimate what the path tracer
-of this package does. Of those the light is told apart by lobe, which filters like. All others (participating media,
-emitters that hide, light traced from the lamps) render their light themselves, through a copy of the sensor with a box
-filter, so that pixels are independent; guides are those of the first surface all the same.
+A scene file names its integrator. If this package's path tracer estimates the same light, it renders the frame, because
+it splits light by lobe, which helps filters. All other integrators (participating media, hidden emitters, light traced
+from the lamps) render their light themselves, through a copy of the sensor with a box filter, so that pixels are
+independent. The guides describe the first surface in both cases.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ from lobewise.render.materials.bsdfs import list_nested
 from lobewise.render.variant import VARIANTS
 
 INTEGRATORS = ("auto", "paths", "scene")
-"""What can be asked for."""
+"""Choices of the user."""
 DEPTH = 8
-"""Longest path of scenes without an integrator."""
-DEEPEST = 1 << 16
+"""Longest path in scenes without an integrator, vertices after the camera."""
+MAX_DEPTH = 1 << 16
+"""Longest path that a user can ask for, vertices after the camera."""
 
 PATHS = ("PathIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "PathProjectiveIntegrator")
-"""Integrators whose light is that of paths."""
+"""Integrators that estimate the light of paths."""
 VOLUMES = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl", "PRBVolpathIntegrator")
-"""Those whose light is that of paths where there are no media, and no surfaces that light passes unnoticed."""
+"""Integrators that estimate the light of paths if the scene has neither media nor null surfaces."""
 DIRECT = ("DirectIntegrator", "DirectProjectiveIntegrator")
-"""Those of paths of two vertices."""
+"""Integrators that estimate the light of paths of `DIRECT_DEPTH` vertices."""
 DIRECT_DEPTH = 2
 PLUGINS = {
     "PathIntegrator": "path",
@@ -45,33 +46,25 @@ PLUGINS = {
     "MomentIntegrator": "moment",
     "DepthIntegrator": "depth",
 }
-"""Names in scene files, by class."""
+"""Names of integrators in scene files, by class name."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """Whose light a frame holds.
-
-    Parameters
-    ----------
-    max_depth : int
-        Longest of this package's paths, in vertices after the camera.
-    own : mitsuba.Integrator or None
-        The scene's, where it renders the light.
-    lens : bool
-        Whether it comes through a lens of some width, which paths and guides of one ray know nothing of.
-    told : str
-        That in a sentence; empty where there is nothing to tell.
-    """
+    """How the light of a frame is rendered."""
 
     max_depth: int
+    """Longest path of this package's path tracer, vertices after the camera."""
     own: Any = None
+    """The scene's own ``mitsuba.Integrator`` if it renders the light, otherwise None."""
     lens: bool = False
+    """Whether the light comes through a wide lens, through which paths and guides of a single ray cannot look."""
     told: str = ""
+    """Sentence for the user about the light; empty if there is nothing to say."""
 
 
 def check_scene(scene: Any) -> None:
-    """Raise InputError unless this is a scene of a variant that is rendered."""
+    """Raise InputError unless this is a Mitsuba scene of a supported variant."""
     variant = mi.variant()
     if variant not in VARIANTS.values() or not isinstance(scene, mi.Scene):
         expected = "a mitsuba.Scene of the variant " + " or ".join(VARIANTS.values())
@@ -81,28 +74,28 @@ def check_scene(scene: Any) -> None:
 
 
 def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = None) -> Light:
-    """Return whose light a frame of a scene shall hold.
+    """Return how the light of a scene is rendered.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        Its integrator and its first sensor count.
+        Its integrator and its sensor are read.
     integrator : {"auto", "paths", "scene"}
-        "paths" are those of this package, "scene" is the scene's own integrator, and "auto" takes paths where they
-        estimate the same light.
+        "paths" is the path tracer of this package and "scene" is the scene's own integrator. "auto" chooses paths if
+        they estimate the light of the scene's own integrator.
     max_depth : int, optional
-        Longest path; by default that of the scene's integrator.
+        Longest path, vertices after the camera; by default that of the scene's integrator.
 
     Raises
     ------
     InputError
-        If the scene is of another variant, its integrator makes no image of light, there is none, or a depth is given
-        for it.
+        If the variant of the scene is not supported, or the scene's own integrator shall render the light but is
+        missing, makes no image of light, or gets a ``max_depth``.
     """
     check_scene(scene)
     require_choice("integrator", integrator, INTEGRATORS)
     if max_depth is not None:
-        require_integer("max_depth", max_depth, 1, DEEPEST)
+        require_integer("max_depth", max_depth, 1, MAX_DEPTH)
     own = scene.integrator()
     if has_lens(scene):
         return _plan_lens(own, integrator, max_depth)
@@ -113,19 +106,19 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
         return Light(max_depth or DEPTH, told=_tell_media(scene))
     depth = None if integrator == "scene" else _find_depth(scene, own)
     if integrator == "paths" or depth is not None:
-        other = f"Light by paths as asked for, which is not that of the scene's own {name_integrator(own)}."
+        other = f"Light by paths, as asked for; the scene's own {name_integrator(own)} would give other light."
         return Light(max_depth or depth or DEPTH, told=other if depth is None else _tell_media(scene))
     _require_light(own)
     _refuse_depth(own, max_depth)
     return Light(
         DEPTH,
         own,
-        told=f"Light by the scene's own integrator, {name_integrator(own)}: one image, not told apart by lobe.",
+        told=f"Light by the scene's own integrator, {name_integrator(own)}: one image, not split by lobe.",
     )
 
 
 def _plan_lens(own: Any, integrator: str, max_depth: int | None) -> Light:
-    """Return the light of a scene that is seen through a lens."""
+    """Return how the light of a scene is rendered through a lens."""
     if integrator == "paths":
         action = "leave the choice out, or use a perspective sensor"
         raise InputError("integrator", expected="'scene' or 'auto', for a lens", got="'paths'", action=action)
@@ -136,12 +129,12 @@ def _plan_lens(own: Any, integrator: str, max_depth: int | None) -> Light:
         _refuse_depth(own, max_depth)
     _require_light(own)
     whose = name_integrator(own)
-    told = f"Light through the lens by {whose}: one image, not told apart by lobe; guides are means over the lens."
+    told = f"Light through the lens by {whose}: one image, not split by lobe; guides are means over the lens."
     return Light(DEPTH, own, lens=True, told=told)
 
 
 def _refuse_depth(own: Any, max_depth: int | None) -> None:
-    """Raise InputError if a depth is given for an integrator that has its own."""
+    """Raise InputError if a depth is given although the scene's own integrator renders the light."""
     if max_depth is not None:
         raise InputError(
             "max_depth",
@@ -152,27 +145,27 @@ def _refuse_depth(own: Any, max_depth: int | None) -> None:
 
 
 def require_paths(scene: Any, what: str, integrator: str = "auto", max_depth: int | None = None) -> Light:
-    """Return the light of ``what``, which only paths give.
+    """Return `plan_light` for ``what`` (words for the message), which only paths can render.
 
     Raises
     ------
     InputError
-        If they are not those of the scene's integrator, or as `plan_light`.
+        If paths do not estimate the light of the scene's integrator, or if `plan_light` raises it.
     """
     light = plan_light(scene, integrator, max_depth)
     if light.own is not None:
         seen = " through a lens" if light.lens else ""
         raise InputError(
             "integrator",
-            expected=f"one whose light paths give, for {what}",
+            expected=f"one whose light paths estimate, for {what}",
             got=name_integrator(light.own) + seen,
-            action="render whole frames of all light, or ask for integrator 'paths', whose light is another",
+            action="render whole frames of all light, or ask for integrator 'paths', which gives other light",
         )
     return light
 
 
 def name_integrator(integrator: Any) -> str:
-    """Return the name of an integrator as scene files have it."""
+    """Return the name of an integrator in scene files, quoted."""
     kind = _get_class(integrator)
     return repr(PLUGINS.get(kind, kind))
 
@@ -183,7 +176,7 @@ def _get_class(integrator: Any) -> str:
 
 
 def _find_depth(scene: Any, integrator: Any) -> int | None:
-    """Return the longest of the paths that estimate an integrator's light; None where paths do not."""
+    """Return the length of the paths that estimate an integrator's light; None if paths do not estimate it."""
     kind = _get_class(integrator)
     text = str(integrator)
     if kind == "AOVIntegrator":
@@ -203,25 +196,25 @@ def _find_depth(scene: Any, integrator: Any) -> int | None:
 
 
 def _read_depth(text: str) -> int | None:
-    """Return the depth that the description of an integrator tells."""
+    """Return the depth from the text description of an integrator."""
     found = re.search(r"max_depth = (-?\d+)", text)
     return _bound(int(found[1])) if found else None
 
 
 def _bound(depth: int) -> int | None:
     if depth == 0:
-        return None  # paths of no vertex: an image without light, which is nobody's wish here
-    return DEEPEST if depth < 0 else min(depth, DEEPEST)
+        return None  # paths without a vertex give a black image
+    return MAX_DEPTH if depth < 0 else min(depth, MAX_DEPTH)
 
 
 def _list_nested_text(text: str) -> list[str]:
-    """Return the descriptions of the integrators inside one that describes itself so."""
+    """Return the descriptions of the nested integrators from the description of an integrator."""
     inner = text.partition("integrators = [")[2]
     return re.findall(r"(\w+\[[^\[\]]*\])", inner)
 
 
 def _shows_emitters(integrator: Any) -> bool:
-    """Return whether a sky is seen through an integrator, which does not tell of those inside it."""
+    """Return whether an integrator renders a visible sky. Nested integrators do not expose ``hide_emitters``."""
     film = {"type": "hdrfilm", "width": 1, "height": 1, "pixel_format": "rgb", "rfilter": {"type": "box"}}
     sky = mi.load_dict({"type": "scene", "sky": {"type": "constant", "radiance": 1.0}})
     sensor = mi.load_dict({"type": "perspective", "film": film})
@@ -237,18 +230,18 @@ def _has_media(scene: Any) -> bool:
 
 
 def _tell_media(scene: Any) -> str:
-    """Return a remark on media that nobody renders; empty without any."""
+    """Return a remark on participating media that are not rendered; empty without media."""
     if not _has_media(scene):
         return ""
     own = scene.integrator()
     whose = "paths do" if own is None else f"the scene's integrator, {name_integrator(own)}, does"
-    return f"There are participating media, which {whose} not see: 'volpath' in the scene would."
+    return f"There are participating media, which {whose} not render; put 'volpath' into the scene to see them."
 
 
 def tell_unseen(scene: Any) -> str:
-    """Return what paths from the centres of pixels, the light of a preview, do not show; empty where nothing is missed.
+    """Return a remark on light that a preview by paths from pixel centres does not show; empty if it shows all.
 
-    That is light of another integrator of the scene's, participating media, and the width of a lens.
+    It misses the light of other integrators, participating media, and the width of a lens.
     """
     own = scene.integrator()
     other = own is not None and _find_depth(scene, own) is None
@@ -261,7 +254,7 @@ def tell_unseen(scene: Any) -> str:
 
 
 def _has_volumes(scene: Any) -> bool:
-    """Return whether there are media, or surfaces that light passes without being scattered."""
+    """Return whether there are media, or null surfaces, through which light passes unscattered."""
     if _has_media(scene):
         return True
     for shape in scene.shapes():

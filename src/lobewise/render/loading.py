@@ -1,4 +1,4 @@
-"""Scenes for Mitsuba: the built-in ones by name, and any scene file of the user's."""
+"""Loads Mitsuba scenes: built-in ones by name, and the user's scene files."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes,
 __all__ = ["MovingScene", "build_scene", "list_moving_scenes", "list_scenes", "load_scene"]
 
 DEFAULT_SIZE = 512
-"""Pixels a side of a built-in scene."""
+"""Default width and height of a built-in scene, pixels."""
 
 LARGEST_SIZE = 32768
+"""Largest width and height of an image, pixels."""
 
 _RESERVED = ("path", "parallel", "optimize")
-"""Names that Mitsuba's loader takes for its own arguments."""
+"""Names that Mitsuba's loader uses for its own arguments."""
 
 _OF_A_MESH = {
     "vertex_positions": "vertices",
@@ -32,7 +33,7 @@ _OF_A_MESH = {
     "vertex_texcoords": "uv",
     "faces": "faces",
 }
-"""Mitsuba's names of the arrays of a mesh, and ours."""
+"""Our names of the arrays of a mesh, by Mitsuba's names."""
 
 
 def load_scene(
@@ -48,15 +49,14 @@ def load_scene(
     Parameters
     ----------
     name_or_path : str or path
-        One of `lobewise.scenes.list_scenes`, or anything that ends in ``.xml`` or has a folder.
+        One of `lobewise.scenes.list_scenes`, or a path that ends in ``.xml`` or contains a folder.
     width, height : int, optional
-        Size of the image; by default that of the file, or 512x512 for a built-in scene. One alone keeps the
-        file's aspect.
+        Size of the image, pixels; by default that of the file, or 512x512 for a built-in scene. If only one is given,
+        the aspect of the file is kept.
     time : float
-        Where the objects of a scene of `lobewise.scenes.list_moving_scenes` are, in frames after the beginning; 0 is
-        where they stand when nothing moves.
+        Time in frames, for the objects of a scene of `lobewise.scenes.list_moving_scenes`.
     parameters : mapping of str to str, optional
-        What stands in an XML file for ``$name``, in place of what the file says itself.
+        Values for ``$name`` in an XML file, in place of the file's own defaults.
 
     Returns
     -------
@@ -65,17 +65,17 @@ def load_scene(
     Raises
     ------
     InputError
-        If the name is not that of a scene, the size is not 1 to 32768, Mitsuba does not understand the file, there is a
-        time and nothing moves, or the scene has no such parameter.
+        If there is no scene of this name, the size is not 1 to 32768, Mitsuba does not understand the file, a time is
+        given although nothing moves, or the scene has no such parameter.
     FileError
-        If there is no such file, or it cannot be read.
+        If the file does not exist or cannot be read.
     MissingDependencyError
         If Mitsuba or libLLVM is not installed.
 
     Notes
     -----
-    A built-in scene is the same every time. Of a file Mitsuba merges what it can, in an order that is not: with several
-    lights its random numbers differ from load to load.
+    A built-in scene renders to the same bits every time. In files Mitsuba merges shapes in an order that varies, so
+    with several lights the random numbers of a file differ from load to load.
     """
     for name, value in (("width", width), ("height", height)):
         if value is not None:
@@ -99,17 +99,8 @@ def load_scene(
 class MovingScene:
     """A built-in scene whose objects move; time is counted in frames.
 
-    Parameters
-    ----------
-    name : str
-        One of `lobewise.scenes.list_moving_scenes`.
-    width, height : int, optional
-        As `load_scene` takes them.
-
-    Raises
-    ------
-    InputError
-        If nothing moves in that scene, or there is no such scene.
+    ``name`` is one of `lobewise.scenes.list_moving_scenes`, otherwise InputError is raised. ``width`` and ``height``
+    are those of `load_scene`.
     """
 
     name: str
@@ -124,7 +115,7 @@ class MovingScene:
         return load_scene(self.name, width=self.width, height=self.height, time=time)
 
     def find_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
-        """Return, by the id of each moving shape, the matrix that takes its world points at ``time`` to ``before``."""
+        """Return the matrix that maps world points at ``time`` to ``before`` for each moving shape, by its id."""
         load_mitsuba()
         now, then = (
             {
@@ -140,17 +131,17 @@ def _require_moving(name: str) -> None:
     if name not in list_moving_scenes():
         expected = f"one whose objects move: {' or '.join(list_moving_scenes())}"
         got = repr(name)
-        raise InputError("scene", expected=expected, got=got, action="take one of them, or let the camera move alone")
+        raise InputError("scene", expected=expected, got=got, action="take one of them, or move only the camera")
 
 
 def build_scene(items: dict[str, Any]) -> Any:
-    """Return the Mitsuba object of a description: what ``mitsuba.load_dict`` takes, with plain data in three places.
+    """Return the Mitsuba object of a description for ``mitsuba.load_dict`` with plain data in three places.
 
-    ``to_world`` and ``to_uv`` may be steps, tuples of the name of a method of ``mitsuba.ScalarTransform4f`` and its
-    arguments, of which the last is applied first; any array is a bitmap; a shape of type "mesh" has ``vertices``,
-    ``normals``, ``uv`` and ``faces``, (n, 2 or 3) each. A shape is the same every time.
+    ``to_world`` and ``to_uv`` may be steps: tuples of the name of a method of ``mitsuba.ScalarTransform4f`` and its
+    arguments; the last step is applied first. Any array is a bitmap. A shape of type "mesh" has ``vertices``,
+    ``normals``, ``uv`` and ``faces``, (n, 2 or 3) each.
     """
-    # Mitsuba's optimisation puts shapes and lights into another order each time, and with them the random numbers.
+    # Mitsuba's optimisation reorders shapes and lights on every load, which would change the random numbers.
     return load_mitsuba().load_dict(_translate(items), optimize=False)
 
 
@@ -200,7 +191,7 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
     except (RuntimeError, OSError) as error:
         _refuse_unused(path, parameters, str(error))
         expected = "a scene that Mitsuba understands"
-        action = "mend the file"
+        action = "repair the file"
         raise InputError(str(path), expected=expected, got=_say_in_a_line(error), action=action) from error
     if not isinstance(scene, mi.Scene):
         got = f"a {type(scene).__name__}"
@@ -211,13 +202,13 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
 
 
 def _say_in_a_line(error: Exception) -> str:
-    """Return what Mitsuba has to say, which quotes the file, as one line of printable letters."""
+    """Return Mitsuba's message, which quotes the file, as one line of printable characters."""
     text = " ".join(str(error).split())
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> None:
-    """Raise InputError if a problem of Mitsuba's is that a file does not use a parameter."""
+    """Raise InputError if Mitsuba's message says that the file does not use a parameter."""
     unused = [name for name in parameters if f"${name}={parameters[name]}" in problem]
     if not unused or "unused" not in problem:
         return

@@ -1,8 +1,8 @@
-"""Light that a scene's own integrator renders, and what surfaces a lens shows.
+"""Light rendered by a scene's own integrator, and guides through a lens.
 
-Both see the scene through a copy of its sensor whose film has a box filter, so that pixels are independent. Through a
-lens a pixel shows more than one ray does: guides are then means over the lens and the pixel's area, as the light is, in
-place of those of the ray through its centre.
+Both see the scene through a copy of its sensor whose film has a box filter, so that pixels are independent. Light
+through a lens is a mean over the lens and the pixel's area. So the guides are means over both as well, instead of
+coming from the ray through the pixel's centre.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from lobewise.render.tracing.points import find_first_opaque, find_points
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 
 CHUNK_SAMPLES = 1 << 22
-"""Samples per launch of an integrator of the scene's."""
-SEEN = 0.5
-"""Share of a pixel's rays that must meet a surface for it to show one."""
+"""Samples per launch of the scene's integrator."""
+MIN_HIT_SHARE = 0.5
+"""Share of a pixel's rays. If fewer hit a surface, the pixel counts as background."""
 
 
 def make_box_sensor(scene: Any) -> Any:
-    """Return a sensor with the rays of a scene's first one, whose pixels have a box filter and linear RGB."""
+    """Return a sensor with the rays of a scene's sensor, but with a box filter and pixels in linear RGB."""
     original = get_sensor(scene)
     kind = _describe_lens(original) if has_lens(scene) else _describe_pinhole(get_camera(scene), *get_image_size(scene))
     matrix = np.array(mi.traverse(original)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
@@ -57,7 +57,7 @@ def _describe_film(width: int, height: int, **crop: int) -> dict[str, Any]:
 
 
 def _describe_pinhole(camera: Camera, width: int, height: int) -> dict[str, Any]:
-    """Return a pinhole whose film is what of it is rendered."""
+    """Return a pinhole sensor whose whole film is the rendered part of the camera's film."""
     half_width, half_height = camera.get_half_extent(width, height)
     return {
         "type": "perspective",
@@ -69,7 +69,7 @@ def _describe_pinhole(camera: Camera, width: int, height: int) -> dict[str, Any]
 
 
 def _describe_lens(sensor: Any) -> dict[str, Any]:
-    """Return a lens with the same crop window: it has no other way to look to the side."""
+    """Return a lens sensor with the original's crop window, because lens sensors cannot shift their film."""
     known, film = mi.traverse(sensor), sensor.film()
     numbers = {name: float(np.array(known[name]).item()) for name in ("aperture_radius", "focus_distance", "x_fov")}
     crop = {
@@ -92,21 +92,10 @@ def _describe_lens(sensor: Any) -> dict[str, Any]:
 def render_own(
     scene: Any, integrator: Any, *, spp: int, seed: int, advance: Callable[[int], None]
 ) -> dict[str, Radiance]:
-    """Return the images that an integrator makes, by their names in `Frame`; one sample has no halves.
+    """Return the images that an integrator renders, by their names in `Frame`.
 
-    Parameters
-    ----------
-    scene, integrator
-        Of Mitsuba.
-    spp, seed : int
-        Samples per pixel, more by one in the first half where they are odd, and what their random numbers follow.
-    advance : callable
-        Called with how many samples were taken.
-
-    Raises
-    ------
-    InputError
-        If it makes no image of three colours.
+    With an odd ``spp`` the first half has one sample more; with one sample there are no halves. ``advance`` is called
+    with the number of samples after each launch. InputError if the integrator makes no image of three colours.
     """
     sensor = make_box_sensor(scene)
     width, height = get_image_size(scene)
@@ -134,10 +123,10 @@ def render_own(
 
 
 def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
-    """Return a frame without the lobes of surfaces that hold media: light from inside follows none of them.
+    """Return a frame without the lobes of surfaces around media: light from inside does not follow these lobes.
 
-    (Of a glass ball filled with fog nothing at all would be averaged, as of a mirror; a scene with one had four times
-    the error at 4 samples, and more than twice at 64.)
+    With its mirror lobe a glass ball filled with fog would not be filtered at all: a scene with such a ball had four
+    times the error at 4 samples, and more than twice at 64.
     """
     guides = frame.gbuffer
     if guides.alpha_u is None or not any(shape.is_medium_transition() for shape in scene.shapes()):
@@ -160,7 +149,10 @@ def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
 
 @dataclass
 class _Sums:
-    """Sums over the rays of a pixel (Dr.Jit arrays; a PyTree)."""
+    """Sums over the rays of a pixel (Dr.Jit arrays; a PyTree).
+
+    ``found`` counts the rays that hit a surface; ``shine`` sums their mean specular albedo, the weight of the alphas.
+    """
 
     found: Any = starts_as("Float")
     depth: Any = starts_as("Float")
@@ -174,23 +166,10 @@ class _Sums:
 
 
 def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = False) -> Frame:
-    """Return a black frame with what surfaces the pixels of a lens show in the mean, and the camera in its middle.
+    """Return a black frame with the mean guides through a lens, and the pinhole camera in the lens's middle.
 
-    Alphas are weighed by the specular albedo. A pixel of which most rays meet no surface shows none.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        Seen through its sensor.
-    samples, seed : int
-        Rays of every pixel, and what their random numbers follow.
-    moved : bool
-        Whether motion is asked for, of which a lens shows no single one.
-
-    Raises
-    ------
-    InputError
-        If it is.
+    ``samples`` is the number of rays per pixel. Alphas are weighted by the specular albedo. With ``moved``, motion is
+    asked for: InputError, because through a lens a pixel has no single motion.
     """
     if moved:
         action = "leave it out, or use a perspective sensor"
@@ -227,7 +206,7 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
         (sums,) = repeat(take, mi.UInt32(0), dr.opaque(mi.UInt32, samples), _Sums(), label="lens")
         dr.eval(sums)
     found, shine = to_image(sums.found), to_image(sums.shine)
-    there = found > SEEN * samples
+    there = found > MIN_HIT_SHARE * samples
 
     def divide(value: Any, by: FloatArray, default: float) -> FloatArray:
         image = to_image(value)

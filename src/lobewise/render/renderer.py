@@ -1,4 +1,4 @@
-"""Render a scene to a `lobewise.frame.Frame`: tiles and chunks of samples, then arrays."""
+"""Renders a scene to a `lobewise.frame.Frame`, in tiles of pixels and chunks of samples."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from lobewise.sparse_frame import MAX_SCALE, SparseFrame
 Progress = Callable[[int, int], None]
 
 TILE_PIXELS = 1 << 20
-"""Pixels in flight at once: about 350 MB of sums."""
+"""Pixels rendered at once. Their sums take about 350 MB."""
 
 CHUNK_SAMPLES = 1 << 22
-"""Samples per launch: some seconds, so that progress is seen and an interrupt is heard."""
+"""Samples per launch. A launch takes some seconds, so that progress is reported and interrupts are handled."""
 
 GUIDE_SAMPLES = 32
-"""Samples, at most, of guides that are averages beside light of a scene's own integrator."""
+"""Largest number of samples per pixel for the guides if the scene's own integrator renders the light."""
 
 LIGHTS = {"all": 0, "indirect": 2}
-"""What light can be asked for: how often it was scattered at least."""
+"""Smallest number of scatterings of the light, by the user's choice."""
 
 
 def _cut(length: int, step: int) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of the pieces of a length."""
+    """Yield begin and end of successive pieces of a length."""
     for start in range(0, length, step):
         yield start, min(start + step, length)
 
@@ -60,21 +60,16 @@ def _make_advance(progress: Progress | None, total: int) -> Callable[[int], None
 
 
 class _Pass:
-    """One pass over the samples of a scene, tile by tile; see `render_frame`, and `PathSettings` for the settings."""
+    """One pass of the path tracer over the samples of a scene, tile by tile; ``settings`` go to `PathSettings`."""
 
     def __init__(self, scene: Any, *, spp: int, seed: int, max_depth: int, light: str, **settings: Any) -> None:
         self.spp = require_integer("spp", spp, 1, 1 << 24)
         self._seed = require_integer("seed", seed, 0, (1 << 32) - 1)
-        fewest = LIGHTS[require_choice("light", light, LIGHTS)]
+        min_bounces = LIGHTS[require_choice("light", light, LIGHTS)]
         self.scene = scene
-        self.settings = PathSettings(max_depth=max_depth, fewest_bounces=fewest, **settings)
+        self.settings = PathSettings(max_depth=max_depth, min_bounces=min_bounces, **settings)
         self.size = get_image_size(scene)
         self.materials = read_scene_materials(scene) if self.settings.guides else {}
-
-    @property
-    def has_light(self) -> bool:
-        """Whether there is radiance, and not only guides."""
-        return self.settings.radiance
 
     def run(
         self,
@@ -84,9 +79,9 @@ class _Pass:
         progress: Progress | None = None,
         **where: Any,
     ) -> dict[str, FloatArray]:
-        """Return the images, (rows, columns, ...), that ``finish`` makes of the sums of each run of pixels.
+        """Return the images, (rows, columns, ...), that ``finish`` makes from the sums of each run of pixels.
 
-        ``where`` tells which pixels of the image are meant, as `add_samples` takes it.
+        ``where`` chooses the pixels of the image; see `add_samples`.
         """
         advance = _make_advance(progress, columns * rows * self.spp)
         tiles = []
@@ -107,7 +102,7 @@ class _Pass:
 
     def finish_radiance(self, _: tuple[int, int], sums: Sums) -> dict[str, FloatArray]:
         """Return the radiance of a run of pixels."""
-        return finish_radiance(sums, self.spp, self.settings.fewest_bounces < 2)
+        return finish_radiance(sums, self.spp, self.settings.min_bounces < 2)
 
 
 def render_frame(
@@ -124,53 +119,52 @@ def render_frame(
     moves: Moves | None = None,
     progress: Progress | None = None,
 ) -> Frame:
-    """Render a scene with all that a denoiser may want to know, in one pass over the samples.
+    """Render a scene with all images that help a denoiser, in one pass over the samples.
 
-    Pixels are box filtered and independent. The radiance is told apart by the lobe of its first scattering (emission
-    that the camera sees directly, or through a mask, is in neither ``diffuse`` nor ``specular``), and by their number:
-    ``direct`` was scattered once, ``indirect`` more often. Refraction counts as specular. Which guides are averages
-    and which belong to the pixel-centre ray is told in `lobewise.render.gbuffer`.
+    Pixels are box filtered and independent. The radiance is split by the lobe of its first scattering into ``diffuse``
+    and ``specular`` (refraction counts as specular; emission that the camera sees, directly or through a mask, is in
+    neither), and by the number of scatterings into ``direct`` (one) and ``indirect`` (more). `lobewise.render.gbuffer`
+    says which guides are means and which belong to the ray through the pixel's centre.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        From `load_scene`, or loaded with a variant that `load_mitsuba` set. Its first sensor is used; of its film
-        only the size.
+        From `load_scene`, or loaded with a variant that `load_mitsuba` set. Its first sensor is used, but only the size
+        of the film.
     spp : int
         Samples per pixel. With one sample there are no halves and no variance.
     seed : int
         The same seed gives the same bits, whatever the number of threads.
     max_depth : int, optional
-        Longest path, in vertices after the camera: 1 is light sources, 2 direct light, and so on; by default that of
-        the scene's integrator, or 8 without one.
+        Longest path, vertices after the camera: 1 shows light sources, 2 adds direct light, and so on. By default that
+        of the scene's integrator, or 8 without one.
     light : {"all", "indirect"}
-        With "indirect" the radiance holds only what was scattered more than once: no emission that the camera sees,
-        no direct light, so that color is diffuse + specular, and ``direct`` is left out. The random numbers are those
-        of "all".
+        "indirect" keeps only light that was scattered more than once; ``color`` is then diffuse + specular and there is
+        no ``direct``. The random numbers do not change.
     integrator : {"auto", "paths", "scene"}
-        Whose light: "paths" are those told above, "scene" is the scene's own integrator, and "auto" takes paths where
-        they estimate the same light. That of an own integrator (participating media, light traced from the lamps ...)
-        is one image, with halves but without parts and variance.
+        "paths" renders the light described above, "scene" that of the scene's own integrator (participating media,
+        light traced from the lamps ...): one image, with halves but without parts and variance. "auto" chooses paths if
+        they estimate the light of the scene's own integrator.
     aov_only : bool
-        Leave the radiance out (it is all zero) and compute the guides alone.
+        Compute only the guides; the radiance is 0.
     coverage : bool
-        Whether the G-buffer holds what each pixel's area shows: ``coverage`` and the ``mean_`` images. They take 16
-        more rays of the camera per pixel and no samples.
+        Whether the G-buffer describes each pixel's area by ``coverage`` and the ``mean_`` images. They take 16 more
+        camera rays per pixel and no samples.
     previous_camera : Camera, optional
-        Camera of the frame before; with it the G-buffer holds ``motion``.
+        Camera of the previous frame; with it the G-buffer holds ``motion``.
     moves : mapping of str to array_like, shape (4, 4), optional
-        With ``previous_camera``: where shapes came from, by their id. The matrix takes a world point of the shape to
-        where the frame before had it; shapes that are not named stood still.
+        With ``previous_camera``: for each moved shape, by its id, the matrix that maps its world points to their
+        positions in the previous frame.
     progress : callable, optional
         Called with ``(done, total)`` samples, from 0 to the total.
 
     Raises
     ------
     InputError
-        If a number is out of range, the light or a moved shape unknown, the sensor no plain perspective camera, or the
-        scene's integrator makes no image of light.
+        If a number is out of range, the light or a moved shape is unknown, the sensor is not a plain perspective
+        camera, or the scene's integrator makes no image of light.
     UnsupportedBsdfError
-        If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
+        If a BSDF is unknown and cannot be evaluated or sampled.
     MissingDependencyError
         If a BSDF must be fitted and SciPy is not installed.
     """
@@ -182,19 +176,21 @@ def render_frame(
     if plan.lens:
         moved = previous_camera is not None
         guides = render_lens_guides(scene, samples=min(spp, GUIDE_SAMPLES), seed=seed, moved=moved)
-        return guides if aov_only else _add_own_light(guides, scene, plan, spp, seed, light, progress)
-    if plan.own is not None:
+        if aov_only:
+            return guides
+    elif plan.own is not None:
         guides = render_frame(scene, spp=min(spp, GUIDE_SAMPLES), seed=seed, aov_only=True, **guided)
         guides = forget_lobes_of_media(scene, guides)
-        return _add_own_light(guides, scene, plan, spp, seed, light, progress)
-    settings: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": plan.max_depth, "light": light}
-    return _render_by_paths(_Pass(scene, radiance=not aov_only, **settings), progress, **guided)
+    else:
+        settings: dict[str, Any] = {"spp": spp, "seed": seed, "max_depth": plan.max_depth, "light": light}
+        return _render_by_paths(_Pass(scene, radiance=not aov_only, **settings), progress, **guided)
+    return guides.with_changes(spp=spp, **_render_own(scene, plan, spp, seed, light, progress))
 
 
 def _render_by_paths(
     run: _Pass, progress: Progress | None, *, coverage: bool, previous_camera: Camera | None, moves: Moves | None
 ) -> Frame:
-    """Return the frame of one pass over the samples."""
+    """Return the frame of one pass of the path tracer."""
     scene, spp = run.scene, run.spp
     camera = get_camera(scene)
 
@@ -202,7 +198,7 @@ def _render_by_paths(
         guides = trace_guides(scene, run.materials, camera, pixels=pixels, size=run.size)
         if coverage:
             guides |= trace_coverage(
-                scene, run.materials, camera, pixels=pixels, size=run.size, emission=not run.settings.fewest_bounces
+                scene, run.materials, camera, pixels=pixels, size=run.size, emission=not run.settings.min_bounces
             )
         return finish_guides(sums, guides, spp) | run.finish_radiance(pixels, sums)
 
@@ -214,7 +210,7 @@ def _render_by_paths(
     tables = list_lobe_tables(run.materials)
     if not tables:
         del images["gbuffer.material"]
-    parts = ("half_a", "half_b", "variance") if spp > 1 and run.has_light else ()
+    parts = ("half_a", "half_b", "variance") if spp > 1 and run.settings.radiance else ()
     frame = Frame(
         radiance=Radiance(**select(images, "radiance")),
         gbuffer=GBuffer(**select(images, "gbuffer"), **motion),
@@ -225,20 +221,13 @@ def _render_by_paths(
     return frame.with_changes(**{name: Radiance(**select(images, name)) for name in parts}) if parts else frame
 
 
-def _add_own_light(
-    guides: Frame, scene: Any, plan: Light, spp: int, seed: int, light: str, progress: Progress | None
-) -> Frame:
-    """Return a frame with the light of a scene's own integrator."""
-    return guides.with_changes(spp=spp, **_render_own(scene, plan, spp, seed, light, progress))
-
-
 def _render_own(
     scene: Any, plan: Light, spp: int, seed: int, light: str, progress: Progress | None
 ) -> dict[str, Radiance]:
     """Return the images of a scene's own integrator by their names in `Frame`."""
     if require_choice("light", light, LIGHTS) != "all":
         action = "leave it out, or ask for integrator 'paths'"
-        raise InputError("light", expected="'all' beside a scene's own integrator", got=repr(light), action=action)
+        raise InputError("light", expected="'all' with the scene's own integrator", got=repr(light), action=action)
     require_integer("spp", spp, 1, 1 << 24)
     require_integer("seed", seed, 0, (1 << 32) - 1)
     width, height = get_image_size(scene)
@@ -262,37 +251,33 @@ def render_sparse_frame(
     moves: Moves | None = None,
     progress: Progress | None = None,
 ) -> SparseFrame:
-    """Render the radiance of one pixel of every block, and the guides of all, for `lobewise.upsample`.
+    """Render the radiance of one pixel of every block, and the guides of all pixels, for `lobewise.upsample`.
 
-    The radiance is that of `render_frame` at the shaded pixels, bit for bit.
+    Shaded pixels have the bits of `render_frame`.
 
     Parameters
     ----------
     scene, seed, max_depth, light, previous_camera, moves
         See `render_frame`.
     integrator : {"auto", "paths"}
-        With "auto" the light must be that of the scene's integrator.
+        With "auto" paths must estimate the light of the scene's integrator.
     spp : int
         Samples of a shaded pixel.
     scale : int
-        Pixels from shaded pixel to shaded pixel, 1 to 16.
+        Distance between shaded pixels, pixels, 1 to 16.
     place : (int, int)
         Row and column of the shaded pixel within each block.
     guide_spp : int
-        Samples of every pixel for the guides that are averages over samples: albedos and hits. They follow no light.
+        Samples of every pixel for the guides that are means over samples: albedos and hits.
     guide_seed : int, optional
-        Seed of those samples; by default ``seed``. Guides that share it agree from frame to frame while nothing moves.
+        Seed of the guides' samples; by default ``seed``. With one seed, guides do not change while nothing moves.
     progress : callable, optional
-        Called with ``(done, total)`` samples that carry light.
+        Called with ``(done, total)`` samples of shaded pixels.
 
     Raises
     ------
-    InputError
-        If a number is out of range, the light or a moved shape unknown, or the sensor no plain perspective camera.
-    UnsupportedBsdfError
-        If the scene uses a BSDF that is not known and cannot be evaluated or sampled.
-    MissingDependencyError
-        If a BSDF must be fitted and SciPy is not installed.
+    InputError, UnsupportedBsdfError, MissingDependencyError
+        See `render_frame`.
     """
     depth = require_paths(scene, "sparse frames", integrator, max_depth).max_depth
     run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
@@ -337,21 +322,21 @@ def render_pixels(
     Parameters
     ----------
     scene, seed, max_depth, light, integrator
-        See `render_sparse_frame`; the same seed gives the same bits as there.
+        See `render_sparse_frame`. The same seed gives the same bits.
     rows, columns : array_like of int, shape (count,)
         The pixels, at least one.
     spp : int
-        Samples of each.
+        Samples per pixel.
 
     Returns
     -------
     Radiance
-        Of shape (count, 1): color, diffuse, specular, direct, indirect of each pixel in turn.
+        Images of shape (count, 1), one row per pixel: color, diffuse, specular, direct, indirect.
 
     Raises
     ------
     InputError
-        If a number is out of range, the light unknown, or a pixel lies outside the image.
+        If a number is out of range, the light is unknown, or a pixel lies outside the image.
     """
     depth = require_paths(scene, "single pixels", integrator, max_depth).max_depth
     run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
@@ -361,7 +346,7 @@ def render_pixels(
 
 
 def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint32]:
-    """Return the numbers of pixels, row-major."""
+    """Return the row-major numbers of pixels."""
     where, (width, height) = (rows, columns), size
     whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
     if not whole or rows.size != columns.size:
@@ -384,9 +369,9 @@ def render_reference(
     integrator: str = "auto",
     progress: Progress | None = None,
 ) -> Frame:
-    """Render the radiance alone: faster than `render_frame`, with a tenth of the memory, for many samples.
+    """Render only the radiance, for many samples: faster than `render_frame`, with a tenth of the memory.
 
-    Parameters and errors are those of `render_frame`; any BSDF of Mitsuba will do.
+    Parameters and errors are those of `render_frame`. Any BSDF of Mitsuba works.
     """
     plan = plan_light(scene, integrator, max_depth)
     if plan.own is not None:

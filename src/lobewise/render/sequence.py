@@ -1,9 +1,8 @@
-"""Frames one after another: the camera moves, objects may, and every pixel tells where its surface was before."""
+"""Sequences of frames with a moving camera and moving objects, with motion in the guides."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from lobewise.camera import Camera
@@ -28,35 +27,33 @@ def render_sequence(
     integrator: str = "auto",
     reference: bool = False,
 ) -> Iterator[AnyFrame]:
-    """Render a frame from each camera of a path, one at a time as they are asked for.
+    """Render a frame from each camera of a path, one at a time, as the iterator asks for them.
 
-    Every frame but the first of the path has ``gbuffer.motion`` since the one before. The radiance of each frame has
-    random numbers of its own, the guides have the same in all: while neither camera nor objects move, guides are the
-    same to the bit. What a frame holds depends on its place in the path alone, not on ``first``: a path may be rendered
-    in pieces.
+    Every frame but the first of the path has ``gbuffer.motion`` since the previous frame. The radiance of each frame
+    has its own random numbers. The guides of all frames share theirs, so they do not change while neither the camera
+    nor objects move. A frame depends on its place in the path, not on ``first``, so a path may be rendered in pieces.
 
     Parameters
     ----------
     scene : mitsuba.Scene or MovingScene
-        What to render. The sensor of a ``mitsuba.Scene`` is moved; a `MovingScene` is loaded anew for each frame, as it
-        is at that time.
+        The sensor of a ``mitsuba.Scene`` is moved. A `MovingScene` is loaded again for the time of each frame.
     cameras : sequence of Camera
-        The path: one camera for each frame, counted from 0.
+        One camera for each frame, counted from 0.
     spp : int
         Samples of a shaded pixel.
     scale : int
-        1 renders whole frames. Above 1 they are sparse: one pixel of every block of ``scale`` times ``scale`` is
-        shaded, that at place ``list_places(scale)[index % scale**2]``.
+        1 renders whole frames. Above 1 frames are sparse: of every block of ``scale`` times ``scale`` pixels, the one
+        at place ``list_places(scale)[index % scale**2]`` is shaded.
     first : int
         Index of the camera with which to begin.
     seed : int
-        That of the guides; frame ``index`` has the radiance of ``seed + index``.
+        Seed of the guides; the radiance of frame ``index`` has the seed ``seed + index``.
     guide_spp : int
-        Samples of every pixel for the guides that are averages.
+        Samples of every pixel for the guides that are means.
     max_depth, light, integrator
         See `render_frame`.
     reference : bool
-        Render the radiance alone, of whole frames, as `render_reference` does.
+        Render only the radiance of whole frames, with `render_reference`.
 
     Yields
     ------
@@ -74,67 +71,46 @@ def render_sequence(
         raise InputError("first", expected=known, got=repr(first), action="pass a longer path")
     if reference and scale != 1:
         raise InputError("reference", expected="scale 1", got=str(scale), action="references are whole frames")
-    light_settings = {"spp": spp, "max_depth": max_depth, "light": light, "integrator": integrator}
+    light_settings: dict[str, Any] = {"spp": spp, "max_depth": max_depth, "light": light, "integrator": integrator}
+    places = list_places(scale)
+
+    def render(current: Any, index: int, since: dict[str, Any]) -> AnyFrame:
+        common = {**light_settings, "seed": (seed + index) % (1 << 32)}
+        if reference:
+            return render_reference(current, **common)
+        if scale > 1:
+            guided: dict[str, Any] = {"guide_spp": guide_spp, "guide_seed": seed, **since}
+            return render_sparse_frame(current, scale=scale, place=places[index % len(places)], **guided, **common)
+        guides = render_frame(current, spp=guide_spp, seed=seed, max_depth=max_depth, aov_only=True, **since)
+        return render_frame(current, coverage=False, **common).with_changes(gbuffer=guides.gbuffer)
+
+    return _render_path(scene, cameras, first, render)
+
+
+def _render_path(
+    scene: Any, cameras: Sequence[Camera], first: int, render: Callable[[Any, int, dict[str, Any]], AnyFrame]
+) -> Iterator[AnyFrame]:
+    """Yield ``render(scene, index, since)`` for each camera; ``since`` holds the motion since the previous frame."""
     moving = scene if isinstance(scene, MovingScene) else None
-    path = _Path(
-        None if moving else scene,
-        moving,
-        cameras,
-        scale,
-        list_places(scale),
-        seed,
-        guide_spp,
-        reference,
-        light_settings,
-    )
-    return (path.render(index) for index in range(first, len(cameras)))
-
-
-@dataclass
-class _Path:
-    """Renders the frames of a path in turn; what it is made with is told in `render_sequence`."""
-
-    scene: Any
-    moving: MovingScene | None
-    cameras: Sequence[Camera]
-    scale: int
-    places: Sequence[tuple[int, int]]
-    seed: int
-    guide_spp: int
-    is_reference: bool
-    light: dict[str, Any]
+    current = None if moving else scene
     previous: Camera | None = None
-
-    def render(self, index: int) -> AnyFrame:
-        """Return the frame of a place in the path, as it follows the one before."""
-        if self.moving is not None:
-            # Dr.Jit compiles for every BSDF that lives: the scene of the frame before must go first.
-            self.scene = None
-            self.scene = self.moving.load(index)
+    for index in range(first, len(cameras)):
+        if moving is not None:
+            # Dr.Jit compiles for every BSDF that exists, so drop the previous frame's scene before loading the next.
+            current = None
+            current = moving.load(index)
         since: dict[str, Any] = {}
         if index > 0:
-            # As the sensor has it, in single precision: what stands still must not seem to move.
-            since["previous_camera"] = self.previous or _round_camera(self.scene, self.cameras[index - 1])
-            since["moves"] = self.moving.find_moves(index, index - 1) if self.moving is not None else None
-        set_camera(self.scene, self.cameras[index])
-        frame = self._render(index, since)
-        self.previous = frame.camera
-        return frame
-
-    def _render(self, index: int, since: dict[str, Any]) -> AnyFrame:
-        common = {**self.light, "seed": (self.seed + index) % (1 << 32)}
-        if self.is_reference:
-            return render_reference(self.scene, **common)
-        if self.scale > 1:
-            place = self.places[index % len(self.places)]
-            guides: dict[str, Any] = {"guide_spp": self.guide_spp, "guide_seed": self.seed}
-            return render_sparse_frame(self.scene, scale=self.scale, place=place, **guides, **common, **since)
-        alone = {"spp": self.guide_spp, "seed": self.seed, "max_depth": self.light["max_depth"]}
-        guides_alone = render_frame(self.scene, **alone, aov_only=True, **since)
-        return render_frame(self.scene, coverage=False, **common).with_changes(gbuffer=guides_alone.gbuffer)
+            # Take the camera in the sensor's single precision: still objects must not seem to move.
+            since["previous_camera"] = previous or _round_camera(current, cameras[index - 1])
+            since["moves"] = moving.find_moves(index, index - 1) if moving is not None else None
+        set_camera(current, cameras[index])
+        frame = render(current, index, since)
+        previous = frame.camera
+        yield frame
 
 
 def _round_camera(scene: Any, camera: Camera) -> Camera:
-    """Return the camera that the scene's sensor makes of a camera."""
+    """Return a camera in the precision of the scene's sensor."""
     set_camera(scene, camera)
     return get_camera(scene)

@@ -1,7 +1,7 @@
-"""What the interactive chain asks of the renderer: guides, direct light and indirect light, fast, again and again.
+"""Guides, direct light and indirect light for the interactive chain, frame after frame.
 
-Everything here sees pixels at their centres, so that guides, albedos and radiance belong to one surface. Dr.Jit's
-functions are frozen: the first call records the kernels, later ones launch them without running any Python.
+All rays go through the centres of pixels, so that guides, albedos and radiance belong to one surface. Functions are
+frozen by Dr.Jit: the first call records the kernels, later calls launch them without running any Python.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from lobewise.render.tracing.points import IndirectMethod, find_points
 from lobewise.render.tracing.rays import make_opaque
 
 UNRECORDABLE = "The frozen function included a virtual function call"
-"""What Dr.Jit says of a function that calls objects inside others, as BSDFs under a map are: it cannot follow them."""
+"""Dr.Jit's message for a function that it cannot record because it calls nested objects, such as BSDFs under a map."""
 
 
 class Frozen:
-    """A Dr.Jit function that is recorded once and replayed; what Dr.Jit cannot record just runs.
+    """A Dr.Jit function that is recorded once and then replayed. If Dr.Jit cannot record it, it runs every time.
 
-    ``function`` takes Dr.Jit arrays and returns a list of them; ``find_state`` returns what it reads beside its
-    arguments: the scene, Dr.Jit arrays.
+    ``function`` takes Dr.Jit arrays and returns a list of them. ``find_state`` returns the objects that ``function``
+    reads beside its arguments, such as the scene and other Dr.Jit arrays.
     """
 
     def __init__(self, function: Callable[..., list[Any]], find_state: Callable[[], Any]) -> None:
@@ -43,7 +43,7 @@ class Frozen:
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
-        # What is recorded must not depend on how many lanes there are, as where each vector goes does.
+        # Flatten the results outside the recording: where each vector goes depends on the number of lanes.
         try:
             with _no_collection():
                 found = self._run(*arguments)
@@ -54,13 +54,13 @@ class Frozen:
             found = self._plain(*arguments)
         results = [_flatten(result) for result in found]
         dr.eval(results)
-        # On the CPU these are views, which keep Dr.Jit's memory alive.
+        # On the CPU these are views that keep Dr.Jit's memory alive.
         return [result.numpy() for result in results]
 
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Keep Python from collecting garbage: an old scene that dies while Dr.Jit records takes the process down."""
+    """Switch off Python's garbage collection: freeing an old scene while Dr.Jit records crashes the process."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -72,7 +72,7 @@ def _no_collection() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class FirstHits:
-    """What all pixels see: the surfaces at their centres, albedos included, and the camera as the sensor has it."""
+    """The guides at all pixel centres, albedos included, and the camera in the sensor's precision."""
 
     gbuffer: GBuffer
     camera: Camera
@@ -81,7 +81,7 @@ class FirstHits:
 
 @dataclass(frozen=True)
 class DirectLight:
-    """Light that was scattered less than twice; each (height, width, 3), linear, >= 0, albedo included."""
+    """Light that was scattered at most once; each (height, width, 3), linear, >= 0, albedo included."""
 
     emitted: FloatArray
     diffuse: FloatArray
@@ -89,12 +89,12 @@ class DirectLight:
 
     @property
     def total(self) -> FloatArray:
-        """All of it."""
+        """The sum of the three."""
         return self.emitted + self.diffuse + self.specular
 
 
 LIMIT_PIXELS = 32
-"""Columns and rows of the pixels that tell how dense light is."""
+"""Columns and rows of the pixels at which `Stages.find_band_limit` measures."""
 
 _GUIDES = {
     "depth": 1,
@@ -109,33 +109,24 @@ _GUIDES = {
     "specular_albedo": 3,
     "hit_distance": 1,
 }
-"""Guides that the filters look at, and how many channels each has."""
+"""Guides that the filters read, with their number of channels."""
 
 
 def _make_opaque_size(width: int, height: int) -> tuple[Any, Any]:
-    """Return width and height as values that no kernel is compiled for."""
+    """Return width and height as opaque values, so that kernels are not compiled for each size."""
     return dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
 
 
 def _flatten(value: Any) -> Any:
-    """Return an array of vectors as one of numbers, lane after lane."""
+    """Return an array of vectors as an array of numbers, lane after lane."""
     return dr.ravel(value) if dr.depth_v(value) > 1 else value
 
 
 class Stages:
-    """The renderer of one scene, for many frames and sizes.
+    """The renderer of one scene, for many frames and sizes. It moves the scene's sensor.
 
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        Its first sensor is moved.
-
-    Raises
-    ------
-    InputError
-        If its sensor is no plain perspective camera.
-    UnsupportedBsdfError, MissingDependencyError
-        See `lobewise.render.render_frame`.
+    It raises InputError if the sensor is not a plain perspective camera, and the errors of
+    `lobewise.render.materials.bsdfs.read_material`.
     """
 
     def __init__(self, scene: Any) -> None:
@@ -148,7 +139,7 @@ class Stages:
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
-        """Put the sensor where the next frame is seen from, with a film of this size."""
+        """Move the sensor to the camera of the next frame, and set the size of its film in pixels."""
         if get_image_size(self.scene) != (width, height):
             parameters = mi.traverse(self.scene.sensors()[0])
             parameters["film.size"] = [width, height]
@@ -156,9 +147,9 @@ class Stages:
         set_camera(self.scene, camera)
 
     def trace_first(self, camera: Camera, seed: int) -> tuple[FirstHits, DirectLight]:
-        """Return the guides of all pixels, and what lights them directly: one sample of the lights each.
+        """Return the guides and the direct light of all pixels, with one sample of the lights per pixel.
 
-        ``camera`` is where `place_camera` has put the sensor; ``seed`` is another one for every frame.
+        ``camera`` is the camera of the last `place_camera`. Use another ``seed`` for every frame.
         """
         width, height = get_image_size(self.scene)
         pixel = dr.arange(mi.UInt32, width * height)
@@ -178,7 +169,7 @@ class Stages:
     def shade_indirect(
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return diffuse and specular indirect light, (count, 3) each, and hit distances, (count,), of some pixels."""
+        """Return diffuse and specular indirect light, (count, 3) each, and hit distances (count,) of some pixels."""
         width, height = get_image_size(self.scene)
         known = self._indirect.get(method.name)
         if known is None or known[0] is not method:
@@ -196,7 +187,7 @@ class Stages:
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
     def find_band_limit(self, method: IndirectMethod, samples: int) -> float:
-        """Return a method's band-limit, radians, as some pixels of the picture have it."""
+        """Return a method's band-limit, radians, measured at a grid of pixels."""
         width, height = get_image_size(self.scene)
         columns, rows = min(width, LIMIT_PIXELS), min(height, LIMIT_PIXELS)
         grid = np.arange(rows)[:, None] * height // rows * width + np.arange(columns) * width // columns

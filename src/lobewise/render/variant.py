@@ -1,4 +1,4 @@
-"""Find an LLVM that works, import Mitsuba with it, and set its variant. Nothing else in the package sets either."""
+"""Finds a libLLVM that works, imports Mitsuba with it, and sets its variant. No other module sets them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from typing import Any
 from lobewise.errors import DeviceError, MissingDependencyError, require_choice
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
-"""Environment variable that tells Dr.Jit which LLVM to load."""
+"""Environment variable with the path of the LLVM library that Dr.Jit loads."""
 
-OLDEST_LLVM = 16
-"""LLVM 15 cannot select the ``fminimum`` that Mitsuba 3.9 emits, and takes the process down."""
+MIN_LLVM = 16
+"""Oldest major version of LLVM that works. LLVM 15 crashes on the instruction ``fminimum`` of Mitsuba 3.9."""
 
 PREFERRED_LLVM = 19
-"""The version that the tests run with."""
+"""Major version of LLVM that the tests run with."""
 
 VARIANTS = {"cpu": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 
@@ -44,7 +44,7 @@ _SEARCH_PATTERNS = {
 
 
 def parse_llvm_version(path: str) -> int | None:
-    """Return the major version that a library's path tells, or None.
+    """Return the major version in a library's path, or None.
 
     Examples
     --------
@@ -64,9 +64,9 @@ def parse_llvm_version(path: str) -> int | None:
 
 
 def query_llvm_version(path: str) -> int | None:
-    """Return the major version that the library itself reports, None where it cannot be loaded or is too old to say.
+    """Return the major version that the library reports, or None if it cannot be loaded or is older than 16.
 
-    ``LLVMGetVersion`` entered LLVM's C interface with version 16, just where Mitsuba begins to work.
+    LLVM's C interface has ``LLVMGetVersion`` since version 16.
     """
     try:
         library = ctypes.CDLL(path)
@@ -79,7 +79,7 @@ def query_llvm_version(path: str) -> int | None:
 
 
 def list_llvm_libraries() -> list[str]:
-    """Return the paths of every libLLVM in the usual places and in the linker's cache."""
+    """Return the paths of all libLLVM in the usual places and in the linker's cache."""
     patterns = list(_SEARCH_PATTERNS.get(sys.platform, ()))
     if os.environ.get("CONDA_PREFIX"):
         patterns.append(os.path.join(os.environ["CONDA_PREFIX"], "lib", "libLLVM*"))
@@ -100,36 +100,36 @@ def _list_linker_cache() -> list[str]:
 
 
 def rank_llvm_libraries(paths: Iterable[str]) -> list[str]:
-    """Return the libraries worth trying: the tested version first, then from the newest, those of unknown age last."""
+    """Return the libraries worth trying: the preferred version first, then newest first, unknown versions last."""
     known = [(parse_llvm_version(path), path) for path in paths]
-    usable = [(version, path) for version, path in known if version is None or version >= OLDEST_LLVM]
+    usable = [(version, path) for version, path in known if version is None or version >= MIN_LLVM]
     usable.sort(key=lambda item: (item[0] is None, item[0] != PREFERRED_LLVM, -(item[0] or 0), len(item[1])))
     return [path for _, path in usable]
 
 
 def find_llvm() -> str:
-    """Return the path of a libLLVM that Mitsuba can use; an already set `LIBRARY_VARIABLE` is honoured.
+    """Return the path of a libLLVM that Mitsuba can use: that in `LIBRARY_VARIABLE` if it is set.
 
     Raises
     ------
     MissingDependencyError
-        If there is none of version 16 or newer, or the variable names a library that does not load or is too old.
+        If there is no libLLVM of version 16 or newer, or the library in the variable does not load or is too old.
     """
     chosen = os.environ.get(LIBRARY_VARIABLE)
     if chosen:
         version = query_llvm_version(chosen)
-        if version is None or version < OLDEST_LLVM:
-            expected = f"the path of a libLLVM of version {OLDEST_LLVM} or newer"
+        if version is None or version < MIN_LLVM:
+            expected = f"the path of a libLLVM of version {MIN_LLVM} or newer"
             action = "unset it to search the usual places, or name another library"
             raise MissingDependencyError(LIBRARY_VARIABLE, expected=expected, got=chosen, action=action)
         return chosen
     candidates = list_llvm_libraries()
     for path in rank_llvm_libraries(candidates):
-        if (query_llvm_version(path) or 0) >= OLDEST_LLVM:
+        if (query_llvm_version(path) or 0) >= MIN_LLVM:
             return path
     raise MissingDependencyError(
         "libLLVM",
-        expected=f"version {OLDEST_LLVM} or newer, which Mitsuba needs to render on the CPU",
+        expected=f"version {MIN_LLVM} or newer, which Mitsuba needs to render on the CPU",
         got=", ".join(candidates) if candidates else "none on this machine",
         action="install it (Debian and Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
         f"macOS: brew install llvm), or set {LIBRARY_VARIABLE} to its path",
@@ -142,17 +142,17 @@ def load_mitsuba(device: str = "auto") -> Any:
     Parameters
     ----------
     device : {"auto", "cpu", "cuda"}
-        ``auto`` keeps a supported variant that is already set; else it takes CUDA where Dr.Jit finds a device, and
-        the CPU where not.
+        ``auto`` keeps a supported variant that is already set. Otherwise it takes CUDA if Dr.Jit finds a device, and
+        the CPU if not.
 
     Raises
     ------
     InputError
         If ``device`` is none of the three.
     MissingDependencyError
-        If the ``mitsuba`` package, or on the CPU a libLLVM that works, is not installed.
+        If the ``mitsuba`` package is not installed, or on the CPU no libLLVM that works.
     DeviceError
-        If CUDA was asked for and is not there, or another supported variant is in use already.
+        If CUDA was asked for and is not available, or another supported variant is already in use.
     """
     require_choice("device", device, ("auto", *VARIANTS))
     from lobewise.render.bridge import dr, mi

@@ -1,4 +1,4 @@
-"""The built-in scenes by name, described in plain Python; importing this loads nothing else."""
+"""The built-in scenes, described in plain Python. Importing this package loads no scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor", "kitchen", "street")
 
 MOVING = ("showroom", "parlour")
-"""Those of them in which objects move."""
+"""Scenes with moving objects."""
 
 
 def list_scenes() -> tuple[str, ...]:
@@ -22,7 +22,7 @@ def list_moving_scenes() -> tuple[str, ...]:
 
 
 def describe_scene(name: str, width: int, height: int, time: float = 0.0) -> dict[str, Any]:
-    """Return a scene of `list_scenes` at a time, in frames, as `lobewise.render.loading.build_scene` takes it."""
+    """Return the description of a scene of `list_scenes`, at a time in frames, for `lobewise.render.loading`."""
     module = import_module(f"lobewise.scenes.{name}")
     items: dict[str, Any] = (
         module.make_scene(width, height, time) if name in MOVING else module.make_scene(width, height)
@@ -31,6 +31,6 @@ def describe_scene(name: str, width: int, height: int, time: float = 0.0) -> dic
 
 
 def describe_movers(name: str, time: float) -> dict[str, dict[str, Any]]:
-    """Return the shapes that move of one of `list_moving_scenes`, by their ids, as they are at a time."""
+    """Return the moving shapes of a scene of `list_moving_scenes` at a time in frames, by their ids."""
     movers: dict[str, dict[str, Any]] = import_module(f"lobewise.scenes.{name}").make_movers(time)
     return movers

@@ -1,4 +1,4 @@
-"""``brushed``: brushed metals, whose lobes are long and narrow, over a rippled glossy floor, whose normals vary.
+"""``brushed``: brushed metals with long, narrow lobes over a rippled glossy floor with varying normals.
 
 The brushing runs around the lathe-turned shapes and along the panels, so that alpha_u and the tangent matter.
 """
@@ -15,7 +15,7 @@ from lobewise.scenes.parts import Item, Vector
 
 
 def make_floor_normals(resolution: int = 1024) -> NDArray[np.float64]:
-    """Return a tangent-space normal map, (rows, columns, 3) in [0, 1]: square tiles, each rippled in its own way."""
+    """Return a tangent-space normal map, (rows, columns, 3) in [0, 1]: square tiles with individual ripples."""
     tiles = 10
     x, y = np.meshgrid(*2 * [(np.arange(resolution) + 0.5) / resolution * tiles])
     column, row = x.astype(int), y.astype(int)
@@ -27,7 +27,7 @@ def make_floor_normals(resolution: int = 1024) -> NDArray[np.float64]:
     phase = 2.0 * np.pi * waves * (np.cos(turn) * u + np.sin(turn) * v)
     slope_x = steepness * np.cos(turn) * np.cos(phase)
     slope_y = steepness * np.sin(turn) * np.cos(phase)
-    # A bevel turns the last twentieth of a tile down to the joint.
+    # Bevel the edges of each tile down to the joint.
     slope_x += 0.3 * np.sign(u) * (np.abs(u) > 0.47)
     slope_y += 0.3 * np.sign(v) * (np.abs(v) > 0.47)
     return parts.encode_normals(slope_x, slope_y)
@@ -40,7 +40,7 @@ def make_cylinder(bottom: Vector, height: float, radius: float, bsdf: Item) -> I
 
 
 def make_disk(center: Vector, radius: float, bsdf: Item) -> Item:
-    """Return a disc that faces up."""
+    """Return a disc that faces upwards."""
     transform = ("translate", list(center)), ("rotate", [1, 0, 0], -90), ("scale", radius)
     return {"type": "disk", "to_world": transform, "bsdf": bsdf}
 

@@ -1,7 +1,7 @@
-"""``corridor``: mirrors on one wall face satin metal on the other, over a floor whose roughness is a pattern.
+"""``corridor``: mirrors on one wall face satin metal on the other, over a floor with a pattern of roughness.
 
-Light goes to and fro: what a mirror shows is often another reflection, blurred by satin on the way or doubled by the
-floor. The coloured things that stand about are seen directly, in the mirrors, and in the mirrors' mirrors.
+A mirror often shows another reflection, blurred by satin metal or doubled by the floor. Coloured objects are seen
+directly, in the mirrors, and in mirrors within mirrors.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from lobewise.scenes.parts import Item
 
 HALF_WIDTH, HEIGHT = 1.7, 2.9
 NEAR, FAR = 6.0, -8.0
-"""Ends of the corridor; the camera stands at the near one."""
+"""Ends of the corridor along z; the camera stands at the near one."""
 
 LAP = 0.05
-"""By how much walls cross each other, so that no ray slips through between them."""
+"""Length by which walls overlap, so that no ray passes between them."""
 
 BAYS = (3.6, 1.8, 0.0, -1.8, -3.6, -5.4)
-"""Where along the corridor the middles of the wall's panels are."""
+"""Middles of the wall panels along z."""
 
 
 def make_floor_patterns(tile: int = 64) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the floor's colour, (rows, columns, 3), and its alpha, (rows, columns), ``tile`` texels a tile.
+    """Return the floor's colour, (rows, columns, 3), and its alpha, (rows, columns), with ``tile`` texels per tile.
 
-    Squares of two stones, one polished and one honed; lozenges of a third are set where four meet, and a border whose
-    polish comes and goes in waves runs along the walls.
+    Tiles alternate between a polished and a honed stone, with lozenges of a third stone at their corners. The alpha of
+    the border along the walls varies in waves.
     """
     rows, columns = 28, 7
     x, y = np.meshgrid((np.arange(columns * tile) + 0.5) / tile, (np.arange(rows * tile) + 0.5) / tile)
@@ -47,7 +47,7 @@ def make_floor_patterns(tile: int = 64) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def make_satin_alpha(size: int = 128) -> NDArray[np.float64]:
-    """Return the alpha of a satin panel, (rows, columns): rings, alternately finer and coarser."""
+    """Return the alpha of a satin panel, (rows, columns): rings of alternately low and high alpha."""
     x, y = np.meshgrid(*2 * [(np.arange(size) + 0.5) / size * 2.0 - 1.0])
     return np.where((np.hypot(x, y) * 4.5).astype(int) % 2 == 0, 0.15, 0.30)
 
@@ -77,7 +77,7 @@ def make_panels() -> dict[str, Item]:
 
 
 def make_things() -> dict[str, Item]:
-    """Return what stands about, as items by name."""
+    """Return the free-standing objects, as items by name."""
     checks = parts.checkerboard((0.90, 0.86, 0.76), (0.05, 0.22, 0.42), (2, 2))
     bands = np.repeat(np.array([[0.85, 0.16, 0.06], [0.92, 0.86, 0.70], [0.05, 0.32, 0.34]]), 16, axis=0)
     banded = parts.diffuse(parts.texture(np.tile(bands, (3, 1))[:, None].repeat(2, axis=1), filter_type="nearest"))
@@ -99,7 +99,7 @@ def make_things() -> dict[str, Item]:
 def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
     color, alpha = make_floor_patterns()
-    # The plugin squares what it is given.
+    # The plugin squares its roughness.
     floor = parts.principled(parts.texture(color), roughness=parts.texture(np.sqrt(alpha)), eta=1.9)
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
     across, along = (HALF_WIDTH + LAP, 0.5 * HEIGHT + LAP), (half_length + LAP, 0.5 * HEIGHT + LAP)

@@ -1,7 +1,7 @@
-"""``kitchen``: glazed tiles, lacquered doors and steel that is brushed one way here and another there.
+"""``kitchen``: glazed tiles, lacquered doors, and steel that is brushed in different directions.
 
-Daylight comes in by a window and lamplight from above the table. The tiles lie a little askew, each in its own way,
-between dull joints; the brushing of hob, hood, fridge and pots runs along, across and around.
+Daylight comes from a window and lamplight from above the table. The tiles are individually tilted a little, between
+dull joints. The brushing of hob, hood, fridge and pots runs along, across and around them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from lobewise.scenes.parts import Item, Vector, encode_normals
 LEFT, RIGHT, BACK, FRONT, HEIGHT = -2.6, 2.6, -2.0, 5.0, 2.7
 
 GROUT = 0.035
-"""Half width of the joints between tiles, in tiles."""
+"""Half width of the joints between tiles, in widths of a tile."""
 
 
 def make_grid(columns: int, rows: int, texels: int) -> tuple[NDArray[np.float64], ...]:
-    """Return, for every texel of a tiled wall, column and row of its tile and where in the tile it is (-0.5 to 0.5)."""
+    """Return, for every texel of a tiled wall, column and row of its tile, and its place in the tile (-0.5 to 0.5)."""
     x, y = np.meshgrid((np.arange(columns * texels) + 0.5) / texels, (np.arange(rows * texels) + 0.5) / texels)
     return np.floor(x), np.floor(y), x % 1.0 - 0.5, y % 1.0 - 0.5
 
@@ -29,9 +29,9 @@ def make_grid(columns: int, rows: int, texels: int) -> tuple[NDArray[np.float64]
 def make_tiles(
     colors: NDArray[np.float64], choice: NDArray[np.int64], *, askew: float, alpha: float, texels: int, seed: int
 ) -> Item:
-    """Return tiles of the colours, (colours, 3), that ``choice``, (rows, columns), names, with dull joints.
+    """Return tiles with rounded edges and dull joints. ``choice``, (rows, columns), indexes ``colors``, (colours, 3).
 
-    ``askew`` is the standard deviation of the tiles' slopes; their edges are rounded.
+    ``askew`` is the standard deviation of the tiles' slopes.
     """
     rows, columns = choice.shape
     column, row, u, v = make_grid(columns, rows, texels)
@@ -39,7 +39,7 @@ def make_tiles(
     generator = np.random.default_rng(seed)
     shade = generator.uniform(0.82, 1.1, (rows, columns))[tile]
     slope_x, slope_y = (generator.normal(0.0, askew, (rows, columns))[tile] for _ in range(2))
-    # The glaze is a shallow pillow that falls off to the joint.
+    # The glaze bulges and slopes down to the joint.
     slope_x, slope_y = slope_x + 6.0 * np.abs(u) ** 5 * np.sign(u), slope_y + 6.0 * np.abs(v) ** 5 * np.sign(v)
     joint = np.maximum(np.abs(u), np.abs(v)) > 0.5 - GROUT
     glaze = parts.plastic(parts.texture(np.clip(colors[choice][tile] * shade[..., None], 0.0, 1.0)), alpha)

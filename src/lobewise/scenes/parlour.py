@@ -1,6 +1,6 @@
-"""``parlour``: lacquered furniture and glossy plastics in a room that three uplights fill by way of the ceiling.
+"""``parlour``: lacquered furniture and glossy plastics in a room with three uplights.
 
-Nearly all light is indirect: the lamps shine into the ceiling only.
+Nearly all light is indirect, because the lamps light only the ceiling.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def make_chair(center: Vector, turn: float, bsdf: Item) -> dict[str, Item]:
 
 
 def make_movers(time: float) -> dict[str, Item]:
-    """Return the shapes that move: the pearl slides over the lacquered table, behind the fruit; the stool turns."""
+    """Return the moving shapes: the pearl slides over the lacquered table, behind the fruit; the stool turns."""
     swing = find_swing(time, 32.0)
     pearl = (0.55 - 0.024 * swing, 0.88, 0.45 - 0.007 * swing)
     stool = (1.7 - 0.012 * swing, 0.2, 1.85)

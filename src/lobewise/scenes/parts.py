@@ -1,4 +1,4 @@
-"""Pieces that the built-in scenes share, as `lobewise.render.loading.build_scene` takes them."""
+"""Items that the built-in scenes share, as descriptions for `lobewise.render.loading.build_scene`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ IOR_OF_METALS = {
 
 
 def find_swing(time: float, frames: float) -> float:
-    """Return the time that runs from 0 to ``frames`` and back, for ever."""
+    """Return a time that runs from 0 to ``frames`` and back again, repeatedly."""
     return frames - abs(time % (2.0 * frames) - frames)
 
 
@@ -31,12 +31,12 @@ def rgb(value: Vector) -> Item:
 
 
 def color(value: Vector | Item) -> Item:
-    """Return a colour in linear sRGB, or the texture that is given instead."""
+    """Return a colour in linear sRGB; a texture is returned unchanged."""
     return value if isinstance(value, dict) else rgb(value)
 
 
 def scene(origin: Vector, target: Vector, fov_x: float, width: int, height: int) -> Item:
-    """Return the beginning of a scene: its camera, and an integrator for Mitsuba's own programs."""
+    """Return a scene with only its camera, and an integrator for Mitsuba's own programs."""
     return {
         "type": "scene",
         "sensor": camera(origin, target, fov_x, width, height),
@@ -71,7 +71,7 @@ def box(center: Vector, half_size: Vector, bsdf: Item, turn: float = 0.0) -> Ite
 
 
 def sphere(center: Vector, radius: float, bsdf: Item) -> Item:
-    """Return a sphere whose poles are above and below, so that textures and brushing run round it."""
+    """Return a sphere with poles at top and bottom, so that textures and brushing run around the vertical."""
     transform = ("translate", list(center)), ("rotate", [1, 0, 0], -90), ("scale", radius)
     return {"type": "sphere", "to_world": transform, "bsdf": bsdf}
 
@@ -79,13 +79,13 @@ def sphere(center: Vector, radius: float, bsdf: Item) -> Item:
 def rectangle(
     center: Vector, toward: Vector, half_size: tuple[float, float], bsdf: Item, up: Vector | None = None
 ) -> Item:
-    """Return a rectangle at ``center`` that faces the point ``toward``, upright unless that is above or below it."""
+    """Return a rectangle at ``center`` that faces the point ``toward``, upright unless it faces up or down."""
     level = (center[0], center[2]) == (toward[0], toward[2])
     return {**_face(center, toward, half_size, up or ((0, 0, -1) if level else (0, 1, 0))), "bsdf": bsdf}
 
 
 def walls(**sides: tuple[Vector, Vector, tuple[float, float], Vector]) -> dict[str, Item]:
-    """Return diffuse rectangles by name: centre, the point that each faces, half sizes and colour."""
+    """Return diffuse rectangles by name, from centre, point that the rectangle faces, half sizes and colour."""
     return {
         name: rectangle(center, toward, half_size, diffuse(paint))
         for name, (center, toward, half_size, paint) in sides.items()
@@ -101,7 +101,7 @@ def light(
 
 
 def bulb(center: Vector, radius: float, radiance: Vector) -> Item:
-    """Return a sphere that shines."""
+    """Return a spherical light."""
     emitter = {"type": "area", "radiance": rgb(radiance)}
     return {"type": "sphere", "center": list(center), "radius": radius, "emitter": emitter}
 
@@ -156,7 +156,7 @@ def texture(values: NDArray[np.floating[Any]], *, filter_type: str = "bilinear",
 
 
 def principled(base: Vector | Item, **parameters: float | Item) -> Item:
-    """Return a principled material, two-sided; ``parameters`` are the plugin's own (``roughness`` squared is alpha)."""
+    """Return a two-sided principled material with the plugin's ``parameters`` (``roughness`` squared is alpha)."""
     return {"type": "twosided", "inner": {"type": "principled", "base_color": color(base), **parameters}}
 
 
@@ -172,15 +172,15 @@ def lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segmen
     Parameters
     ----------
     profile : (points, 2)
-        Radius and height above ``center`` of the outline. Going upward it turns its outside to the right; one that
-        closes a body of glass ends where it begins, or on the axis.
+        Radius and height above ``center`` of the outline, with the outside on its right. For a closed body of glass the
+        outline ends where it begins, or on the axis.
     segments : int
         Facets around the axis.
 
     Notes
     -----
-    ``u`` runs once around, ``v`` along the outline by its length. Normals are those of the outline as a smooth curve:
-    where it is to have an edge, a point stands twice. On the axis the body has no tip.
+    ``u`` runs once around, ``v`` along the length of the outline. Normals are those of a smooth curve. A repeated point
+    makes a sharp edge. On the axis the normal is vertical.
     """
     radius, height = np.asarray(profile, dtype=np.float64).T
     rows = len(radius)
@@ -190,7 +190,7 @@ def lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segmen
     slope = np.zeros((rows, 2))
     slope[:-1] += step
     slope[1:] += step
-    slope[radius == 0, 1] = 0.0  # what crosses the axis is level there
+    slope[radius == 0, 1] = 0.0  # the outline is level where it crosses the axis
     slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(length)]) / length.sum()
     angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
@@ -201,7 +201,7 @@ def lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segmen
     uv = np.stack(np.broadcast_arrays(np.linspace(0.0, 1.0, segments + 1), along[:, None]), axis=-1)
     corner = np.arange(rows - 1)[:, None] * (segments + 1) + np.arange(segments)
     right, above = corner + 1, corner + segments + 1
-    # Two facets a cell, counterclockwise from outside; on the axis and at an edge some have no area.
+    # Make two facets per cell, counterclockwise from outside, except those without area on the axis and at edges.
     first = np.stack([corner, right, above], axis=-1)[(length > 0) & (radius[:-1] > 0)]
     second = np.stack([right, above + 1, above], axis=-1)[(length > 0) & (radius[1:] > 0)]
     faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
@@ -216,9 +216,9 @@ def lathe(profile: NDArray[np.floating[Any]], center: Vector, bsdf: Item, segmen
 
 
 def curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np.float64]:
-    """Return a smooth curve through points of the plane, ``steps`` pieces between two of them.
+    """Return a smooth curve through points of the plane, with ``steps`` pieces between two points.
 
-    Source: the cubic with tangents from neighbours, Catmull and Rom 1974, "A class of local interpolating splines".
+    Source: Catmull and Rom 1974, "A class of local interpolating splines".
     """
     knots = np.array(points, dtype=np.float64)
     padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
@@ -232,7 +232,7 @@ def curve(points: tuple[tuple[float, float], ...], steps: int = 8) -> NDArray[np
 
 
 def blend(first: Item, second: Item, weight: float | Item) -> Item:
-    """Return two two-sided materials in one, ``weight`` (a number or a texture) of which is the second."""
+    """Return a blend of two two-sided materials. ``weight`` (a number or a texture) is the share of the second."""
     blend = {"type": "blendbsdf", "weight": weight, "first": first["inner"], "second": second["inner"]}
     return {"type": "twosided", "inner": blend}
 
@@ -244,7 +244,7 @@ def normal_map(normals: NDArray[np.floating[Any]], bsdf: Item) -> Item:
 
 
 def bump_map(heights: NDArray[np.floating[Any]], scale: float, bsdf: Item) -> Item:
-    """Return a two-sided material under a bump map of heights (rows, columns), ``scale`` units of length each."""
+    """Return a two-sided material under a bump map of heights (rows, columns), in units of ``scale``."""
     inner = {"type": "bumpmap", "heights": texture(heights), "scale": scale, "inner": bsdf["inner"]}
     return {"type": "twosided", "inner": inner}
 

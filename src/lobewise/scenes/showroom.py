@@ -1,7 +1,7 @@
-"""``showroom``: a metal floor whose roughness changes in inlays and ramps while normal and depth do not.
+"""``showroom``: a metal floor whose roughness changes in inlays and ramps, while its normal and depth are smooth.
 
-Normals and depth say that the floor is one thing; what it reflects says otherwise. The objects on it and the walls
-around it are there to be reflected: stripes, checks and saturated colours.
+A filter that compares normals and depths blurs the reflections in the floor. The objects and walls have stripes, checks
+and saturated colours, so that their reflections show it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _STEPS = (0.03, 0.05, 0.08, 0.12, 0.20, 0.30, 0.45, 0.60)
 
 
 def make_floor_alpha(tile: int = 96) -> NDArray[np.float64]:
-    """Return the floor's alpha, (rows, columns), ``tile`` texels a tile.
+    """Return the floor's alpha, (rows, columns), with ``tile`` texels per tile.
 
-    Every tile has one of eight alphas, neighbours differ; every third row is one ramp from wall to wall. Discs and
-    rings of another alpha are let into the tiles.
+    Every tile has one of eight alphas; neighbours differ. Every third row is a ramp from wall to wall. Discs and rings
+    of another alpha are inlaid in the tiles.
     """
     x, y = np.meshgrid((np.arange(TILE_COLUMNS * tile) + 0.5) / tile, (np.arange(TILE_ROWS * tile) + 0.5) / tile)
     column, row = x.astype(int), y.astype(int)
@@ -49,7 +49,7 @@ def make_stripes(colors: tuple[tuple[float, float, float], ...], repeats: int) -
 
 
 def make_movers(time: float) -> dict[str, Item]:
-    """Return the shapes that move: the green ball slides to the left over smooth tiles and back, the cube turns."""
+    """Return the moving shapes: the green ball slides to the left over smooth tiles and back, the cube turns."""
     slid = 0.028 * find_swing(time, 32.0)
     return {
         "plastic": parts.sphere((-0.5 - slid, 0.45, 0.9), 0.45, parts.plastic((0.10, 0.42, 0.12), 0.06)),

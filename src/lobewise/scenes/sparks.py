@@ -1,6 +1,6 @@
-"""``sparks``: dozens of small lights over glass, polished metal and a glossy table: caustics, and so fireflies.
+"""``sparks``: dozens of small lights over glass, polished metal and a glossy table, whose caustics give fireflies.
 
-A light seen through glass can be found only by chance, and a small one rarely: some samples are very bright.
+Paths hit a light behind glass only by chance, and a small light rarely, so some samples are very bright.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""``stilllife``: car paint, glass and satin metal on a lacquered table, lit by a studio that is an environment map.
+"""``stilllife``: car paint, glass and satin metal on a lacquered table, lit by an environment map of a studio.
 
-Light comes from all around, and the background is light too: soft boxes, a window and a sun of moderate size are seen
-in every curved surface, and through the glass.
+Soft boxes, a window and a sun of moderate size are reflected in every curved surface, and seen through the glass.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from lobewise.scenes import parts
 from lobewise.scenes.parts import Item, Vector
 
 SUN_DEGREES = 7.0
-"""How wide the sun is: wide enough that its reflections in smooth paint are found by sampling the paint."""
+"""Angular diameter of the sun, degrees: wide enough that samples of smooth paint hit it."""
 
 _SOFT_BOXES = (
     # Azimuth (0 is straight ahead of the camera, 90 its right) and elevation of the middle, half sizes, radiance.
@@ -28,12 +27,12 @@ _SOFT_BOXES = (
 
 
 def make_studio(rows: int = 256) -> NDArray[np.float64]:
-    """Return the environment's radiance, (rows, 2 rows, 3): row 0 is up, the first column straight ahead."""
+    """Return the environment's radiance, (rows, 2 rows, 3). Row 0 is up; the first column is straight ahead."""
     u, v = np.meshgrid((np.arange(2 * rows) + 0.5) / (2 * rows), (np.arange(rows) + 0.5) / rows)
     azimuth, elevation = 360.0 * u, 90.0 - 180.0 * v
 
     def find_inside(distance: NDArray[np.float64], softness: float = 1.5) -> NDArray[np.float64]:
-        """Return 1 inside an outline and 0 outside of it, by the distance from it in degrees, softened."""
+        """Return 1 inside an outline and 0 outside, softened, from the distance to the outline in degrees."""
         t = np.clip(0.5 - distance / softness, 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
@@ -45,7 +44,7 @@ def make_studio(rows: int = 256) -> NDArray[np.float64]:
     sky = (1.0 - up) * np.array([0.62, 0.50, 0.38]) + up * np.array([0.16, 0.24, 0.42])
     ground = np.array([0.10, 0.085, 0.07]) * (1.0 + 0.4 * np.cos(np.deg2rad(azimuth)))[..., None]
     radiance = np.where(elevation[..., None] > 0, sky, ground)
-    # A row of lit and dark panels on the horizon: what the sides of the objects reflect.
+    # A row of bright and dark panels on the horizon is reflected in the sides of the objects.
     panel = (azimuth // 12.0).astype(int)
     hues = np.array([[0.9, 0.3, 0.12], [0.12, 0.3, 0.6], [0.95, 0.8, 0.4], [0.06, 0.06, 0.07], [0.2, 0.5, 0.3]])
     hue = hues[panel % 5]
@@ -81,7 +80,7 @@ def make_walnut(size: int = 768) -> NDArray[np.float64]:
 
 
 def make_car_paint(color: Vector, flake_roughness: float) -> Item:
-    """Return paint with metal flakes, whose lobe is broad and coloured, among lacquer, whose lobe is sharp."""
+    """Return car paint: metal flakes with a broad coloured lobe, blended with lacquer with a sharp lobe."""
     flakes = parts.principled(color, metallic=0.8, roughness=flake_roughness, clearcoat=1.0, clearcoat_gloss=0.96)
     lacquer = parts.plastic(color, 0.02, ior=1.8)
     blend = {"type": "blendbsdf", "weight": 0.35, "lacquer": lacquer["inner"], "flakes": flakes["inner"]}
@@ -89,7 +88,7 @@ def make_car_paint(color: Vector, flake_roughness: float) -> Item:
 
 
 def make_bowl(center: Vector, radius: float, bsdf: Item) -> Item:
-    """Return a thick bowl on a foot, closed, so that it may be of glass."""
+    """Return a thick bowl on a foot, as a closed surface that can be glass."""
     points = (
         ((0.0, 0.0), (0.38, 0.0), (0.42, 0.05), (0.36, 0.10)),
         ((0.36, 0.10), (0.70, 0.24), (0.93, 0.50), (1.0, 0.78), (0.965, 0.81), (0.93, 0.78)),

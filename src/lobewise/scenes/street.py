@@ -1,7 +1,7 @@
-"""``street``: a wet street at night: puddles, damp asphalt and bumpy walls under shop windows and street lamps.
+"""``street``: a wet street at night, with puddles, damp asphalt and bumpy walls under shop windows and street lamps.
 
-The asphalt's normals come from a map, band-limited so that a picture of a few hundred pixels still shows their waves;
-in the puddles the water is smooth and nearly level. Bricks, shutters and bins are bump-mapped.
+The normal map of the asphalt is band-limited, so that an image of a few hundred pixels resolves its waves. In the
+puddles the water is smooth and nearly level. Bricks, shutters and bins are bump-mapped.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from lobewise.scenes import parts
 from lobewise.scenes.parts import Item, Vector, encode_normals
 
 HALF_WIDTH, NEAR, FAR = 4.0, 7.0, -17.0
-"""The street between its walls, and where it ends behind the camera and far away."""
+"""Half width of the street between its walls, and its ends along z behind the camera and far away."""
 
 SHORTEST, LONGEST = 0.3, 1.6
-"""Wavelengths of the asphalt's waves."""
+"""Shortest and longest wavelength of the asphalt's waves."""
 
 PUDDLE_ALPHA, DRIEST_ALPHA = 0.02, 0.40
 
@@ -26,13 +26,13 @@ PUDDLE_ALPHA, DRIEST_ALPHA = 0.02, 0.40
 def make_waves(
     x: NDArray[np.float64], y: NDArray[np.float64], count: int, band: tuple[float, float], seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return height and both slopes of ``count`` plane waves of a band of wavelengths; the slopes have variance 1."""
+    """Return height and both slopes of ``count`` plane waves in a band of wavelengths. The slopes have variance 1."""
     generator = np.random.default_rng(seed)
     turn = generator.uniform(0.0, 2.0 * np.pi, count)
     number = 2.0 * np.pi / np.exp(generator.uniform(np.log(band[0]), np.log(band[1]), count))
     shift = generator.uniform(0.0, 2.0 * np.pi, count)
     height, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-    # A wave of slope a in a random direction brings a^2 / 4 to the variance of either slope.
+    # A wave of slope a in a random direction adds a^2 / 4 to the variance of either slope.
     slope = 2.0 / np.sqrt(count)
     for angle, k, offset in zip(turn, number, shift, strict=True):
         phase = k * (np.cos(angle) * x + np.sin(angle) * y) + offset
@@ -43,7 +43,7 @@ def make_waves(
 
 
 def make_asphalt(texels: int = 48) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return colour (rows, columns, 3), alpha (rows, columns) and normal map of the street, ``texels`` a unit."""
+    """Return colour (rows, columns, 3), alpha (rows, columns) and normal map of the street, ``texels`` per unit."""
     columns, rows = int(2 * HALF_WIDTH) * texels, int(NEAR - FAR) * texels
     x, y = np.meshgrid((np.arange(columns) + 0.5) / texels - HALF_WIDTH, (np.arange(rows) + 0.5) / texels + FAR)
     level, _, _ = make_waves(x, y, 14, (2.2, 5.0), 31)
@@ -94,7 +94,7 @@ def make_ribs(count: int, texels: int = 16) -> NDArray[np.float64]:
 def make_facades() -> dict[str, Item]:
     """Return the houses on both sides and at the end, as items by name."""
     color, height = make_bricks(64, 36)
-    # Dull ones: on these walls glossy bricks under the bump map get NaN from Mitsuba, in its own integrator too.
+    # The bricks are diffuse: glossy ones under a bump map give NaN here, in Mitsuba's own integrator too.
     brick = parts.bump_map(height, 0.012, parts.diffuse(parts.texture(color)))
     far_color, far_height = make_bricks(22, 32)
     far_brick = parts.bump_map(far_height, 0.012, parts.diffuse(parts.texture(0.8 * far_color)))
@@ -138,7 +138,7 @@ def make_lights() -> dict[str, Item]:
     for i, (x, z) in enumerate(((3.15, 1.6), (-3.15, -4.9), (3.15, -8.4), (-3.15, 5.2))):
         items[f"post_{i}"] = parts.box((x, 1.5, z), (0.045, 1.5, 0.045), iron)
         items[f"lamp_{i}"] = parts.bulb((x, 3.15, z), 0.2, (140.0, 101.0, 56.0))
-    # Windows up in the far house: one light, whose radiance is a picture.
+    # The upper windows of the far house are one light with a texture.
     lit = np.zeros((7, 13, 3))
     lit[1::2, 1::2] = np.random.default_rng(36).choice([0.0, 0.6, 1.0], (3, 6, 1)) * np.array([6.5, 4.6, 2.1])
     picture = parts.texture(np.kron(lit, np.ones((4, 4, 1))), filter_type="nearest")
@@ -184,7 +184,7 @@ def make_bin(center: Vector, radius: float, height: float, bsdf: Item) -> Item:
 def make_scene(width: int, height: int) -> dict[str, Any]:
     """Return the scene as a description."""
     color, alpha, normals = make_asphalt()
-    # The plugin squares what it is given.
+    # The plugin squares its roughness.
     asphalt = parts.principled(parts.texture(color), roughness=parts.texture(np.sqrt(alpha)), specular=0.7)
     middle, half_length = 0.5 * (NEAR + FAR), 0.5 * (NEAR - FAR)
     ribbed = parts.bump_map(make_ribs(24), 0.05, parts.metal("aluminium", 0.15))

@@ -315,7 +315,7 @@ def test_rays_count_the_area_of_a_ball(mi: Any) -> None:
 def test_larger_voxels_show_the_nearer_of_two(mi: Any) -> None:
     from lobewise.render.materials.bsdfs import read_scene_materials
     from lobewise.render.voxels.cones import VoxelCones
-    from lobewise.render.voxels.grid import MOST_DEPTH
+    from lobewise.render.voxels.grid import MAX_OPTICAL_DEPTH
 
     grid = VoxelCones(make_cornell(mi), read_scene_materials(make_cornell(mi)), resolution=32, bounces=0).grid
     row, values = np.array(grid.row), np.array(grid.values, dtype=np.float64).reshape(-1, 6, 4)
@@ -339,7 +339,7 @@ def test_larger_voxels_show_the_nearer_of_two(mi: Any) -> None:
             opacity = (a + (1 - a) * b).mean()
             light = (a * color[near, direction] + (1 - a) * b * color[far, direction]).mean(axis=0)
             found = values[coarse[z, y, x], direction]
-            expected = min(-np.log1p(-min(opacity, 1 - 1e-12)), MOST_DEPTH)
+            expected = min(-np.log1p(-min(opacity, 1 - 1e-12)), MAX_OPTICAL_DEPTH)
             assert abs(found[3] - expected) < 1e-4
             if opacity > 0:
                 np.testing.assert_allclose(found[:3], light / opacity * expected, rtol=1e-4, atol=1e-7)
@@ -373,7 +373,7 @@ def test_diffuse_cones_share_the_hemisphere_as_the_cosine_does(mi: Any, rng: np.
 
 
 def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Generator) -> None:
-    from lobewise.render.voxels.march import DIFFUSE_TAN, SHARPEST_TAN, find_reflection
+    from lobewise.render.voxels.march import DIFFUSE_TAN, MIN_TAN, find_reflection
 
     alpha_u, alpha_v = rng.uniform(0.01, 0.4, (2, 500))
     cosine, azimuth = rng.uniform(0.3, 1.0, 500), rng.uniform(0.0, 2.0 * np.pi, 500)
@@ -389,7 +389,7 @@ def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Gen
     np.testing.assert_allclose(np.array(axis).T[above], expected[above], atol=1e-4)
     half = np.arccos(np.maximum(1.0 - 1.0 / sharpness, -1.0))
     wide = np.where(half < 1.4, np.tan(np.minimum(half, 1.4)), np.inf)
-    np.testing.assert_allclose(np.array(tangent), np.clip(wide, SHARPEST_TAN, DIFFUSE_TAN), rtol=2e-3)
+    np.testing.assert_allclose(np.array(tangent), np.clip(wide, MIN_TAN, DIFFUSE_TAN), rtol=2e-3)
 
 
 @pytest.mark.slow

@@ -1,8 +1,8 @@
-"""Open Mitsuba's BSDF objects: which plugin each is, what it nests, and the parameters that shape its lobes.
+"""Reads Mitsuba's BSDF objects: the plugin of each, its nested BSDFs, and the parameters that shape its lobes.
 
-A wrapper (``twosided``, ``normalmap``, ``bumpmap``, ``mask``, ``blendbsdf``) does not forward the attributes of what it
-nests, so the objects themselves are walked, once per scene; `lobewise.render.materials.surface` evaluates them at every
-hit. A BSDF for which there is no formula is fitted (`lobewise.render.materials.fitted`).
+A wrapper (``twosided``, ``normalmap``, ``bumpmap``, ``mask``, ``blendbsdf``) does not forward the attributes of its
+nested BSDFs. So all objects are read, once per scene; `lobewise.render.materials.surface` evaluates them at every hit.
+A BSDF without a formula is fitted (`lobewise.render.materials.fitted`).
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ PLUGIN_OF_CLASS = {
     "MaskBSDF": "mask",
     "BlendBSDF": "blendbsdf",
 }
-"""Plugin name by C++ class name: the first is what a scene file says, the second what an object tells of itself."""
+"""Names of plugins in scene files, by C++ class name."""
 
 FITTED = "fitted"
-"""What stands for the plugin of every other class."""
+"""Plugin name for every other class."""
 
 _NESTED = {
     "twosided": ("brdf_0", "brdf_1"),
@@ -61,7 +61,7 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class Material:
-    """One BSDF object and what it is made of; textures and numbers by parameter name."""
+    """One BSDF object, with its textures and numbers by parameter name."""
 
     bsdf: Any
     plugin: str
@@ -70,44 +70,44 @@ class Material:
     numbers: dict[str, Any] = field(default_factory=dict)
     """Dr.Jit arrays of width 1."""
     nested: tuple[Material, ...] = ()
-    """What a wrapper wraps."""
+    """Materials inside a wrapper."""
     lobe_kind: LobeKind = LobeKind.NONE
-    """Kind of its own specular lobe, NONE for a wrapper."""
+    """Kind of the material's own specular lobe; NONE for a wrapper."""
     diffuse_spread: float = 0.0
-    """Of a plastic: its diffuse albedo over its diffuse value for light along the normal, the same for every viewer."""
+    """For plastics: `measure_diffuse_spread`."""
     fitted: FittedLobes | None = None
     number: int = 0
-    """Of a fitted one with a lobe table: its place among those of the scene, from 1; else 0."""
+    """For a fitted material with a lobe table: the number of the table in the scene, from 1. Otherwise 0."""
 
     def __iter__(self) -> Iterator[Material]:
-        """Yield this material, then every one below it."""
+        """Yield this material, then all materials nested in it."""
         yield self
         for child in self.nested:
             yield from child
 
     @property
     def can_be_transparent(self) -> bool:
-        """Whether a ray may pass through without noticing (``mask``, ``null``)."""
+        """Whether a ray may pass through unchanged (``mask``, ``null``)."""
         return any(
             node.plugin in ("mask", "null") or (node.fitted is not None and node.fitted.fit.can_be_transparent)
             for node in self
         )
 
     @property
-    def heeds_context(self) -> bool:
-        """Whether it, and all below it, evaluate the lobes that a context asks for and no others."""
+    def obeys_context(self) -> bool:
+        """Whether this material, and all nested ones, evaluate only the lobes that a context asks for."""
         return all(
-            node.plugin != "principled" and (node.fitted is None or node.fitted.fit.parts.heeds_context)
+            node.plugin != "principled" and (node.fitted is None or node.fitted.fit.parts.obeys_context)
             for node in self
         )
 
 
 @lru_cache(maxsize=1)
 def _make_collector_type() -> Any:
-    """Return the class that a BSDF tells its parameters to; its base exists only once a variant is set.
+    """Return the class that collects a BSDF's parameters. Its base class exists only once a variant is set.
 
-    It is made once: a class made for every walk would hold what it saw until the garbage collector finds the cycle,
-    and Dr.Jit compiles every BSDF that lives into every kernel.
+    The class is made once. A new class for every BSDF would keep the BSDF alive until the garbage collector finds the
+    cycle, and Dr.Jit compiles every BSDF that is alive into every kernel.
     """
 
     class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba is untyped here
@@ -133,7 +133,7 @@ def _list_parameters(bsdf: Any) -> tuple[dict[str, Any], set[str]]:
 
 
 def list_nested(bsdf: Any) -> list[Any]:
-    """Return a BSDF object and every one inside it."""
+    """Return a BSDF object and all BSDFs nested in it."""
     objects, _ = _list_parameters(bsdf)
     inner = [item for _, item in sorted(objects.items()) if isinstance(item, mi.BSDF)]
     return [bsdf, *(found for item in inner for found in list_nested(item))]
@@ -145,7 +145,7 @@ def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
     if plugin == "principled":
         return LobeKind.GGX
     if plugin in ("roughconductor", "roughdielectric", "roughplastic"):
-        # No parameter tells the microfacet distribution; the object's own description does.
+        # Only the text description of the object names the microfacet distribution.
         found = re.search(r"distribution = (\w+)", text)
         return LobeKind.GGX if found and found.group(1) == "ggx" else LobeKind.BECKMANN
     return LobeKind.NONE
@@ -153,10 +153,10 @@ def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
 
 @lru_cache(maxsize=256)
 def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: float) -> float:
-    """Return ``integral of f cos / f(normal)`` of a plastic's diffuse lobe, for any viewer.
+    """Return a plastic's diffuse albedo over its diffuse value for light along the normal, ``int f cos / f(normal)``.
 
-    Light crosses the boundary in and out: ``f(wi, wo) = c T(wi) T(wo)``, so the shape over ``wo`` is the same for all
-    ``wi``. It is measured on the plugin itself, whose rough transmittance has no closed form, by the midpoint rule.
+    Light crosses the boundary in and out: ``f(wi, wo) = c T(wi) T(wo)``. So the shape over ``wo``, and this ratio, are
+    the same for all ``wi``. The midpoint rule measures it on the plugin, whose rough transmittance has no closed form.
     """
     count = 512
     probe: dict[str, Any] = {"type": plugin, "int_ior": eta, "ext_ior": 1.0, "diffuse_reflectance": 0.5}
@@ -164,7 +164,7 @@ def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: fl
         probe.update(distribution=distribution, alpha=alpha)
     si = dr.zeros(mi.SurfaceInteraction3f, count + 1)
     si.wi = mi.Vector3f(0, 0, 1)
-    # Steps of equal projected area, and one last direction along the normal.
+    # Take steps of equal projected area, and as the last direction the normal.
     square = (dr.arange(mi.Float, count + 1) + 0.5) / count
     cosine = dr.select(square < 1, dr.sqrt(square), 1.0)
     wo = mi.Vector3f(dr.sqrt(1.0 - dr.square(cosine)), 0, cosine)
@@ -173,7 +173,7 @@ def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: fl
 
 
 def make_diffuse_context() -> Any:
-    """Return the context that asks a BSDF for its diffuse lobes alone."""
+    """Return the context that asks a BSDF for only its diffuse lobes."""
     return make_context(mi.BSDFFlags.Diffuse)
 
 
@@ -181,7 +181,7 @@ def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
     fit = fit_bsdf(bsdf)
     number = 0
     if fit.table is not None:
-        # A material that answers alike has the rows of another, which are one object.
+        # Materials with equal values share one fit, and so the object ``rows``.
         known = [index for index, other in enumerate(fits) if other.rows is fit.rows]
         if not known:
             fits.append(fit)
@@ -190,21 +190,16 @@ def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
 
 
 def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
-    """Return what a BSDF object is made of, nested ones included.
+    """Return the material of a BSDF object, nested ones included. A class not in `PLUGIN_OF_CLASS` is fitted.
 
-    Parameters
-    ----------
-    bsdf : mitsuba.BSDF
-        Of any class: one that is not in `PLUGIN_OF_CLASS` is fitted.
-    fits : list, optional
-        Fits of the scene with a lobe table, in the order of their numbers; new ones are appended.
+    ``fits`` holds the scene's fits with a lobe table, in the order of their numbers; new ones are appended.
 
     Raises
     ------
     UnsupportedBsdfError
-        If it, or one inside it, is of another class and cannot be evaluated or sampled.
+        If a BSDF must be fitted but cannot be evaluated or sampled.
     MissingDependencyError
-        If one must be fitted and SciPy is not installed.
+        If a BSDF must be fitted and SciPy is not installed.
     """
     fits = [] if fits is None else fits
     plugin = PLUGIN_OF_CLASS.get(str(bsdf.class_name()))
@@ -234,10 +229,7 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
 
 
 def read_scene_materials(scene: Any) -> dict[int, Material]:
-    """Return the material of every BSDF that a shape of the scene carries, by the object's address.
-
-    Errors are those of `read_material`.
-    """
+    """Return the materials of a scene's shapes, by the address of the BSDF object. Errors as in `read_material`."""
     materials: dict[int, Material] = {}
     fits: list[Fit] = []
     for shape in scene.shapes():

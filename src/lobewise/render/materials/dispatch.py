@@ -1,7 +1,4 @@
-"""How much of a reflection is diffuse: the share that splits radiance by the lobe of its first bounce.
-
-And what is asked of the BSDFs at hits, whichever of a scene's materials each hit lies on.
-"""
+"""The diffuse share of a reflection, which splits radiance by lobe, and calls of the materials of many hits at once."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ def _divide(part: Any, total: Any) -> Any:
 def evaluate_principled_diffuse(material: Material, si: Any, wo: Any, active: Any) -> Any:
     """Return diffuse, retro-reflection, fake subsurface and sheen of the principled BSDF, times the cosine.
 
-    Mitsuba's plugin does not heed the lobes asked for in its context, so its diffuse part is evaluated here.
+    Mitsuba's plugin ignores the lobes that its context asks for, so its diffuse part is evaluated here.
 
     Source: Burley 2012, section 5.3, and 2015, "Extending the Disney BRDF", section 4 (flatness).
     """
@@ -60,10 +57,10 @@ def evaluate_principled_diffuse(material: Material, si: Any, wo: Any, active: An
 
 
 def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any:
-    """Return which part of ``f(wi, wo)`` is diffuse, per colour, in [0, 1]; smooth (non-delta) lobes only.
+    """Return the diffuse share of ``f(wi, wo)``, per colour, in [0, 1], for smooth (non-delta) lobes.
 
-    ``wo`` is local to ``si``, as Mitsuba's BSDFs take it. Shares rather than values are passed up from nested BSDFs,
-    so what a wrapper multiplies both lobes by (opacity, shadow terminator) cancels.
+    ``wo`` is local to ``si``, as in Mitsuba's BSDFs. Nested BSDFs pass shares up, not values, so factors of a wrapper
+    for both lobes (opacity, shadow terminator) cancel.
     """
     flags = material.bsdf.flags()
     if not mi.has_flag(flags, mi.BSDFFlags.Diffuse):
@@ -76,7 +73,7 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
         return _divide(evaluate_principled_diffuse(material, si, wo, active), total)
     if material.fitted is not None and not material.fitted.fit.parts.diffuse:
         return mi.Color3f(0)
-    if material.heeds_context:
+    if material.obeys_context:
         part = material.bsdf.eval(make_diffuse_context(), si, wo, active)
         return _divide(part, material.bsdf.eval(everything, si, wo, active))
     frame = make_world_frame(si)
@@ -103,14 +100,14 @@ def _dispatch(
 ) -> Any:
     def visit(self: Any, *arguments: Any) -> Any:
         material = materials.get(self.ptr)
-        # Dr.Jit visits every BSDF that lives, nested ones and those of other scenes included.
+        # Dr.Jit visits every BSDF that is alive, nested ones and those of other scenes included.
         return make_nothing() if material is None else ask(material, *arguments)
 
     return dr.dispatch(bsdf, visit, *arguments)
 
 
 def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Surface:
-    """Return the guides at hits on any of the materials; lanes that are not active get zeros."""
+    """Return the guides at hits on any of the materials; zeros in inactive lanes."""
     surface: Surface = _dispatch(materials, describe_material, Surface, bsdf, si, active)
     return surface
 
@@ -121,7 +118,7 @@ def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, 
 
 
 def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-    """Return ``f cos`` of the smooth lobes and which share of it is diffuse; one visit of each BSDF for both."""
+    """Return ``f cos`` of the smooth lobes and its diffuse share, with one visit of each BSDF."""
 
     def scatter(material: Material, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
         value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)

@@ -1,8 +1,8 @@
-"""Lobes for any BSDF: where there is no formula for one, it is evaluated, and lobes are fitted to what it answers.
+"""Lobes for BSDFs without a formula, fitted to their values.
 
-What is kept of a BSDF are arrays, never the object: Dr.Jit compiles every BSDF that lives into every kernel. They are
-kept by the answers to a few hundred questions, because many objects do not describe themselves, and so that the next
-frame of a scene need not be fitted again.
+Fits are cached, so that the next frame of a scene need not fit again. Many BSDF objects do not describe themselves, so
+the key of the cache is a digest of some hundred values. A fit holds arrays, never the BSDF object: Dr.Jit compiles
+every BSDF that is alive into every kernel.
 """
 
 from __future__ import annotations
@@ -36,49 +36,44 @@ from lobewise.render.materials.probe import (
 from lobewise.render.materials.tints import find_tints
 
 LOBES = 3
-"""Lobes of a view; beside them the diffuse one finds room in a mixture."""
+"""Lobes per view. A mixture has room for these and a diffuse lobe."""
 
 AZIMUTHS = 8
-"""Azimuths of the views of an anisotropic material, a multiple of 4."""
+"""Number of azimuths of an anisotropic material's views, a multiple of 4."""
 
-# n.v of the rows that a hit looks up: equal steps of its square root, from the first on.
-_FIRST = 0.05
-_VIEWS = {True: 12, False: 6}
-"""How many, for isotropic and for anisotropic materials."""
-_SAMPLES = {True: 4096, False: 1024}
+# Smallest n.v of the views. Views have equal steps of the square root of n.v.
+_MIN_COSINE = 0.05
+# Number of n.v of the views, and of samples per view, for isotropic (True) and anisotropic materials.
+_VIEW_COUNTS = {True: 12, False: 6}
+_SAMPLE_COUNTS = {True: 4096, False: 1024}
 OPACITY = 8
-"""The column of a row that holds the opacity."""
+"""Column of `Fit.rows` that holds the opacity."""
+# The other columns of `Fit.rows`, and their number.
 _ALPHA, _SPECULAR, _SPREAD, _TINT, _COLUMNS = slice(0, 2), slice(2, 5), slice(5, 8), slice(9, 11), 11
-# Azimuths at which evaluations are compared, in no simple ratio to a turn.
+# Azimuths at which values are compared, radians: in no simple ratio to a full turn.
 _TURNS = (0.7, 1.9, 3.3)
-# Ratio of the axes of a lobe seen from above from which on the longer one has a direction.
-_LONG = 1.1
-_MOST_FITS = 64
+# Ratio of the axes of a lobe seen from above. Below it the lobe counts as round.
+_MIN_ELONGATION = 1.1
+# Number of fits in the cache.
+_MAX_FITS = 64
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found of a BSDF: its parts, the lobes of the smooth specular one (``table``), and more.
-
-    Parameters
-    ----------
-    kind : LobeKind
-        GGX for a smooth specular lobe, DELTA for mirrors and clear sheets alone, or NONE.
-    turn : float
-        Angle from the BSDF's tangent to that of the table, radians: an anisotropic table's lies along the longer
-        axis of the lobe seen from above.
-    rows : (V, P, 11)
-        For n.v in equal steps of its square root and azimuths of the viewer in equal steps of a turn: alpha along
-        and across the tangent (for isotropic materials, in and across the plane of incidence), specular albedo,
-        diffuse albedo over the diffuse value for light along the normal, opacity, and of a textured one the factors
-        of `lobewise.render.materials.tints`.
-    """
+    """The lobes that were fitted to a BSDF."""
 
     parts: Parts
     kind: LobeKind
+    """GGX for a smooth specular lobe, DELTA for only mirrors and clear sheets, or NONE."""
     table: LobeTable | None
+    """Lobes of the smooth specular part, if there is one."""
     turn: float
+    """Angle from the BSDF's tangent to the table's tangent, radians. The tangent of an anisotropic table lies along the
+    longer axis of the lobe seen from above."""
     rows: FloatArray
+    """Values (V, P, 11) for n.v in equal steps of its square root and azimuths of the viewer in equal steps: alpha
+    along and across the tangent (isotropic materials: in and across the plane of incidence), specular albedo, diffuse
+    albedo over the diffuse value for light along the normal, opacity, weights of `lobewise.render.materials.tints`."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -87,7 +82,7 @@ class Fit:
 
     @property
     def can_be_transparent(self) -> bool:
-        """Whether a ray may pass through without noticing."""
+        """Whether a ray may pass through unchanged."""
         return bool(self.rows[..., OPACITY].min() < 1.0)
 
 
@@ -95,15 +90,14 @@ _fits: OrderedDict[str, Fit] = OrderedDict()
 
 
 def fit_bsdf(bsdf: Any) -> Fit:
-    """Return what a BSDF reflects, found by evaluating and sampling it; a BSDF that answers alike is fitted once.
+    """Return the lobes fitted to a BSDF, with textures at uv = (0.5, 0.5). BSDFs with equal values are fitted once.
 
-    Textures count as they are at uv = (0.5, 0.5). UnsupportedBsdfError if it cannot be evaluated or sampled,
-    MissingDependencyError without SciPy.
+    UnsupportedBsdfError if the BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
     """
     key = digest_bsdf(bsdf)
     if key not in _fits:
         _fits[key] = _make_fit(bsdf)
-        if len(_fits) > _MOST_FITS:
+        if len(_fits) > _MAX_FITS:
             _fits.popitem(last=False)
     _fits.move_to_end(key)
     fit = _fits[key]
@@ -111,9 +105,9 @@ def fit_bsdf(bsdf: Any) -> Fit:
 
 
 def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0) -> Evaluate | None:
-    """Return the smooth specular part as a function to fit, or None where there is none.
+    """Return the smooth specular part as a function to fit, or None if there is none.
 
-    It is what is reflected; of a BSDF that only transmits, what is transmitted, as if the surface mirrored it.
+    It is the glossy reflection. For a BSDF that only transmits it is the transmission, mirrored at the surface.
     """
     if parts.glossy:
         for through in (False, True):
@@ -124,13 +118,13 @@ def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0) -> Eva
 
 
 def is_isotropic(evaluate: Evaluate) -> bool:
-    """Return whether a reflection is the same, within 2 % in the mean square, when the surface is turned."""
+    """Return whether a reflection stays the same, within 2 % in the mean square, when the surface is turned."""
     return all(_is_same_turned(evaluate, 0.0, turn) for turn in _TURNS)
 
 
 def make_views(isotropic: bool) -> Array:
-    """Return ascending n.v of the views: equal steps of the square root, denser where lobes change faster."""
-    return np.asarray(np.linspace(math.sqrt(_FIRST), 1.0, _VIEWS[isotropic]) ** 2)
+    """Return the ascending n.v of the views: equal steps of the square root, denser where lobes change faster."""
+    return np.asarray(np.linspace(math.sqrt(_MIN_COSINE), 1.0, _VIEW_COUNTS[isotropic]) ** 2)
 
 
 def make_azimuths() -> Array:
@@ -139,7 +133,7 @@ def make_azimuths() -> Array:
 
 
 def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
-    """Return the views up to the highest from which anything is reflected: seen from above, velvet may be black."""
+    """Return the n.v up to the highest view that sees a reflection: from above, velvet may be black."""
     seen = [_integrate(evaluate, float(cosine)) > 0.0 for cosine in cosines]
     return np.asarray(cosines[: len(seen) - seen[::-1].index(True)])
 
@@ -159,15 +153,15 @@ def _make_fit(bsdf: Any) -> Fit:
         rows[..., _ALPHA] = _find_alphas(table, cosines, azimuths)
         rows[..., _SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
     views = _make_view_grid(cosines, azimuths + turn)
-    _complete_albedos(rows, bsdf, parts, views, _SAMPLES[isotropic])
+    _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic])
     kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
     return Fit(parts, kind, table, turn, rows.astype(np.float32))
 
 
 def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> LobeTable:
-    """Return the table of round lobes, which are what images are filtered with.
+    """Return the table of round lobes, which the filters compare.
 
-    Most anisotropic reflections look the same after half a turn; then half of the azimuths are fitted.
+    Most anisotropic reflections look the same after half a turn. Then only half of the azimuths are fitted.
     """
     cosines = list_fitted_views(evaluate, cosines)
     if azimuths is None:
@@ -180,12 +174,12 @@ def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> Lo
 
 
 def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
-    """Return the roughness (V, P, 2) along and across the table's tangent, or the plane of incidence of all."""
+    """Return alphas (V, P, 2) along and across the tangent, or in and across the plane of incidence if isotropic."""
     alpha = get_equivalent_alphas(table, cosines[:, None], azimuths)
     if table.is_isotropic:
         return alpha
-    # The table's are along and across the plane of incidence. Where that lies along the tangent or across it they are
-    # those along and across the tangent; between, where neither tells the ellipse, they are the means of those.
+    # The table's alphas are along and across the plane of incidence. If the plane lies along or across the tangent,
+    # they are the alphas of the tangent as well, or swapped. Views in between take the means of these.
     quarter = AZIMUTHS // 4
     aligned = np.log(alpha[:, ::quarter])
     aligned[:, 1::2] = aligned[:, 1::2, ::-1]
@@ -196,7 +190,7 @@ def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
 
 
 def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count: int) -> None:
-    """Add to the rows the albedos of what is transmitted and of mirrors, the opacity, and the diffuse spread."""
+    """Add to the rows the albedos of transmission and of mirrors, the opacity, the diffuse spread and the tints."""
     flat = rows.reshape(-1, _COLUMNS)
     samples = sample_bsdf(bsdf, views, count)
     opacity = 1.0 - samples.null.mean(axis=1)
@@ -204,7 +198,7 @@ def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count:
     specular = np.where((beyond & ~samples.null)[..., None], samples.weight, 0.0)
     specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples)
     flat[:, _SPECULAR] += specular.mean(axis=1)
-    # A path that passes unnoticed adds to no albedo, so the others must add more.
+    # Samples that pass through add to no albedo: divide by the share of the others.
     flat[:, _SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
     flat[:, _SPECULAR] = np.clip(flat[:, _SPECULAR], 0.0, 1.0)
     flat[:, OPACITY] = opacity
@@ -215,7 +209,7 @@ def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count:
 
 
 def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples) -> Array:
-    """Return which part of each sample is diffuse, shape (V, N, 3); none of mirrors."""
+    """Return the diffuse share of each sample, shape (V, N, 3); 0 for mirrors."""
     smooth = ~samples.delta[..., None]
     if not (parts.diffuse and parts.glossy):
         return np.where(smooth, float(parts.diffuse), 0.0)
@@ -229,10 +223,10 @@ def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples
 def _find_spreads(bsdf: Any, parts: Parts, views: Array) -> Array:
     """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
 
-    At a hit that value is taken where the hit is, so that textures are seen; where it is 0 at the middle of the
-    texture the spread is that of Lambert's law.
+    The value is multiplied again at each hit, so that textures are seen. If it is 0 in the middle of the texture, the
+    ratio is that of Lambert's law.
     """
-    # Both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
+    # Integrate over both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
     square, azimuth = (np.arange(64) + 0.5) / 64, (np.arange(32) + 0.5) * (2.0 * math.pi / 32)
     sine, cosine = np.sqrt(square), np.sqrt(1.0 - square)
     above = np.stack(np.broadcast_arrays(sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth),
@@ -246,29 +240,29 @@ def _find_spreads(bsdf: Any, parts: Parts, views: Array) -> Array:
 
 
 def _find_long_axis(evaluate: Evaluate) -> float:
-    """Return the azimuth of the longer axis of the lobe seen from above, in [0, pi); 0 where there is none."""
+    """Return the azimuth of the longer axis of the lobe seen from above, in [0, pi); 0 for a round lobe."""
     nodes = make_nodes(1.0)
     light = nodes.light[nodes.light[:, 2] > 0.0]
     target = _evaluate_luminance(evaluate, np.tile([0.0, 0.0, 1.0], (len(light), 1)), light)
     half = light[:, :2] / np.sqrt(2.0 + 2.0 * light[:, 2:])
-    # The square leaves the tails out; the weights are those of the half vectors, which lie evenly for lights.
+    # The square suppresses the tails. Near the normal, solid angles of lights and of half vectors are proportional.
     share = nodes.weight[nodes.light[:, 2] > 0.0] * target**2
     covariance = (half * share[:, None]).T @ half / max(float(share.sum()), 1e-300)
     values, vectors = np.linalg.eigh(covariance)
-    if not values[1] > _LONG**2 * values[0]:
+    if not values[1] > _MIN_ELONGATION**2 * values[0]:
         return 0.0
     return math.atan2(vectors[1, 1], vectors[0, 1]) % math.pi
 
 
 def _evaluate_luminance(evaluate: Evaluate, view: Array, light: Array) -> Array:
-    """Return the luminance of BRDF times cosine; 0 where the BRDF is not a number."""
+    """Return the luminance of BRDF times cosine; 0 if the BRDF is NaN."""
     values = np.asarray(evaluate(view, light))
     values = values @ np.asarray(LUMINANCE) if values.ndim == 2 else values
     return np.where(np.isfinite(values) & (values > 0.0), values, 0.0) * np.abs(light[:, 2])
 
 
 def _sample_turned(evaluate: Evaluate, cosine: float, turn: float) -> tuple[Array, Array]:
-    """Return luminances times cosine, and solid angles, over the lights that a viewer at an azimuth sees reflected."""
+    """Return luminances of BRDF times cosine, and solid angles, over all lights, for a view at the azimuth ``turn``."""
     nodes = make_nodes(cosine, angular=32)
     above = nodes.light[:, 2] > 0.0
     matrix = np.asarray(
@@ -294,7 +288,7 @@ def _integrate(evaluate: Evaluate, cosine: float) -> float:
 
 
 def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
-    """Return unit vectors (V P, 3)."""
+    """Return the unit vectors (V P, 3) of all combinations."""
     sine = np.sqrt(1.0 - cosines**2)[:, None]
     parts = np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), cosines[:, None])
     return np.stack(parts, axis=-1).reshape(-1, 3)
@@ -309,9 +303,9 @@ class FittedLobes:
         dr.eval(self._rows)
 
     def look_up(self, si: Any, active: Any) -> list[Any]:
-        """Return the columns of the rows, linear in the root of n.v and in the azimuth, for hits seen at ``si.wi``."""
+        """Return the columns of `Fit.rows` for views ``si.wi``, linear in the square root of n.v and in the azimuth."""
         views, azimuths, columns = self.fit.rows.shape
-        first = math.sqrt(_FIRST)
+        first = math.sqrt(_MIN_COSINE)
         place = (dr.sqrt(dr.abs(si.wi.z)) - first) * ((views - 1) / (1.0 - first))
         place = dr.clip(place, 0.0, views - 1.0)
         row = dr.minimum(mi.UInt32(place), views - 2)
@@ -335,7 +329,7 @@ class FittedLobes:
         return [dr.lerp(low, high, part) for low, high in zip(read(left), read(right), strict=True)]
 
     def find_tangent(self, si: Any) -> Any:
-        """Return the local direction along which the first alpha is meant, and from which azimuths count."""
+        """Return the local direction of the first alpha, which is also azimuth 0."""
         if not self.fit.is_isotropic:
             return mi.Vector3f(math.cos(self.fit.turn), math.sin(self.fit.turn), 0.0)
         length = dr.sqrt(dr.square(si.wi.x) + dr.square(si.wi.y))
@@ -343,7 +337,7 @@ class FittedLobes:
         return mi.Vector3f(dr.select(length > 1e-6, si.wi.x * scale, 1.0), si.wi.y * scale, 0.0)
 
     def find_albedos(self, bsdf: Any, si: Any, row: list[Any], active: Any) -> tuple[Any, Any]:
-        """Return the (diffuse, specular) albedo from the columns of `look_up`; textures are read at the hits."""
+        """Return (diffuse, specular) albedo from the columns of `look_up` and the BSDF's textures at the hits."""
         parts = self.fit.parts
         upward = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
         diffuse, specular = mi.Color3f(0), mi.Color3f(*row[_SPECULAR])

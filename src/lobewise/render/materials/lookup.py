@@ -1,4 +1,4 @@
-"""One material of a scene by name, ready to be fitted: what `lobewise fit --mitsuba` reads."""
+"""Finds a material of a scene by its id, for `lobewise fit --mitsuba`."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ from lobewise.render.materials.fitted import (
 )
 from lobewise.render.materials.probe import find_parts
 
-_MOST_SHOWN = 5
+_MAX_SHOWN_NAMES = 5
+"""Number of ids that an error message lists."""
 
 
 @dataclass(frozen=True)
 class SceneMaterial:
-    """The smooth specular part of a BSDF by the name that it was asked for, and the views to fit it at."""
+    """The smooth specular part of a BSDF, and the views at which to fit it."""
 
     name: str
     evaluate: Evaluate
-    """The frame's x is the BSDF's tangent."""
+    """BRDF in a local frame whose x is the BSDF's tangent."""
     cosines: Array
     """n.v of the views, (V,)."""
     azimuths: Array | None
-    """Of the views (P,), where the material is anisotropic."""
+    """Azimuths of the views, radians, (P,), for an anisotropic material; otherwise None."""
 
 
 def open_scene_material(reference: str) -> SceneMaterial:
@@ -44,12 +45,12 @@ def open_scene_material(reference: str) -> SceneMaterial:
     Parameters
     ----------
     reference : str
-        ``SCENE#ID``: what `load_scene` takes, and the id of a BSDF, or of the shape that carries it.
+        ``SCENE#ID``: a scene for `load_scene`, and the id of a BSDF or of a shape with a BSDF.
 
     Raises
     ------
     InputError
-        If there is no ``#``, no such scene or id, several BSDFs of that id, or nothing in the BSDF to fit.
+        If there is no ``#``, no such scene or id, several BSDFs have the id, or the BSDF has no glossy lobe to fit.
     FileError
         If the scene's file cannot be read.
     UnsupportedBsdfError
@@ -86,7 +87,7 @@ def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
                 found.setdefault(str(inner.id()), {})[inner.ptr] = inner
     found.pop("", None)
     if name not in found:
-        near = difflib.get_close_matches(name, found, n=_MOST_SHOWN, cutoff=0.0)
+        near = difflib.get_close_matches(name, found, n=_MAX_SHOWN_NAMES, cutoff=0.0)
         expected = f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs"
         action = "correct the id" if near else "give the BSDF an id in the scene"
         raise InputError(f"scene {scene_name!r}", expected=expected, got=repr(name), action=action)

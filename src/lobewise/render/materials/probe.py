@@ -1,8 +1,7 @@
-"""Evaluate and sample a lone BSDF object, without a scene: what an unknown reflection tells of itself.
+"""Evaluates and samples a single BSDF object, without a scene.
 
-Directions are local: z is the normal, x the tangent. Unless told otherwise textures are seen at the middle of their
-square, uv = (0.5, 0.5), so a textured BSDF stands for what it is there; attributes of meshes are 0. A BSDF that cannot
-be evaluated or sampled raises `UnsupportedBsdfError`.
+Directions are local: z is the normal, x the tangent. Textures are evaluated at uv = (0.5, 0.5) by default; attributes
+of meshes are 0. A BSDF that cannot be evaluated or sampled raises `UnsupportedBsdfError`.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from lobewise.errors import UnsupportedBsdfError
 from lobewise.fitting.arrays import Array
 from lobewise.render.bridge import dr, mi
 
-# Mitsuba's values are times the cosine; below this one they are of no account and the division would raise noise.
-_LEAST_COSINE = 1e-6
-# How far two evaluations that should be equal may differ, in the mean square.
-_SAME = 0.02
+# Smallest cosine by which values are divided. Mitsuba's values include the cosine; dividing by less amplifies noise.
+_MIN_COSINE = 1e-6
+# Largest difference of two sets of values that count as equal, root mean square relative to the larger set.
+_MAX_DIFFERENCE = 0.02
 
 
 def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
     """Return the context that asks a BSDF for some of its lobes, or all.
 
-    With ``importance`` what is refracted is not scaled by the square of the index, which leaving the glass undoes.
+    With ``importance`` refracted light is not scaled by the square of the index of refraction.
     """
     context = mi.BSDFContext()
     if lobes is not None:
@@ -40,7 +39,7 @@ def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
 
 
 def make_hits(view: Array, uv: Array | None = None) -> Any:
-    """Return hits on a flat surface, at ``uv`` (n, 2), whose viewers are in the local directions ``view`` (n, 3)."""
+    """Return hits on a flat surface, at ``uv`` (n, 2), seen from the local directions ``view`` (n, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(view))
     si.t = 1.0
     si.n = mi.Normal3f(0, 0, 1)
@@ -57,15 +56,15 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv
     def run() -> Any:
         return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view, uv), _to_vectors(light), mi.Bool(True)))
 
-    cosine = np.maximum(np.abs(light[:, 2:]), _LEAST_COSINE)
+    cosine = np.maximum(np.abs(light[:, 2:]), _MIN_COSINE)
     return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
 
 
 def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0) -> Callable[..., Array]:
     """Return `evaluate_bsdf` of some or all of a BSDF's lobes as `lobewise.fitting.fit.Evaluate`.
 
-    With ``through`` that is what is transmitted, as if the surface mirrored it. ``turn`` is the angle from the BSDF's
-    tangent to the x of the directions, radians, counter-clockwise.
+    With ``through`` it is the transmission, mirrored at the surface. ``turn`` is the angle from the BSDF's tangent to
+    the x of the directions, radians, counter-clockwise.
     """
     cosine, sine = np.cos(turn), np.sin(turn)
     matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -79,10 +78,10 @@ def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: 
 
 @dataclass(frozen=True)
 class Samples:
-    """What a BSDF's own sampling gave; N samples for each of V views.
+    """Samples that a BSDF drew: N samples for each of V views.
 
-    ``light`` are local directions (V, N, 3), ``weight`` (V, N, 3) the BSDF times cosine over density, finite; ``null``
-    and ``delta`` (V, N) tell whether the ray passed unnoticed, or followed a single direction.
+    ``light`` holds local directions (V, N, 3), ``weight`` (V, N, 3) the finite BSDF times cosine over density. ``null``
+    and ``delta`` (V, N) tell whether the ray passed through unchanged, or took the only direction of a delta lobe.
     """
 
     light: Array
@@ -92,9 +91,9 @@ class Samples:
 
 
 def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) -> Samples:
-    """Return ``count`` samples of the BSDF for each of the local directions ``view`` (V, 3), the same every time.
+    """Return ``count`` samples of the BSDF for each local direction ``view`` (V, 3), the same at every call.
 
-    Textures are seen at ``uv`` (V, 2). Refracted weights are not scaled by the square of the index.
+    Textures are evaluated at ``uv`` (V, 2). Weights of refraction are not scaled by the square of the index.
     """
     points = np.tile(spread_points(count, 3), (len(view), 1)).astype(np.float32)
 
@@ -120,34 +119,34 @@ def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) 
 
 @dataclass(frozen=True)
 class Parts:
-    """Which lobes a BSDF says it has, and whether they can be evaluated one by one."""
+    """The lobes that a BSDF declares, and properties found by evaluating it."""
 
     diffuse: bool
-    """Only where diffuse lobes can be told from glossy ones."""
+    """Whether there are diffuse lobes that can be evaluated apart from glossy ones."""
     glossy: bool
     delta: bool
-    heeds_context: bool
-    """Whether it evaluates the lobes that it is asked for, and no others."""
+    obeys_context: bool
+    """Whether the BSDF evaluates only the lobes that a context asks for."""
     behind: bool
-    """Whether it reflects when it is seen from behind."""
+    """Whether the BSDF reflects or transmits if seen from behind."""
     textured: bool
-    """Whether it depends on uv."""
+    """Whether the BSDF depends on uv."""
 
     @property
     def diffuse_lobes(self) -> Any:
-        """What to ask for to evaluate the diffuse part."""
+        """Flags of the diffuse part for `make_context`; None for all lobes."""
         return mi.BSDFFlags.Diffuse if self.glossy else None
 
     @property
     def glossy_lobes(self) -> Any:
-        """What to ask for to evaluate the glossy part."""
+        """Flags of the glossy part for `make_context`; None for all lobes."""
         return mi.BSDFFlags.Glossy if self.diffuse else None
 
 
 def find_parts(bsdf: Any) -> Parts:
-    """Return which lobes a BSDF has and can be asked for."""
+    """Return the lobes and properties of a BSDF."""
     diffuse, glossy, delta = list_flags(bsdf)
-    view, light = _make_questions()
+    view, light = _make_probe_directions()
     asked = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
     whole, *some = (evaluate_bsdf(bsdf, view, light, lobes) for lobes in asked)
     good = np.isfinite(whole)
@@ -162,8 +161,8 @@ def find_parts(bsdf: Any) -> Parts:
 
 
 def digest_bsdf(bsdf: Any) -> str:
-    """Return a digest of what a BSDF answers to some hundred questions: those that answer alike count as the same."""
-    view, light = _make_questions()
+    """Return a digest of a BSDF's values for some hundred pairs of directions. Equal digests count as equal BSDFs."""
+    view, light = _make_probe_directions()
     answers: list[NDArray[Any]] = [np.asarray(list_flags(bsdf))]
     answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]
     flip = np.asarray([1.0, 1.0, -1.0])
@@ -177,13 +176,13 @@ def digest_bsdf(bsdf: Any) -> str:
 def are_same(one: Array, two: Array) -> bool:
     """Return whether two sets of values agree within 2 % in the mean square, relative to the larger."""
     norm = max(float(np.linalg.norm(one)), float(np.linalg.norm(two)))
-    return bool(np.linalg.norm(one - two) <= _SAME * norm)
+    return bool(np.linalg.norm(one - two) <= _MAX_DIFFERENCE * norm)
 
 
 def list_flags(bsdf: Any) -> tuple[bool, bool, bool]:
-    """Return whether a BSDF has diffuse, glossy and delta lobes, by its own account."""
+    """Return whether a BSDF declares diffuse, glossy and delta lobes."""
     flags = _try(bsdf, bsdf.flags)
-    # Mitsuba counts what passes unnoticed to the delta lobes; here it is none.
+    # Mitsuba counts null transmission as a delta lobe; here it is no lobe.
     kinds = mi.BSDFFlags
     diffuse, glossy, mirror, clear = (
         bool(mi.has_flag(flags, kind))
@@ -196,13 +195,13 @@ def _try(bsdf: Any, run: Callable[[], Any]) -> Any:
     try:
         out = run()
         dr.eval(out)
-    except Exception as error:  # what a BSDF of the user's raises can be anything
+    except Exception as error:  # a BSDF written by a user can raise anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UnsupportedBsdfError(
             f"BSDF {bsdf.id()!r}" if bsdf.id() else "a BSDF without an id",
             expected="a plugin that lobewise knows, or one that can be evaluated and sampled",
             got=f"{bsdf.class_name()}: {reason}",
-            action="mend or replace it in the scene",
+            action="repair or replace it in the scene",
         ) from error
     return out
 
@@ -212,12 +211,12 @@ def _to_vectors(directions: Array) -> Any:
 
 
 def _to_colors(value: Any, count: int) -> Array:
-    """Return three numbers per lane, shape (count, 3): a value that is equal everywhere has a width of 1."""
+    """Return three numbers per lane, shape (count, 3). Dr.Jit stores a uniform value with a width of 1."""
     return np.array(np.broadcast_to(np.array(value, dtype=np.float64).reshape(3, -1).T, (count, 3)))
 
 
-def _make_questions() -> tuple[Array, Array]:
-    """Return views above the horizon, and lights all around and ever nearer to the mirror direction."""
+def _make_probe_directions() -> tuple[Array, Array]:
+    """Return views above the horizon, and lights on the whole sphere and ever nearer to the mirror direction."""
     view = _spread_directions(64)
     view[:, 2] = np.abs(view[:, 2])
     half = np.asarray([0.0, 0.0, 1.0]) + np.geomspace(1e-3, 1.0, 8)[:, None, None] * _spread_directions(128)[::2]
@@ -229,7 +228,7 @@ def _make_questions() -> tuple[Array, Array]:
 
 
 def spread_points(count: int, dimensions: int) -> Array:
-    """Return points of the unit square or cube, evenly spread, shape (count, dimensions): the same every time.
+    """Return evenly spread points of the unit square or cube, shape (count, dimensions), the same at every call.
 
     Source: Roberts 2018, "The unreasonable effectiveness of quasirandom sequences", the additive recurrence R_d.
     """

@@ -1,4 +1,4 @@
-"""What a hit surface is to a denoiser: its frame, its lobe, its albedos, and how much of a reflection is diffuse."""
+"""The guides of a hit surface: its normal and tangent, its lobe, and its albedos."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lobewise.render.materials.fitted import OPACITY
 
 @dataclass
 class Surface:
-    """The guides of one hit point per lane (Dr.Jit arrays; a PyTree).
+    """The guides of one hit point per lane (Dr.Jit arrays; a PyTree); all 0 by default.
 
-    ``normal`` and ``tangent`` are unit vectors of the world, the normal on the viewer's side; ``lobe_kind`` holds
-    `LobeKind` values; ``opacity`` is the chance that a ray notices the surface at all; ``material`` the number of its
-    lobe table, or 0. Without arguments it is that of nothing: all zero.
+    ``normal`` and ``tangent`` are unit vectors in world space, the normal on the viewer's side. ``lobe_kind`` holds
+    `LobeKind` values. ``opacity`` is the probability that a ray does not pass through. ``material`` is the number of
+    the lobe table, or 0.
     """
 
     normal: Any = starts_as("Vector3f")
@@ -36,7 +36,7 @@ class Surface:
 
 @dataclass
 class WorldFrame:
-    """World directions of the local axes in which a nested BSDF sees its directions."""
+    """World directions of the local axes of a nested BSDF."""
 
     s: Any
     t: Any
@@ -53,7 +53,7 @@ class WorldFrame:
 
 
 def make_world_frame(si: Any) -> WorldFrame:
-    """Return the shading frame of a hit before any map."""
+    """Return the shading frame of a hit before any normal or bump map."""
     return WorldFrame(mi.Vector3f(si.sh_frame.s), mi.Vector3f(si.sh_frame.t), mi.Vector3f(si.sh_frame.n))
 
 
@@ -68,14 +68,14 @@ def find_f0_conductor(eta: Any, k: Any) -> Any:
 
 
 def find_principled_eta(material: Material) -> Any:
-    """Return the index of refraction, given as such or by ``specular`` (Burley 2012)."""
+    """Return the index of refraction of a principled BSDF, from ``eta`` or ``specular`` (Burley 2012)."""
     if "eta" in material.numbers:
         return material.numbers["eta"]
     return 2.0 / (1.0 - dr.sqrt(0.08 * material.numbers["specular"])) - 1.0
 
 
 def read_color(material: Material, name: str, si: Any, active: Any, default: float = 1.0) -> Any:
-    """Return a coloured parameter at the hits, ``default`` where the material has none of that name."""
+    """Return a colour parameter at the hits, or ``default`` if the material has no such parameter."""
     texture = material.textures.get(name)
     return mi.Color3f(default) if texture is None else mi.Color3f(texture.eval(si, active))
 
@@ -97,8 +97,9 @@ def _read_alphas(material: Material, si: Any, active: Any) -> tuple[Any, Any]:
 def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v: Any, f0: Any) -> Any:
     """Return the albedo of a rough boundary by the fit for isotropic GGX.
 
-    Departs: two alphas count as their root mean square, which against sampling is off by at most 0.03 (their geometric
-    mean by 0.12), and Beckmann's shorter tails lose what GGX of half the alpha loses, within 0.05 up to alpha 0.35.
+    Departs: two alphas are replaced by their root mean square. Compared with sampling, this albedo is off by at most
+    0.03; with the geometric mean it is off by 0.12. Beckmann, with its shorter tails, is replaced by GGX of half the
+    alpha, which is within 0.05 up to alpha 0.35.
     """
     alpha = dr.minimum(dr.sqrt(0.5 * (dr.square(alpha_u) + dr.square(alpha_v))), 1.0)
     if material.lobe_kind == LobeKind.BECKMANN:
@@ -132,9 +133,9 @@ def _describe_conductor(material: Material, si: Any, frame: WorldFrame, active: 
 
 
 def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
-    # The specular part of the radiance holds what is refracted too, so its albedo must: else glass would be
-    # demodulated by the few per cent that it reflects. What neither reflects nor passes for masking is neglected:
-    # 0.03 at alpha 0.2 and n.v = 0.5, 0.16 at alpha 0.6.
+    # The specular radiance includes refraction, so the specular albedo must too. Otherwise the light of glass would be
+    # divided by the few per cent that glass reflects. Losses by masking are neglected: 0.03 at alpha 0.2 and n.v = 0.5,
+    # 0.16 at alpha 0.6.
     cos_view = dr.abs(si.wi.z)
     eta = material.numbers["eta"]
     tint = read_color(material, "specular_reflectance", si, active)
@@ -144,7 +145,7 @@ def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active:
     if material.plugin == "roughdielectric":
         alpha_u, alpha_v = _read_alphas(material, si, active)
         f0 = mi.Color3f(find_f0_dielectric(eta))
-        # The fit knows no total reflection; seen from inside, a rough boundary counts as a smooth one.
+        # The fit ignores total reflection, so a rough boundary seen from inside is treated as a smooth one.
         outside = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
         reflected = dr.select(si.wi.z > 0, outside, reflected)
     albedo = reflected * tint + (1.0 - reflected) * tint_through
@@ -194,7 +195,7 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
         alpha_u=alpha_u,
         alpha_v=alpha_v,
         diffuse_albedo=((1.0 - metallic) * (1.0 - transmission) * base) & front,
-        # Seen from inside, only a transmitting material answers.
+        # Seen from inside, only a transmitting material has light.
         specular_albedo=dr.select(front, specular, mi.Color3f(through)),
     )
 
@@ -208,7 +209,7 @@ def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any
     assert fitted is not None
     row = fitted.look_up(si, active)
     diffuse, specular = fitted.find_albedos(material.bsdf, si, row, active)
-    # A side that answers is taken for the front: lobes are fitted once.
+    # Lobes are fitted once, so a back side that reflects has the lobes of the front.
     seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
     return _make_surface(
         material,
@@ -224,7 +225,7 @@ def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any
 
 
 def enter_twosided(si: Any, frame: WorldFrame) -> tuple[Any, WorldFrame]:
-    """Return the hit as the nested BSDF sees it: from behind, the local z axis is mirrored."""
+    """Return the hit and world frame for the nested BSDF: seen from behind, the local z axis is mirrored."""
     behind = si.wi.z < 0
     inner = mi.SurfaceInteraction3f(si)
     inner.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
@@ -232,9 +233,9 @@ def enter_twosided(si: Any, frame: WorldFrame) -> tuple[Any, WorldFrame]:
 
 
 def enter_perturbed(material: Material, si: Any, frame: WorldFrame, active: Any) -> tuple[Any, WorldFrame, WorldFrame]:
-    """Return the hit as the BSDF below a normal or bump map sees it, its world frame, and its frame in local axes.
+    """Return the hit for the BSDF below a normal or bump map, its world frame, and its frame in local axes.
 
-    The map's plugins turn a normal that faces away from the viewer (their default, ``flip_invalid_normals``).
+    As in Mitsuba's plugins by default (``flip_invalid_normals``), a normal that faces away from the viewer is flipped.
     """
     inner = mi.SurfaceInteraction3f(si)
     if material.plugin == "normalmap":
@@ -247,7 +248,7 @@ def enter_perturbed(material: Material, si: Any, frame: WorldFrame, active: Any)
         dp_dv = si.dp_dv + up * (gradient.y - dr.dot(up, si.dp_dv))
         n = dr.normalize(dr.cross(dp_du, dp_dv))
         n = si.to_local(dr.select(dr.dot(si.n, n) < 0, -n, n))
-        s_source = mi.Vector3f(si.dp_du)  # the plugin takes the world vector for a local one
+        s_source = mi.Vector3f(si.dp_du)  # the plugin uses the world vector as a local one
     away = si.wi.z * dr.dot(si.wi, n) <= 0
     n = dr.normalize(dr.select(away, mi.Vector3f(-n.x, -n.y, n.z), n))
     s = dr.normalize(s_source - n * dr.dot(n, s_source))
@@ -279,7 +280,7 @@ def _describe_mask(material: Material, si: Any, frame: WorldFrame, active: Any) 
 
 
 def _describe_blend(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
-    """The lobe and the frame of the side that reflects more specularly (where neither does, more diffusely)."""
+    """Take lobe and frame of the BSDF with more specular reflection, or with more diffuse one if neither has any."""
     weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
     first, second = (_describe(child, si, frame, active) for child in material.nested)
     shares = (1.0 - weight) * first.opacity, weight * second.opacity
@@ -323,18 +324,18 @@ def _describe(material: Material, si: Any, frame: WorldFrame, active: Any) -> Su
 
 
 def describe_material(material: Material, si: Any, active: Any) -> Surface:
-    """Return the guides where the hits ``si`` all lie on one material.
+    """Return the guides of hits ``si`` that all lie on one material.
 
-    The albedos are directional ones for the viewer at ``si.wi``. A blend's lobe and frame are those of the side that
-    reflects more specularly; a clear coat is counted to the main lobe and its own is not described.
+    Albedos are directional, for the viewer at ``si.wi``. A blend has the lobe and frame of the BSDF with more specular
+    reflection. A clear coat has no lobe of its own; its light counts as light of the main lobe.
     """
     surface = _describe(material, si, make_world_frame(si), active)
-    # The surface may be seen from behind; and an interpolated normal may face away although the surface does not.
+    # Turn the normal to the viewer: the surface may be seen from behind, or an interpolated normal may face away.
     away = dr.dot(surface.normal, si.to_world(si.wi)) < 0
     surface.normal = dr.select(away, -surface.normal, surface.normal)
-    # Textures, and a principled BSDF that is rough and brushed, can ask for more than the widest lobe that guides tell.
+    # Textures, and a rough anisotropic principled BSDF, can have alphas above 1, which guides cannot hold.
     surface.alpha_u, surface.alpha_v = dr.clip(surface.alpha_u, 0.0, 1.0), dr.clip(surface.alpha_v, 0.0, 1.0)
-    # Where no lobe reflects there is none, whatever the plugin could do elsewhere.
+    # A surface whose specular albedo is 0 here has no lobe.
     dark = dr.max(surface.specular_albedo) <= 0
     surface.lobe_kind = dr.select(dark, float(LobeKind.NONE), surface.lobe_kind)
     surface.material = dr.select(dark, 0.0, surface.material)
@@ -342,14 +343,14 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
 
 
 def is_mirror(surface: Surface) -> Any:
-    """Return whether surfaces show nothing of their own: perfect mirrors and smooth glass."""
+    """Return whether surfaces are perfect mirrors or smooth glass, without any diffuse reflection."""
     return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
 
 
 def find_seen_albedo(surface: Surface, si: Any) -> Any:
-    """Return the albedo that a reflection sees, in [0, 1]: of both lobes together, and 1 where the side shines.
+    """Return the albedo for `GBuffer.hit_albedo`: diffuse plus specular in [0, 1], and 1 for light sources.
 
-    Light sources of any strength are white, so that what is dark beside them differs most.
+    With 1, light sources of any strength differ most from dark surfaces beside them.
     """
     shines = si.shape.is_emitter() & (si.wi.z > 0)
     return dr.select(shines, 1.0, dr.clip(surface.diffuse_albedo + surface.specular_albedo, 0.0, 1.0))

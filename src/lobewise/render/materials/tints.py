@@ -1,8 +1,8 @@
-"""The specular albedo of a textured BSDF: which sum of two of its values tells it, wherever on the texture.
+"""The specular albedo of a textured BSDF, as a weighted sum of two of its values at the hit.
 
-A texture scales lobes, and both the albedo and the values are linear in that. So from some places on the texture it is
-learned, for each view, how much of the albedo goes with the value for light along the normal, and how much with that
-for light in the mirror direction; at a hit the BSDF is asked for the two.
+A texture scales lobes, and both the albedo and the values of the BSDF are linear in this scale. So for each view a fit
+over some places on the texture finds two weights: of the value for light along the normal, and of the value for light
+in the mirror direction. At a hit the BSDF is evaluated for these two lights.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from lobewise.fitting.arrays import Array
 from lobewise.fitting.nodes import make_nodes
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, sample_bsdf, spread_points
 
-_PLACES = 24
-_SAMPLES = 128
+# Number of places on the texture, and of samples per place.
+_PLACE_COUNT = 24
+_SAMPLE_COUNT = 128
 
 
 def find_tints(bsdf: Any, parts: Parts, views: Array) -> Array:
-    """Return the two factors of each view (V, 3): shape (V, 2), both >= 0.
+    """Return the two weights of each view (V, 3), shape (V, 2), both >= 0.
 
-    They multiply the values, times the cosine, for light along the normal and in the mirror direction; the sum is the
-    albedo of the glossy lobes, with what is transmitted and what mirrors add.
+    They multiply the values, times the cosine, for light along the normal and in the mirror direction. The sum is the
+    albedo of the glossy lobes, of transmission, and of mirrors.
     """
-    uv = spread_points(_PLACES, 2)
+    uv = spread_points(_PLACE_COUNT, 2)
     return np.stack([_find_tint(bsdf, parts, view, uv) for view in views])
 
 
 def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
     nodes = make_nodes(float(view[2]), angular=32)
     above = nodes.light[:, 2] > 0.0
-    # The nodes are for a view without y.
+    # The nodes belong to a view with y = 0: turn them to the view.
     turn = np.hypot(view[0], view[1])
     cosine, sine = (view[0] / turn, view[1] / turn) if turn > 0.0 else (1.0, 0.0)
     light = nodes.light[above] @ np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -43,14 +44,14 @@ def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
     values = np.where(np.isfinite(values), values, 0.0)
     albedo = nodes.weight[above] @ values[:, 2:]
     if not parts.diffuse:
-        samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLES, uv=uv)
+        samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLE_COUNT, uv=uv)
         beyond = (samples.delta | (samples.light[..., 2] < 0.0)) & ~samples.null
         albedo = albedo + np.where(beyond[..., None], samples.weight, 0.0).mean(axis=1)
     return _solve(np.moveaxis(values[:, :2], 1, -1).reshape(-1, 2), albedo.ravel())
 
 
 def _solve(columns: Array, target: Array) -> Array:
-    """Return the two numbers >= 0 whose combination of the columns is nearest to the target."""
+    """Return two weights >= 0 of the columns (n, 2) whose weighted sum is nearest to the target."""
     best, least = np.zeros(2), float(target @ target)
     for chosen in ([0, 1], [0], [1]):
         found = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]

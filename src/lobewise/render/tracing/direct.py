@@ -1,4 +1,4 @@
-"""Direct light on first surfaces, with shadows: one light sample and, where a lobe is narrow, one of the BSDF."""
+"""Direct light on first surfaces, with shadows: one light sample and, for narrow lobes, one BSDF sample."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lobewise.render.tracing.points import Points
 from lobewise.sparse_frame import list_places
 
 PATTERN = 4
-"""Pixels side by side that draw different samples; those of neighbouring blocks are the same ones."""
+"""Width of a block of pixels that draw different samples. All blocks draw the same samples."""
 
-NARROW = 0.3
-"""Alpha below which a lobe follows a ray of its own: a wider one is sampled well enough by the lights."""
+MAX_NARROW_ALPHA = 0.3
+"""Alpha below which a lobe is also sampled by the BSDF. For wider lobes light samples are enough."""
 
 # Roberts 2018, "The unreasonable effectiveness of quasirandom sequences": 1/g and 1/g^2, g the plastic number.
 _STEP_X, _STEP_Y = 0.7548776662466927, 0.5698402909980532
@@ -27,10 +27,10 @@ _FRAME_STEPS = (0.6180339887498949, 0.41421356237309515)
 
 @dataclass
 class Direct:
-    """Light on its first or second way (Dr.Jit arrays; a PyTree).
+    """Light that was scattered at most once (Dr.Jit arrays; a PyTree).
 
-    ``emitted`` comes straight from what the pixel sees, a light or the background; ``diffuse`` and ``specular`` were
-    scattered once, by that lobe (Color3f, linear, >= 0, albedo included).
+    ``emitted`` comes directly from a light or the background. ``diffuse`` and ``specular`` were scattered once, by the
+    lobe of this name. All are Color3f, linear, >= 0, albedo included.
     """
 
     emitted: Any
@@ -41,24 +41,24 @@ class Direct:
 def shade_direct(
     scene: Any, materials: dict[int, Material], points: Points, width: Any, shifts: Sequence[Any]
 ) -> Direct:
-    """Return what lights first surfaces directly, one sample of the lights each, not evaluated yet.
+    """Return the direct light on first surfaces, one light sample per pixel, not evaluated yet.
 
-    The 4x4 pixels of a block draw 16 well distributed samples, the same as every other block's, so that a filter of
-    that size averages noise that is already stratified (interleaved sampling: Keller and Heidrich 2001). A surface with
-    a narrow lobe, or under a sky, also follows one sampled ray, and both are weighed by the power heuristic (Veach
-    1997). ``width`` is that of the image, opaque; ``shifts`` are the four of `find_shifts`.
+    The 4x4 pixels of a block draw 16 well distributed samples. All blocks draw the same, so that a filter of this size
+    averages stratified noise (interleaved sampling: Keller and Heidrich 2001). A surface with a narrow lobe, or under a
+    sky, also traces one ray sampled from the BSDF. The power heuristic weighs both samples (Veach 1997). ``width`` is
+    the opaque width of the image; ``shifts`` are those of `find_shifts`.
     """
     si, bsdf = points.si, points.bsdf
     light_point = _draw(points.pixel, width, shifts[0], shifts[1])
     bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
 
     lit = points.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    # A sky is too large for samples of the lights alone.
+    # A sky is too large for light samples alone.
     has_lobe = points.surface.lobe_kind != float(LobeKind.NONE)
-    narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < NARROW)
+    narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < MAX_NARROW_ALPHA)
     shiny = points.active & (narrow | (scene.environment() is not None))
     choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
-    # What has no narrow lobe sends no ray of its own, so the light sample is all there is.
+    # A surface that traces no BSDF sample takes the light sample with its full weight.
     numbers = light_point, choice, bsdf_point
     found = scatter(scene, si, bsdf, points.active, lit=lit, numbers=numbers, alone=~shiny)
     seen = dr.select(found.lit, found.value * found.radiance * found.weight, 0.0)
@@ -80,15 +80,15 @@ def shade_direct(
 
 
 def find_shifts(seed: int) -> list[float]:
-    """Return by how much the samples of a frame are shifted as a whole, for `shade_direct`; another seed for each.
+    """Return four shifts in [0, 1) of all samples of a frame, for `shade_direct`. Use another seed for every frame.
 
-    By irrational steps in another direction than those from pixel to pixel.
+    The steps from seed to seed are irrational, and in another direction than the steps from pixel to pixel.
     """
     return [(seed * step + 0.5 * dimension) % 1.0 for dimension in range(2) for step in _FRAME_STEPS]
 
 
 def _draw(pixel: Any, width: Any, shift_x: Any, shift_y: Any) -> Any:
-    """Return a point of the unit square for each pixel, that of its place in a block of 4x4."""
+    """Return a point of the unit square for each pixel, chosen by the pixel's place in its 4x4 block."""
     order = list_places(PATTERN)
     rank = [order.index((k // PATTERN, k % PATTERN)) for k in range(PATTERN**2)]
     place = (pixel // width % PATTERN) * PATTERN + pixel % width % PATTERN

@@ -1,4 +1,4 @@
-"""Direct light at the vertices of paths: lights are sampled, emitters met, and both weighed against each other.
+"""Direct light at the vertices of paths by multiple importance sampling: sampled lights, and emitters that paths hit.
 
 Source: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", chapter 9 (multiple importance
 sampling).
@@ -14,7 +14,7 @@ from lobewise.render.bridge import dr, mi
 
 @dataclass
 class Vertex:
-    """Where a path was scattered last (Dr.Jit arrays; a PyTree): place, and density and kind of the way it took."""
+    """The last vertex of a path (Dr.Jit arrays; a PyTree): its place, and density and kind of the sampled direction."""
 
     place: Any
     pdf: Any
@@ -22,17 +22,17 @@ class Vertex:
 
 
 def make_eye() -> Vertex:
-    """Return the vertex before the first, from which emitters are met in no other way."""
+    """Return the camera as the vertex before the first. Emitters seen from it cannot be sampled, so they weigh 1."""
     return Vertex(dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True))
 
 
 @dataclass
 class Scattering:
-    """What happens at a hit: a light is sampled, and the BSDF chooses where the path goes on.
+    """Scattering at a hit: a light sample, and a BSDF sample along which the path goes on.
 
-    What comes from the light is ``value * radiance * weight`` where ``lit``: ``f cos`` towards ``to_light`` (local),
-    radiance over density, and the weight against meeting it by chance. ``chosen`` is the BSDF's sample, ``factor`` what
-    it does to the path's throughput.
+    Light from the sampled light is ``value * radiance * weight`` where ``lit``: ``f cos`` towards ``to_light`` (local),
+    radiance over density, and the weight of multiple importance sampling. ``chosen`` is the BSDF sample, and ``factor``
+    multiplies the path's throughput.
     """
 
     si: Any
@@ -46,33 +46,33 @@ class Scattering:
 
     @property
     def is_delta(self) -> Any:
-        """Whether the path goes on in the only direction that there was."""
+        """Whether the BSDF sample comes from a delta lobe."""
         return mi.has_flag(self.chosen.sampled_type, mi.BSDFFlags.Delta)
 
     @property
     def is_null(self) -> Any:
-        """Whether the path passes without noticing the surface."""
+        """Whether the path passes through the surface unchanged."""
         return mi.has_flag(self.chosen.sampled_type, mi.BSDFFlags.Null)
 
     @property
     def ray(self) -> Any:
-        """The way on."""
+        """The ray along which the path goes on."""
         return self.si.spawn_ray(self.si.to_world(self.chosen.wo))
 
     @property
     def vertex(self) -> Vertex:
-        """What the next hit has to know."""
+        """This hit as the last vertex of the next one."""
         return Vertex(mi.Interaction3f(self.si), self.chosen.pdf, self.is_delta)
 
 
 def weigh(pdf: Any, other: Any) -> Any:
-    """Return the power heuristic's weight (Veach 1997, section 9.2.4)."""
+    """Return the weight of the power heuristic (Veach 1997, section 9.2.4)."""
     weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other))
     return dr.select(dr.isfinite(weight), weight, 0.0)
 
 
 def meet_emitter(scene: Any, si: Any, last: Vertex, active: Any) -> tuple[Any, Any]:
-    """Return what the emitter at a hit sends back to the vertex before, and its weight against sampling it."""
+    """Return the radiance of the emitter at a hit towards the last vertex, and its weight against light samples."""
     light = mi.DirectionSample3f(scene, si, last.place)
     light_pdf = scene.pdf_emitter_direction(last.place, light, active & ~last.is_delta)
     return light.emitter.eval(si, active), dr.select(last.is_delta, 1.0, weigh(last.pdf, light_pdf))
@@ -81,10 +81,10 @@ def meet_emitter(scene: Any, si: Any, last: Vertex, active: Any) -> tuple[Any, A
 def scatter(
     scene: Any, si: Any, bsdf: Any, active: Any, *, lit: Any, numbers: tuple[Any, Any, Any], alone: Any = False
 ) -> Scattering:
-    """Sample a light, where it is ``lit``, and the BSDF at hits; ``alone`` is where lights are not met by chance.
+    """Sample a light, where ``lit``, and the BSDF at hits. Where ``alone``, no BSDF sample competes with the light.
 
-    The random numbers are those of the light (Point2f, or None: no light is sampled), of the BSDF's lobe (Float) and of
-    its direction (Point2f).
+    ``numbers`` holds the random numbers of the light (Point2f, or None to sample no light), of the BSDF's lobe (Float)
+    and of its direction (Point2f).
     """
     light_point, choice, point = numbers
     to_light, radiance, density, only = mi.Vector3f(0, 0, 1), mi.Color3f(0), mi.Float(0), mi.Bool(True)

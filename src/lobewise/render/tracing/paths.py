@@ -1,8 +1,8 @@
-"""The path tracer: every sample of a pixel in one lane, so sums live in registers and need no atomics.
+"""The path tracer. All samples of a pixel run in one lane, so sums live in registers and need no atomics.
 
-One kernel runs a loop over samples around a loop over bounces. Memory is per pixel, whatever the sample count; a
-sample's random numbers depend on its pixel, its index and the seed alone, so neither tiles, chunks nor threads change a
-bit of the result.
+One kernel runs a loop over samples around a loop over bounces. Memory does not depend on the number of samples. The
+random numbers of a sample depend only on its pixel, its index and the seed, so neither tiles, chunks nor threads change
+a bit of the result.
 """
 
 from __future__ import annotations
@@ -20,28 +20,33 @@ from lobewise.render.tracing.rays import draw_point, invert_distance, make_opaqu
 from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
 ROULETTE_DEPTH = 5
-"""Paths of at least this length end at random, with the probability that Mitsuba's own path tracer uses."""
+"""Length of paths, vertices after the camera, from which they end at random, as in Mitsuba's path tracer."""
 
 
 @dataclass(frozen=True)
 class PathSettings:
-    """What a pass computes."""
+    """The images that a pass of the path tracer computes."""
 
     max_depth: int
-    """Longest path, in vertices after the camera; 1 is light sources alone, 2 direct light."""
+    """Longest path, vertices after the camera: 1 shows only light sources, 2 adds direct light."""
     radiance: bool = True
-    """Without it paths end when the first bounce has told what it sees."""
+    """Whether to compute radiance. Otherwise paths end at the hit of the first bounce."""
     guides: bool = True
-    """Whether to split radiance by lobe and to sum surfaces, hits and squares."""
+    """Whether to split radiance by lobe and to sum guides and squares."""
     surfaces: bool = True
-    """With ``guides``: sum albedos, of the first surface and of what its reflections see, and normals of the latter."""
-    fewest_bounces: int = 0
-    """Leave out what was scattered less often: 0 keeps everything, 2 indirect light alone. Draws the same numbers."""
+    """Whether the guides include albedos, hit albedos and hit normals."""
+    min_bounces: int = 0
+    """Smallest number of scatterings of light that counts: 0 keeps all light, 2 only indirect light. The random numbers
+    do not change."""
 
 
 @dataclass
 class _Path:
-    """State of the loop over bounces."""
+    """State of the loop over bounces.
+
+    ``share`` is the diffuse share of the first scattering. ``looks_specular`` tells whether the next hit is that of the
+    first surface's specular reflection; ``seeks`` whether the path still follows this reflection through mirrors.
+    """
 
     ray: Any
     rng: Any
@@ -62,10 +67,9 @@ def trace_path(
 ) -> Sample:
     """Trace one path per lane, with next-event estimation and multiple importance sampling at every vertex.
 
-    Departs from Mitsuba's ``path`` integrator in what it keeps, not in what it estimates: the same sampling, weights
-    and depths, but every contribution is told apart by the lobe of the first scattering. That lobe is not the sampled
-    one: with several lobes the sample's weight is ``f / p`` of all of them, so each contribution is split by the shares
-    that the lobes have of ``f``.
+    Sampling, weights and depths are those of Mitsuba's ``path`` integrator.
+    Departs: contributions are split by the lobe of the first scattering. A sample's weight is ``f / p`` of all lobes
+    together, so each contribution is split by the shares of the lobes in ``f``, not by the sampled lobe.
     """
     bounces = _Bounces(scene, materials, settings, max_depth)
     sample: Sample = follow(_Path(ray, rng), bounces.take, "bounces").sample
@@ -74,7 +78,7 @@ def trace_path(
 
 @dataclass(frozen=True)
 class _Bounces:
-    """The loop's body, stage by stage."""
+    """The body of the loop over bounces."""
 
     scene: Any
     materials: dict[int, Material]
@@ -82,7 +86,7 @@ class _Bounces:
     max_depth: Any
 
     def take(self, path: _Path) -> None:
-        """Go to the next hit, gather light there, and choose where to go on."""
+        """Go to the next hit, gather light there, and sample the next direction."""
         settings = self.settings
         si = self.scene.ray_intersect(path.ray)
         if settings.guides:
@@ -103,7 +107,7 @@ class _Bounces:
             self._add_seen(path, si, seen)
 
     def _count_hit(self, path: _Path, si: Any) -> None:
-        """Add what the first bounce's specular lobe sees: 1/t and position/t, so that a miss counts as infinity."""
+        """Add 1/t and position/t of the hit of the first specular reflection. A miss adds 0, as at infinity."""
         totals = path.sample.totals
         inverse = invert_distance(si, si.is_valid())
         totals.hit_count += dr.select(path.looks_specular, 1.0, 0.0)
@@ -111,10 +115,10 @@ class _Bounces:
         totals.hit_position += dr.select(path.looks_specular, mi.Vector3f(si.p) * inverse, 0.0)
 
     def _add_light(self, path: _Path, bounces: Any, share: Any, value: Any) -> None:
-        """Add what the camera sees after ``bounces`` scatterings, ``share`` of it by the diffuse lobe."""
+        """Add light that was scattered ``bounces`` times, with the diffuse share ``share``."""
         lobes, totals = path.sample.lobes, path.sample.totals
-        if self.settings.fewest_bounces:
-            value = dr.select(bounces >= self.settings.fewest_bounces, value, 0.0)
+        if self.settings.min_bounces:
+            value = dr.select(bounces >= self.settings.min_bounces, value, 0.0)
         if not self.settings.guides:
             lobes.emitted += value
             return
@@ -126,11 +130,11 @@ class _Bounces:
         totals.indirect += dr.select(bounces > 1, value, 0.0)
 
     def _scatter(self, path: _Path, si: Any, bsdf: Any, going: Any) -> Scattering:
-        """Sample a light, if light is asked for, and the BSDF."""
+        """Sample a light, if radiance is computed, and the BSDF."""
         settings = self.settings
         lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        if settings.fewest_bounces:
-            lit &= path.bounces + 1 >= settings.fewest_bounces
+        if settings.min_bounces:
+            lit &= path.bounces + 1 >= settings.min_bounces
         light_point = draw_point(path.rng) if settings.radiance else None
         numbers = light_point, path.rng.next_float32(), draw_point(path.rng)
         return scatter(self.scene, si, bsdf, going, lit=lit, numbers=numbers)
@@ -144,7 +148,7 @@ class _Bounces:
         self._add_light(path, path.bounces + 1, share, dr.select(found.lit, arriving, 0.0))
 
     def _describe(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> _Seen:
-        """Find the diffuse share of the first scattering and albedos, and whether a look into a mirror goes further."""
+        """Set the diffuse share of the first scattering, add albedos, and find whether the path follows a mirror."""
         scatters = first & ~found.is_null
         share = dispatch_share(self.materials, bsdf, found.si, found.chosen.wo, scatters & ~found.is_delta)
         path.share = dr.select(scatters, dr.select(found.is_delta, 0.0, share), path.share)
@@ -163,7 +167,7 @@ class _Bounces:
         return seen
 
     def _go_on(self, path: _Path, found: Scattering, going: Any, seen: _Seen | None) -> None:
-        """Turn to the sampled direction, where a path of light may end at random."""
+        """Go on in the sampled direction, or end the path by Russian roulette."""
         path.ray = found.ray
         path.throughput *= found.factor
         path.eta *= found.chosen.eta
@@ -182,7 +186,7 @@ class _Bounces:
             path.active = going & (~gamble | survives) & (strongest != 0)
 
     def _add_seen(self, path: _Path, si: Any, seen: _Seen) -> None:
-        """Add the surface that a reflection sees; a path that ends within a chain of mirrors sees the last of them."""
+        """Add the surface that a reflection sees: the first that is no mirror, or the last one of a path that ends."""
         seen.further &= path.active
         last = seen.seeks & ~seen.further
         path.sample.totals.hit_normal += dr.select(last, seen.surface.normal, 0.0)
@@ -192,7 +196,10 @@ class _Bounces:
 
 @dataclass
 class _Seen:
-    """What a path in search of what its first reflection sees finds at a hit."""
+    """The hit of a path that searches the surface in its first reflection.
+
+    ``seeks`` tells whether the path searches, ``further`` whether it must go on, through a mirror or a mask.
+    """
 
     seeks: Any
     surface: Any
@@ -215,12 +222,11 @@ def add_samples(
 ) -> Sums:
     """Return ``sums`` with the samples ``samples[0]`` to ``samples[1] - 1`` of a run of pixels added, evaluated.
 
-    ``pixels`` is the first pixel (row-major) and how many, of an image of ``size``, width and height. With a ``scale``
-    only every ``scale``-th pixel of a row and every ``scale``-th row counts, from row and column ``place`` on;
-    ``listed`` are the pixels themselves that ``pixels`` counts, in place of a regular grid. A pixel's samples are the
-    same bits in all of them.
+    ``pixels`` holds the first pixel (row-major) and the number of pixels, ``size`` the width and height of the image.
+    With ``scale``, only every ``scale``-th pixel of every ``scale``-th row counts, from row and column ``place`` on.
+    ``listed`` holds numbers of pixels, which ``pixels`` then indexes. A pixel has the same bits in all three cases.
     """
-    # Opaque numbers keep the compiled kernel valid for the next chunk, another size, and another depth.
+    # Opaque numbers keep the compiled kernel valid for other chunks, sizes and depths.
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     counted = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     if listed is not None:
@@ -244,18 +250,17 @@ def add_samples(
 
 
 class PathLight:
-    """Indirect light by path tracing: noisy, right in expectation, and what the other methods are held against.
+    """Indirect light by path tracing: noisy but unbiased, the reference for other methods.
 
-    Paths from the pixel's centre: BSDF importance sampling, next-event estimation, Russian roulette.
+    Paths begin at the pixel's centre and use BSDF importance sampling, next-event estimation and Russian roulette.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        What lights the points.
     materials : dict
-        Of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
+        Materials of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
     max_depth : int
-        Longest path, in vertices after the camera, >= 3.
+        Longest path, vertices after the camera, >= 3.
     """
 
     name = "paths"
@@ -268,12 +273,12 @@ class PathLight:
         self._max_depth = max_depth
 
     def find_band_limit(self, points: Points, samples: int) -> float:
-        """Return 0: directions follow the lobes; see `lobewise.render.tracing.points.IndirectMethod`."""
+        """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
         return 0.0
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
-        """Return the mean of ``samples`` paths; see `lobewise.render.tracing.points.IndirectMethod`."""
-        settings = PathSettings(max_depth=self._max_depth, fewest_bounces=2, surfaces=False)
+        """Return the mean of ``samples`` paths; see `IndirectMethod`."""
+        settings = PathSettings(max_depth=self._max_depth, min_bounces=2, surfaces=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)
         seed_value = make_opaque(seed)
 

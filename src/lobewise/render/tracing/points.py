@@ -1,7 +1,7 @@
-"""The interface of indirect light: first surfaces of some pixels in, radiance by lobe and hit distances out.
+"""The interface of methods for indirect light: first surfaces of pixels in, radiance by lobe and hit distances out.
 
-Whatever computes indirect light (paths, voxel cones, virtual lights) takes `Points` and gives `Indirect`; the chain
-that filters and shows it knows no more of it than that.
+All methods (paths, voxel cones, virtual lights) take `Points` and return `Indirect`. The chain that filters and shows
+the light knows nothing else about them.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.rays import make_ray
 
-MOST_LAYERS = 32
-"""How many transparent surfaces the pixel-centre ray may pass."""
+MAX_LAYERS = 32
+"""Largest number of transparent surfaces that a ray through a pixel's centre passes."""
 
-OPAQUE_FROM = 0.5
-"""Opacity from which a masked surface is the one that a pixel shows."""
+MIN_SURFACE_OPACITY = 0.5
+"""Smallest opacity of the surface that a pixel shows. Its ray passes through less opaque surfaces."""
 
 
 @dataclass
 class Points:
-    """What the centres of some pixels see, one pixel per lane (Dr.Jit arrays; a PyTree).
+    """The first surfaces at the centres of some pixels, one pixel per lane (Dr.Jit arrays; a PyTree).
 
-    ``pixel`` is the pixel's number in the image, row-major; ``ray`` goes through its centre; ``active`` tells whether
-    it meets a surface, and ``si``, ``bsdf`` and ``surface`` hold that one, the first that is more opaque than not.
+    ``pixel`` is the row-major number of the pixel, and ``ray`` goes through its centre. ``active`` tells whether the
+    ray hits a surface; ``si``, ``bsdf`` and ``surface`` describe the first one that is more opaque than not.
     """
 
     pixel: Any
@@ -43,8 +43,8 @@ class Points:
 class Indirect:
     """Radiance that was scattered at least twice before it reached the camera (Dr.Jit arrays; a PyTree).
 
-    ``diffuse`` and ``specular`` (Color3f, linear, >= 0, albedo included) are told apart by the lobe of the camera's own
-    surface; ``hit_distance`` (Float) is how far away is what its specular lobe sees: 0 unknown, inf nothing.
+    ``diffuse`` and ``specular`` (Color3f, linear, >= 0, albedo included) are split by the lobe of the first surface.
+    ``hit_distance`` (Float) is the distance of the hit of its specular lobe: 0 if unknown, inf for a miss.
     """
 
     diffuse: Any
@@ -55,8 +55,8 @@ class Indirect:
 def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], samples: Any) -> Indirect:
     """Return the mean over a number of samples, not evaluated yet.
 
-    ``take_sample`` returns, for the number of a sample, its diffuse and specular radiance, whether it was reflected to
-    see anything (Float, 0 or 1) and the inverse of the distance of what it saw.
+    ``take_sample`` takes the number of a sample. It returns the diffuse and specular radiance, whether a specular
+    reflection was traced (Float, 0 or 1), and the inverse distance of its hit (0 for a miss).
     """
 
     def take(index: Any, *sums: Any) -> tuple[Any, ...]:
@@ -70,24 +70,24 @@ def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], sam
 
 
 class IndirectMethod(Protocol):
-    """A way of computing indirect light in a scene that it was made for."""
+    """A method for the indirect light of one scene."""
 
     @property
     def name(self) -> str:
-        """What users choose it by."""
+        """Name by which users choose the method."""
 
     @property
     def worth(self) -> float:
-        """How many paths one of its samples is worth, by their noise: what filters adapt to."""
+        """Number of paths with as much noise as one sample of this method; filters adapt to it."""
 
     @property
     def state(self) -> Any:
-        """The Dr.Jit arrays that a replay of `shade` (``dr.freeze``) reads beside the scene (a PyTree), or None."""
+        """Dr.Jit arrays that `shade` reads beside the scene (a PyTree), for replay by ``dr.freeze``; or None."""
 
     def find_band_limit(self, points: Points, samples: int) -> float:
-        """Return the angle, radians, below which a lobe shows the method's samples instead of the scene; 0 for none.
+        """Return the width of a lobe, radians, below which it shows single samples of the method; 0 for none.
 
-        Light that is not sampled by the BRDF is made of few directions, which a sharp lobe tells apart.
+        Light that is not sampled by the BRDF comes from few directions, and a sharp lobe sees single ones.
         """
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
@@ -96,11 +96,11 @@ class IndirectMethod(Protocol):
         Parameters
         ----------
         points : Points
-            Any pixels, in any order; what a pixel gets does not depend on the others.
+            Any pixels, in any order. The light of a pixel does not depend on the other pixels.
         samples : int or mitsuba.UInt32
-            How much to spend on each, >= 1: paths, jittered cones or subsets of lights.
+            Samples per pixel, >= 1: paths, sets of jittered cones, or subsets of lights.
         seed : int or mitsuba.UInt32
-            Same seed, same bits; another seed for every frame.
+            The same seed gives the same bits. Use another one for every frame.
         """
 
 
@@ -127,16 +127,16 @@ def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> t
         state.si, state.surface = look(state.ray, state.active)
         state.ray = state.si.spawn_ray(state.ray.d)
         state.count += 1
-        state.active = state.si.is_valid() & (state.surface.opacity < OPAQUE_FROM) & (state.count < MOST_LAYERS)
+        state.active = state.si.is_valid() & (state.surface.opacity < MIN_SURFACE_OPACITY) & (state.count < MAX_LAYERS)
 
     end = follow(_Layers(ray), pass_through, "layers")
     return end.si, end.surface
 
 
 def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tuple[Any, Any]) -> Points:
-    """Return what the centres of pixels see, by their numbers, row-major.
+    """Return the first surfaces at the centres of pixels, given by their row-major numbers.
 
-    ``size`` is width and height of the image; opaque, so that another size needs no other kernel.
+    ``size`` is width and height of the image, opaque, so that kernels are not compiled for each size.
     """
     ray = make_ray(scene, pixel, size, mi.Point2f(0.5))
     si, surface = find_first_opaque(scene, materials, ray)

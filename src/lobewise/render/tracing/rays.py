@@ -1,4 +1,4 @@
-"""Rays through pixels, and random numbers that belong to them."""
+"""Rays through pixels, and random numbers of pixels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lobewise.render.camera import get_sensor
 
 
 def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
-    """Return the rays through places in pixels, right and down from a pixel's corner, in [0, 1)."""
+    """Return rays through pixels. ``place`` in [0, 1) counts right and down from a pixel's corner."""
     width, height = size
     x = (mi.Float(pixel % width) + place.x) / mi.Float(width)
     y = (mi.Float(pixel // width) + place.y) / mi.Float(height)
@@ -18,16 +18,16 @@ def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
 
 
 def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
-    """Return random numbers that depend on pixel, sample index and seed alone, whatever the lane."""
+    """Return a generator of random numbers that depend only on pixel, sample index and seed, not on the lane."""
     state, sequence = mi.sample_tea_32(pixel, index)
     state, sequence = mi.sample_tea_32(state, sequence ^ seed)
     rng = mi.PCG32()
-    rng.seed(initstate=state, initseq=sequence)  # the constructor would mix the lane in, which a tile changes
+    rng.seed(initstate=state, initseq=sequence)  # the constructor would mix in the lane, which depends on the tile
     return rng
 
 
 def invert_distance(si: Any, seen: Any) -> Any:
-    """Return one over the distance of hits, 0 where nothing is seen."""
+    """Return one over the distance of hits, 0 where not ``seen``."""
     return dr.select(seen, dr.rcp(dr.maximum(si.t, 1e-12)), 0.0)
 
 
@@ -37,5 +37,5 @@ def draw_point(rng: Any) -> Any:
 
 
 def make_opaque(number: Any) -> Any:
-    """Return a whole number as a value that is no part of the compiled code; Dr.Jit's are returned as they are."""
+    """Return a whole number as a UInt32 that is not compiled into kernels; a Dr.Jit number is returned unchanged."""
     return number if isinstance(number, mi.UInt32) else dr.opaque(mi.UInt32, int(number) & 0xFFFFFFFF)

@@ -1,4 +1,4 @@
-"""What paths bring, and its sums over the samples of a pixel."""
+"""The results of one path, and their sums over the samples of a pixel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lobewise.render.bridge import dr, mi
 
 @dataclass
 class Lobes:
-    """Radiance told apart by its first scattering (Color3f); what the camera sees directly is in ``emitted`` alone."""
+    """Radiance split by the lobe of its first scattering (Color3f). ``emitted`` was not scattered at all."""
 
     emitted: Any
     diffuse: Any
@@ -18,16 +18,16 @@ class Lobes:
 
     @property
     def color(self) -> Any:
-        """All of it."""
+        """The sum of the three."""
         return self.emitted + self.diffuse + self.specular
 
 
 @dataclass
 class Totals:
-    """What is summed beside that: light by the number of its scatterings, albedos, and what reflections see.
+    """Light by the number of its scatterings, albedos, and hits of specular reflections.
 
-    ``hit_inverse`` is 1/t, ``hit_position`` the position over t; ``hit_normal`` and ``hit_albedo`` are those of the
-    surface that a specular reflection sees, 0 where it sees none.
+    ``hit_inverse`` is 1/t, ``hit_position`` the position over t. ``hit_normal`` and ``hit_albedo`` describe the surface
+    that a specular reflection sees, and are 0 for a miss.
     """
 
     direct: Any
@@ -52,7 +52,7 @@ class Squares:
 
 @dataclass
 class Sample:
-    """What one path brings (Dr.Jit arrays; a PyTree)."""
+    """The results of one path (Dr.Jit arrays; a PyTree)."""
 
     lobes: Lobes
     totals: Totals
@@ -62,8 +62,8 @@ class Sample:
 class Sums:
     """Running sums over the samples of a pixel (Dr.Jit arrays; a PyTree).
 
-    ``even`` and ``odd`` are those over samples of such a number. Without guides all light is in ``even.emitted``, and
-    the rest is None.
+    ``even`` and ``odd`` sum the samples with even and odd numbers. Without guides all light is in ``even.emitted``, and
+    the other fields are None.
     """
 
     even: Lobes
@@ -78,26 +78,26 @@ def _make_zeros(what: Any, width: int = 1) -> Any:
 
 
 def make_sample() -> Sample:
-    """Return what no path brings."""
+    """Return a sample of zeros."""
     return Sample(_make_zeros(Lobes), _make_zeros(Totals))
 
 
 def make_sums(width: int, guides: bool) -> Sums:
-    """Return the sums of no samples for ``width`` pixels."""
+    """Return sums of zeros for ``width`` pixels."""
     if not guides:
         return Sums(Lobes(dr.zeros(mi.Color3f, width), None, None))
     return Sums(*(_make_zeros(part, width) for part in (Lobes, Lobes, Squares, Totals)))
 
 
 def add_sample(sums: Sums, sample: Sample, index: Any) -> None:
-    """Add to the sums of a pixel its sample of a number, counted from 0."""
+    """Add sample number ``index``, counted from 0, to the sums of its pixel."""
     if sums.odd is None or sums.squares is None or sums.totals is None:
         sums.even.emitted += sample.lobes.emitted
         return
     is_even = (index & 1) == 0
     names = [field.name for field in fields(Lobes)]
     before = Lobes(*(getattr(sums.even, name) + getattr(sums.odd, name) for name in names))
-    # Welford 1962: the squared deviation grows by (x - mean)^2 n / (n + 1), which never cancels.
+    # Welford 1962: the squared deviation grows by (x - mean)^2 n / (n + 1), without cancellation.
     count = mi.Float(index)
     rate = dr.select(index > 0, dr.rcp(count), 0.0)
     growth = count / (count + 1.0)

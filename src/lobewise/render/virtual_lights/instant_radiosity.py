@@ -1,4 +1,4 @@
-"""Indirect light from virtual lights, also known as instant radiosity: noise becomes a sum over the same few lights.
+"""Indirect light from virtual lights, also known as instant radiosity: the same few lights serve all pixels.
 
 Source: Keller 1997, "Instant Radiosity"; interleaved sampling by Keller and Heidrich 2001; bounded geometry terms by
 Kollig and Keller 2006, "Illumination in the Presence of Weak Singularities"; spheres in place of points by Hasan,
@@ -25,10 +25,12 @@ from lobewise.render.virtual_lights.light_paths import LightPaths, LightSet, fin
 from lobewise.render.virtual_lights.shading import Lighting
 
 LIGHTS_PER_SAMPLE = 32
-"""Lights that one sample of a pixel sums up."""
+"""Lights per sample of a pixel."""
 
-MOST_PATHS = 1 << 20
-MOST_DEPTH = 64
+MAX_PATHS = 1 << 20
+"""Largest number of light paths."""
+MAX_DEPTH = 64
+"""Longest path from the camera to the emitter, vertices after the camera."""
 
 # Roberts 2018, "The unreasonable effectiveness of quasirandom sequences": 1/g, 1/g^2 of the plastic number and 1/g of
 # the golden one, as parts of 2^32: products that wrap around are fractions.
@@ -37,7 +39,7 @@ _STEP_X, _STEP_Y, _STEP_FRAME = 3242174889, 2447445414, 2654435769
 
 @dataclass
 class _Walk:
-    """State of the loop that follows mirrors, refractions and what is compensated."""
+    """State of the loop that follows mirrors, refractions and rays of compensation."""
 
     active: Any
     ray: Any
@@ -57,47 +59,45 @@ class _Walk:
 
 
 class VirtualLights:
-    """Lights at the hits of quasi-random light paths shine on the points, with visibility rays.
+    """Lights at the hits of quasi-random light paths, which light the points through visibility rays.
 
-    Radiance is that of paths but for three things. Where a light is nearer than the clamp allows, it shines less, so
-    that corners are too dark, unless ``compensate`` has short rays add what is missing. Light that reaches a point from
-    an emitter by mirrors or smooth glass alone (a caustic seen directly) is left out: no light can stand on a mirror.
-    And one set of lights serves all pixels, so what its number leaves is not noise but the same blotches everywhere,
-    and spikes on glossy surfaces.
+    The radiance differs from that of paths in three ways. A light nearer than the clamp is darker, so corners are too
+    dark, unless ``compensate`` adds the missing light by short rays. Light from an emitter by mirrors or smooth glass
+    alone (a caustic seen directly) is missing, because no light can lie on a mirror. The error of a small number of
+    lights is not noise but blotches, the same in all pixels, and spikes on glossy surfaces.
 
-    A smooth mirror or glass is no receiver: its ray is followed to a surface that is one, and lit there, directly too.
+    Rays from smooth mirrors and glass are followed to the next other surface, which is also lit directly.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        What lights the points.
     materials : dict
-        Of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
+        Materials of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
     count : int
-        Light paths, 1 to 2^20; each leaves a light at every surface that it meets, mirrors apart.
+        Number of light paths, 1 to 2^20. Each leaves a light at every surface that it hits, except on mirrors.
     max_depth : int
-        Longest path from the camera to the emitter, in vertices after the camera, 3 to 64.
+        Longest path from the camera to the emitter, vertices after the camera, 3 to 64.
     clamp : float
-        Shortest distance that lights act from, as a part of the diagonal of the scene's bounding box, 0 to 1: the
-        geometry term is held below its inverse square. 0 clamps nothing, and single lights then dominate corners.
+        Distance from a light, over the diagonal of the scene's bounding box, 0 to 1. The geometry term is limited to
+        its inverse square. With 0 there is no limit, and single lights dominate corners.
     compensate : bool
-        Whether rays of the points' own BSDF bring back what is clamped: unbiased, with a little noise in corners.
-        Spheres, and points without a clamp, have nothing to bring back.
+        Whether rays of the points' own BSDF add the clamped light: unbiased, with a little noise in corners. Has no
+        effect on spheres, or without a clamp.
     radius : float
-        Of the spheres that replace the points, as a part of the same diagonal, 0 to 1; 0 keeps points. Spheres need no
-        clamp: theirs is not used.
+        Radius of spheres that replace the point lights, over the same diagonal, 0 to 1. With 0 lights are points.
+        Spheres ignore ``clamp``.
     seed : int
-        Of the light paths.
+        Seed of the light paths.
 
     Raises
     ------
     InputError
-        If a number is out of range, or no emitter of the scene sends light out.
+        If a number is out of range, or no emitter of the scene emits light.
     """
 
     name = "virtual_lights"
-    # Variance of a path's light over that of a sample, the median over pixels: 1.7 to 39 for diffuse light in three
-    # built-in scenes, 1.5 to 6 for specular light.
+    # Variance of one path over that of one sample, median over pixels, in three built-in scenes: 1.7 to 39 for diffuse
+    # light, 1.5 to 6 for specular light.
     worth = 4.0
 
     def __init__(
@@ -112,8 +112,8 @@ class VirtualLights:
         radius: float = 0.0,
         seed: int = 0,
     ) -> None:
-        require_integer("count", count, 1, MOST_PATHS)
-        require_integer("max_depth", max_depth, 3, MOST_DEPTH)
+        require_integer("count", count, 1, MAX_PATHS)
+        require_integer("max_depth", max_depth, 3, MAX_DEPTH)
         require_integer("seed", seed, 0, (1 << 32) - 1)
         _require_part("clamp", clamp)
         _require_part("radius", radius)
@@ -131,7 +131,7 @@ class VirtualLights:
         self.update()
 
     def update(self) -> None:
-        """Trace the lights anew, after the scene has changed. Nothing is compiled again."""
+        """Trace the lights again after a change of the scene, without compiling again."""
         self._lights = self._paths.trace()
         _, half_diagonal = find_sphere(self._scene)
         self._lighting = Lighting(
@@ -144,7 +144,7 @@ class VirtualLights:
         self._numbers = {
             "number": dr.opaque(mi.UInt32, self._lights.number),
             "max_depth": dr.opaque(mi.UInt32, self._max_depth),
-            # Of the film as it is now; another one's pixels are spread less evenly, no more.
+            # If the size of the film changes later, only the spread of runs over pixels gets less even.
             "width": dr.opaque(mi.UInt32, get_image_size(self._scene)[0]),
         }
 
@@ -155,16 +155,15 @@ class VirtualLights:
 
     @property
     def lights(self) -> LightSet:
-        """The lights themselves."""
+        """The set of lights."""
         return self._lights
 
     def shade(self, points: Points, *, samples: Any, seed: Any, all_lights: bool = False) -> Indirect:
-        """Return the light of some of the lights; see `lobewise.render.tracing.points.IndirectMethod`.
+        """Return the light of some or all lights; see `lobewise.render.tracing.points.IndirectMethod`.
 
-        A sample takes one run of about `LIGHTS_PER_SAMPLE` of the lights, in the order of their paths, weighed so that
-        the mean over seeds is the sum over all; neighbouring pixels, and the frames that follow each other, take runs
-        far apart. With ``all_lights`` each sample takes every light instead. The hit distance is that of mirrors and
-        smooth glass; 0, unknown, for all else.
+        A sample takes one run of about `LIGHTS_PER_SAMPLE` lights, in the order of their paths. Its weight makes the
+        mean over seeds the sum over all lights. Neighbouring pixels and successive frames take runs far apart. With
+        ``all_lights`` each sample takes all lights. Only mirrors and smooth glass have a hit distance, others have 0.
         """
         end, seed_value = make_opaque(samples), make_opaque(seed)
         runs = self._count_runs(mi.UInt32(1), all_lights)
@@ -183,11 +182,11 @@ class VirtualLights:
         return find_sharpness_limit(self.count_lights_seen(points, samples=samples))
 
     def count_lights_seen(self, points: Points, *, samples: int = 1, all_lights: bool = False) -> float:
-        """Return how many equal lights those that a pixel takes are worth, for `find_sharpness_limit`.
+        """Return the effective number of lights that a pixel sees, for `find_sharpness_limit`.
 
-        Of the light ``L_k`` that each sends to a point, ``(sum L_k)^2 / sum L_k^2``, the median over points: lights
-        that are hidden, distant or turned away count little. The points' own BSDFs and cosines are left out; some
-        hundred points that are lit will do. ``samples`` and ``all_lights`` are as for `shade`.
+        It is ``(sum L_k)^2 / sum L_k^2`` with the light ``L_k`` of each light at a point, median over points. Hidden,
+        distant or averted lights count little. BSDFs and cosines of the points are left out. Some hundred lit points
+        are enough. ``samples`` and ``all_lights`` are those of `shade`.
         """
         runs = self._count_runs(make_opaque(samples), all_lights)
         run = self._choose_run(points.pixel, runs, mi.UInt32(0))
@@ -205,7 +204,7 @@ class VirtualLights:
         return dr.mul_hi(pixel % width * _STEP_X + pixel // width * _STEP_Y + seed * _STEP_FRAME, runs)
 
     def _walk(self, points: Points, rng: Any, run: Any, runs: Any) -> _Walk:
-        """Return what one run of the lights brings, in the sums of the last state."""
+        """Return the light of one run of lights, in the sums of the last state."""
         walk = _Walk(points.active, mi.Ray3f(points.ray), rng)
         max_depth = self._numbers["max_depth"]
         if self._follows:
@@ -217,21 +216,21 @@ class VirtualLights:
         return walk
 
     def _visit(self, walk: _Walk, points: Points, run: Any, runs: Any, max_depth: Any) -> None:
-        """Add what reaches the next surface of a walk, and choose where to go on."""
+        """Add the light at the next surface of a walk, and sample the next direction."""
         scene = self._scene
         si = dr.select(walk.start, points.si, scene.ray_intersect(walk.ray, ~walk.start))
         later = ~walk.start
         met = si.is_valid()
 
-        # What the first mirror sees.
+        # Count the hit of the first mirror.
         walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
         walk.hit_inverse += invert_distance(si, walk.looks & met)
 
-        # Emitters that are met, if they are not direct light.
+        # Add hit emitters, except as direct light.
         emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
         self._add(walk, walk.bounces >= 2, emitted * weight, mi.Color3f(0))
 
-        # Only the part of the surface's own light that its virtual lights do not bring goes on.
+        # Keep the part of the throughput that the clamp of virtual lights removes.
         geometry = walk.last_cosine * dr.abs(dr.dot(si.n, walk.ray.d)) / dr.square(si.t)
         beyond = 1.0 - dr.minimum(self._lighting.bound / geometry, 1.0)
         kept = dr.select(walk.last.is_delta, 1.0, beyond if self._compensates else 0.0)
@@ -239,7 +238,7 @@ class VirtualLights:
         walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
 
-        # Virtual lights.
+        # Add virtual lights.
         other = dr.minimum(mi.UInt32(walk.rng.next_float32() * mi.Float(runs)), runs - 1)
         most = dr.select(walk.depth + 2 <= max_depth, max_depth - 2 - walk.depth, 0)
         lit = walk.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
@@ -248,7 +247,7 @@ class VirtualLights:
         )
         self._add(walk, lit, diffuse + specular, dr.select(walk.bounces == 0, diffuse, 0.0))
 
-        # Direct light, which is indirect after the first scattering; and the way on.
+        # Sample direct light, which counts as indirect after the first scattering, and the next direction.
         numbers = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
         found = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
         self._add(walk, found.lit, found.value * found.radiance * found.weight, mi.Color3f(0))
@@ -259,7 +258,7 @@ class VirtualLights:
             going = walk.active & first & ~is_delta
             _, share = split_scattering(self._materials, bsdf, si, found.chosen.wo, going)
             walk.share = dr.select(first, dr.select(is_delta, 0.0, share), walk.share)
-        # A ray of a wide lobe goes on for what is compensated, and after the first scattering for emitters.
+        # Rays of smooth lobes go on only to compensate the clamp and, after the first scattering, to hit emitters.
         walk.active &= (dr.max(found.factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
         walk.looks = walk.active & first & is_delta
         walk.ray = found.ray
@@ -271,7 +270,7 @@ class VirtualLights:
         walk.start = mi.Bool(False)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:
-        """Add to the lobes of the first scattering: before it ``diffuse`` of ``value``, after it the walk's share."""
+        """Add ``value``, whose diffuse part is ``diffuse`` before the first scattering, and the walk's share after."""
         value = dr.select(active, value, 0.0)
         before = walk.bounces == 0
         diffuse = dr.select(before, dr.select(active, diffuse, 0.0), value * walk.share)
@@ -282,11 +281,11 @@ class VirtualLights:
 def find_sharpness_limit(lights: float) -> float:
     """Return the band-limit tau (radians) of lobes that are lit by a number of lights, for `lobewise.denoise`.
 
-    Lights that are spread over the hemisphere of a receiver lie ``2 pi / lights`` steradians apart. A lobe of sharpness
-    ``lambda`` takes in ``4 pi / lambda`` (``(int G)^2 / int G^2`` of its spherical Gaussian), so it holds ``2 lights /
-    lambda`` of them. Sharper lobes than ``lambda = 2 lights`` hold less than one: they are dark or show a light's
-    spike, and say nothing of the light between. Convolved with a Gaussian of ``tau^2 = 1 / (2 lights)`` no lobe is
-    sharper. `VirtualLights.count_lights_seen` counts them; InputError where they are not above 0.
+    Each light takes ``2 pi / lights`` steradians of a receiver's hemisphere. A lobe of sharpness ``lambda`` covers
+    ``4 pi / lambda`` steradians (``(int G)^2 / int G^2`` of its spherical Gaussian), so it sees ``2 lights / lambda``
+    lights. Lobes sharper than ``lambda = 2 lights`` see less than one light: they are dark, or show its spike. After
+    convolution with a Gaussian of ``tau^2 = 1 / (2 lights)`` no lobe is sharper. `VirtualLights.count_lights_seen`
+    counts the lights; InputError if the number is not above 0.
     """
     if not (math.isfinite(lights) and lights > 0.0):
         raise InputError("lights", expected="a number above 0", got=name_value(lights), action="count those of a pixel")
@@ -295,5 +294,5 @@ def find_sharpness_limit(lights: float) -> float:
 
 def _require_part(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
-        expected = "a part of the scene's diagonal, 0 to 1"
+        expected = "a fraction of the scene's diagonal, 0 to 1"
         raise InputError(name, expected=expected, got=name_value(value), action="0.05 is usual")

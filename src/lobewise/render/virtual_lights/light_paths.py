@@ -1,7 +1,7 @@
-"""Virtual lights from light paths: where light meets surfaces, with its flux and the direction that it came from.
+"""Virtual lights from light paths.
 
-Each light is one hit of a path that begins at an emitter (Keller 1997, "Instant Radiosity"). It shines towards a
-receiver with the BSDF of its surface, so a set keeps all that a BSDF asks for.
+Each light is one hit of a path that begins at an emitter (Keller 1997, "Instant Radiosity"). It emits light with the
+BSDF of its surface, so a set of lights keeps all data that a BSDF needs.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from lobewise.errors import InputError
 from lobewise.render.bridge import dr, follow, mi, starts_as
 
 QUASI_BOUNCES = 6
-"""Bounces that are drawn from the quasi-random sequence; later ones, which few paths reach, are random."""
+"""Bounces with quasi-random numbers. Later bounces, which few paths reach, have pseudo-random numbers."""
 
-MOST_KEPT = 0.95
-"""Largest chance of a light path to go on, as in Mitsuba's path tracer."""
+MAX_SURVIVAL = 0.95
+"""Largest probability that a light path goes on, as in Mitsuba's path tracer."""
 
+# Random numbers per emission and per bounce.
 _OF_EMISSION, _OF_BOUNCE = 5, 4
 
 
@@ -29,10 +30,10 @@ _OF_EMISSION, _OF_BOUNCE = 5, 4
 class LightSet:
     """Virtual lights in the order of their paths, one per lane (Dr.Jit arrays, evaluated).
 
-    ``si`` and ``bsdf`` are the surface, ``incoming`` is where light comes from (unit vector, local to ``si``),
-    ``cosine`` that direction's with the surface's own normal, ``flux`` (Color3f) what arrives, and ``depth`` the number
-    of surfaces on the way from the emitter, this one included. ``number`` is how many there are; a set of none holds a
-    dark one.
+    ``si`` and ``bsdf`` describe the surface. ``incoming`` is the direction to the light's source (unit vector, local to
+    ``si``), ``cosine`` its cosine with the geometric normal, and ``flux`` (Color3f) the arriving light. ``depth``
+    counts the surfaces from the emitter on, including this one. ``number`` counts the lights; an empty set holds one
+    dark light.
     """
 
     si: Any
@@ -45,7 +46,7 @@ class LightSet:
 
     @property
     def arrays(self) -> tuple[Any, ...]:
-        """All but the number."""
+        """All fields except the number."""
         return self.si, self.bsdf, self.incoming, self.cosine, self.flux, self.depth
 
 
@@ -71,7 +72,7 @@ def _find_primes(number: int) -> list[int]:
 def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
     """Return the first points of a scrambled Halton sequence, shape (count, dimensions), in [0, 1).
 
-    The digits of each place are permuted at random: plain digits of large bases rise together.
+    The digits of each place are permuted at random, because the unpermuted digits of large bases are correlated.
 
     Source: Halton 1960; random digit permutations as in Owen 2017, "A randomized Halton algorithm in R". Every point is
     uniformly distributed, and runs of points are spread evenly.
@@ -93,7 +94,7 @@ def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
 def find_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
     """Return centre and radius of the sphere around the bounding box of all shapes.
 
-    Departs from the scene's own box, which lacks the meshes that Mitsuba 3.9 merges: their boxes are not valid.
+    Departs from ``scene.bbox()``, which lacks the meshes that Mitsuba 3.9 merges: their boxes are not valid.
     """
     boxes = []
     for shape in scene.shapes():
@@ -109,9 +110,10 @@ def find_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
 
 
 class LightPaths:
-    """Paths from the emitters of a scene, the same ones at every call while the scene is the same.
+    """Paths from the emitters of a scene. They do not change while the scene does not change.
 
-    There are ``count``, each of which meets ``most_surfaces`` at most; ``seed`` is that of the scrambling.
+    ``count`` is the number of paths, ``most_surfaces`` the largest number of surfaces on each, and ``seed`` the seed of
+    the scrambling.
     """
 
     def __init__(self, scene: Any, count: int, most_surfaces: int, seed: int) -> None:
@@ -146,7 +148,7 @@ class LightPaths:
         return lights
 
     def _trace_rays(self) -> tuple[Any, Any, Any]:
-        """Return origin, direction and flux of each path's light on its way to each surface; without one flux is 0."""
+        """Return origin, direction and flux of each path's ray to each of its surfaces; flux 0 if there is none."""
         scene = self._scene
         slots, dimensions = dr.opaque(mi.UInt32, self._slots), dr.opaque(mi.UInt32, self._dimensions)
         share = dr.opaque(mi.Float, 1.0 / self._count)
@@ -188,7 +190,7 @@ class LightPaths:
                 numbers.append(dr.select(quasi, drawn, walk.rng.next_float32()))
             walk.throughput *= sample_onward(si, bsdf, walk.ray, numbers, going)
             strongest = dr.max(walk.throughput)
-            chance = dr.minimum(strongest, MOST_KEPT)
+            chance = dr.minimum(strongest, MAX_SURVIVAL)
             walk.active = going & (numbers[3] < chance)
             walk.throughput *= dr.select(walk.active, dr.rcp(chance), 0.0)
             walk.bounce += 1
@@ -198,12 +200,12 @@ class LightPaths:
         return origin, direction, flux
 
     def _widen(self, ray: Any, emitter: Any) -> Any:
-        """Let rays from infinity come from all around the shapes, and return by what their power grows.
+        """Move the origins of rays from infinite emitters onto `find_sphere`, and return the factor of their power.
 
-        They start on the scene's own bounding sphere, which may be too small (see `find_sphere`).
+        Mitsuba starts them on the scene's own bounding sphere, which may be too small.
         """
         box = self._scene.bbox()
-        # Without a valid box Mitsuba takes a sphere of this size around the origin.
+        # Without a valid box Mitsuba uses a sphere of this size around the origin.
         old_center, old_radius = np.zeros(3), float(mi.math.RayEpsilon)
         if box.valid():
             old_center = np.asarray(box.center(), dtype=np.float64).ravel()
@@ -218,10 +220,10 @@ class LightPaths:
 
 
 def sample_onward(si: Any, bsdf: Any, ray: Any, numbers: list[Any], active: Any) -> Any:
-    """Turn ``ray`` into the next one of a light path and return what becomes of its flux (Color3f).
+    """Replace ``ray`` by the next one of a light path and return the factor of its flux (Color3f).
 
-    Light is scattered by the very function that a camera path would see, with the directions swapped, so that shading
-    normals, normal maps and refraction give the same picture from either end (Veach 1997, section 5.3).
+    The BSDF is evaluated as for a camera path, with the directions swapped. So shading normals, normal maps and
+    refraction give the same image as camera paths (Veach 1997, section 5.3).
     """
     context = mi.BSDFContext(mi.TransportMode.Importance)
     chosen, weight = bsdf.sample(context, si, numbers[0], mi.Point2f(numbers[1], numbers[2]), active)
@@ -239,7 +241,7 @@ def sample_onward(si: Any, bsdf: Any, ray: Any, numbers: list[Any], active: Any)
 def evaluate_towards(si: Any, bsdf: Any, incoming: Any, outgoing: Any, active: Any) -> Any:
     """Return ``f cos`` of light from ``incoming`` to ``outgoing`` (both local to ``si``, pointing away from it).
 
-    The cosine is that of the incoming direction, as a viewer at ``outgoing`` has it.
+    The cosine is that of the incoming direction.
     """
     turned = mi.SurfaceInteraction3f(si)
     turned.wi = mi.Vector3f(outgoing)

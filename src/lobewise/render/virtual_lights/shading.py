@@ -1,4 +1,4 @@
-"""How virtual lights shine on a surface: connections with visibility rays, points or spheres."""
+"""Shading of surfaces by virtual lights, points or spheres, with visibility rays."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any
 from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
-from lobewise.render.tracing.points import MOST_LAYERS, Points
+from lobewise.render.tracing.points import MAX_LAYERS, Points
 from lobewise.render.tracing.rays import draw_point
 from lobewise.render.virtual_lights.light_paths import LightSet, evaluate_towards
 
-_NEAREST = 1e-6
-"""Shortest distance, as a part of the largest coordinate; a light within it lies on the point itself."""
+_MIN_DISTANCE = 1e-6
+"""Smallest distance to a light, over the largest coordinate plus 1. It avoids a division by 0."""
 
 
 class Lighting:
-    """A set of lights, ready to shine.
+    """Shading by a set of lights.
 
-    Below the distance ``shortest``, in units of the scene, they do not get brighter; ``radius`` is that of the spheres
-    that stand for the lights, 0 for points.
+    Nearer than ``shortest``, in scene units, lights do not get brighter. ``radius`` is the radius of spherical lights,
+    in scene units; 0 makes point lights.
     """
 
     def __init__(
@@ -37,20 +37,20 @@ class Lighting:
 
     @property
     def state(self) -> Any:
-        """All arrays that shading reads beside the scene (a PyTree)."""
+        """Arrays that shading reads beside the scene (a PyTree)."""
         return self._lights.arrays, self._number, self._radius, self.bound
 
     def gather(
         self, si: Any, bsdf: Any, run: Any, runs: Any, most_depth: Any, rng: Any, active: Any
     ) -> tuple[Any, Any]:
-        """Return diffuse and specular radiance towards ``si.wi`` from one of ``runs`` equal runs, times their number.
+        """Return diffuse and specular radiance towards ``si.wi`` from one of ``runs`` equal runs, times ``runs``.
 
-        ``most_depth`` is the depth of the deepest light that counts; only spheres draw from ``rng``.
+        Lights deeper than ``most_depth`` do not count. Only spheres draw from ``rng``.
         """
         first = self._find_first(run, runs)
         end = dr.select(active, self._find_first(run + 1, runs), first)
 
-        # Points draw nothing, so their loop carries no random numbers.
+        # The loop over point lights needs no random numbers, so it does not carry the generator.
         shine = self._shine_sphere if self._has_spheres else self._shine_point
 
         def add(index: Any, diffuse: Any, specular: Any, *rng: Any) -> tuple[Any, ...]:
@@ -65,7 +65,7 @@ class Lighting:
         return diffuse * scale, specular * scale
 
     def count_worth(self, points: Points, run: Any, runs: Any) -> Any:
-        """Return how many equal lights a run is worth at points: ``(sum L)^2 / sum L^2`` of the light that arrives."""
+        """Return the effective number of lights in a run at points, ``(sum L)^2 / sum L^2`` of the arriving light."""
         si = points.si
         first = self._find_first(run, runs)
         end = dr.select(points.active, self._find_first(run + 1, runs), first)
@@ -89,13 +89,13 @@ class Lighting:
         return LightSet(*(dr.gather(type(array), array, index) for array in self._lights.arrays))
 
     def _aim(self, si: Any, light: LightSet) -> tuple[Any, Any]:
-        """Return the direction to a light (unit vector of the world) and the inverse square of its distance."""
+        """Return the direction to a light (unit vector in world space) and the inverse square of its distance."""
         away = light.si.p - si.p
-        inverse = dr.rcp(dr.maximum(dr.squared_norm(away), dr.square(_NEAREST * dr.max(dr.abs(si.p) + 1.0))))
+        inverse = dr.rcp(dr.maximum(dr.squared_norm(away), dr.square(_MIN_DISTANCE * dr.max(dr.abs(si.p) + 1.0))))
         return away * dr.sqrt(inverse), inverse
 
     def _emit(self, light: LightSet, towards: Any, active: Any) -> Any:
-        """Return the radiance that a light sends back along ``towards``, per flux and area."""
+        """Return the radiance of a light against the direction ``towards``, per flux and area."""
         outgoing = light.si.to_local(-towards)
         return evaluate_towards(light.si, light.bsdf, light.incoming, outgoing, active) * dr.rcp(light.cosine)
 
@@ -115,17 +115,17 @@ class Lighting:
         return value * share, value * (1.0 - share)
 
     def _shine_sphere(self, si: Any, bsdf: Any, index: Any, most_depth: Any, rng: Any) -> tuple[Any, Any]:
-        """One direction of the cone that the sphere fills, and one of the receiver's BSDF, by the balance heuristic.
+        """Sample the cone that the sphere fills, and the receiver's BSDF, combined by the balance heuristic.
 
-        Departs from Hasan et al. 2009: no direction is drawn from the light's BSDF.
+        Departs from Hasan et al. 2009: no direction is sampled from the light's BSDF.
         """
         light = self._fetch(index)
         towards, inverse = self._aim(si, light)
         near = light.depth <= most_depth
-        # Within a sphere it is all around.
+        # A point inside the sphere sees it in all directions.
         sine2 = dr.square(self._radius) * inverse
         inside = sine2 >= 1.0
-        # 1 - cos without cancellation.
+        # This form of 1 - cos has no cancellation.
         height = dr.select(inside, 2.0, sine2 / (1.0 + dr.safe_sqrt(1.0 - sine2)))
         cone_pdf = dr.rcp(dr.two_pi * height)
         down = height * rng.next_float32()
@@ -156,7 +156,7 @@ class Lighting:
         return diffuse * strength, specular * strength
 
     def _see(self, si: Any, light: LightSet, active: Any) -> Any:
-        """Return how much of its light comes through (Color3f): 0 or 1, or between where surfaces are masked."""
+        """Return the visibility of a light (Color3f): 0 or 1, or in between behind masked surfaces."""
         ray = si.spawn_ray_to(light.si.p)
         if self._is_clear:
             return mi.Color3f(dr.select(active & ~self._scene.ray_test(ray, active), 1.0, 0.0))
@@ -168,9 +168,9 @@ class Lighting:
             through *= dr.select(met, passed, 1.0)
             onward = hit.spawn_ray_to(light.si.p)
             layers = dr.select(met & (dr.max(through) > 0), layers - 1, 0)
-            # What is behind more layers than that counts as hidden.
+            # A light behind `MAX_LAYERS` layers counts as hidden.
             through = dr.select(met & (layers == 0), 0.0, through)
             return onward, through, layers
 
-        start = (ray, mi.Color3f(dr.select(active, 1.0, 0.0)), dr.select(active, mi.UInt32(MOST_LAYERS), 0))
+        start = (ray, mi.Color3f(dr.select(active, 1.0, 0.0)), dr.select(active, mi.UInt32(MAX_LAYERS), 0))
         return dr.while_loop(start, lambda *state: state[2] > 0, pass_through, label="visibility")[1]

@@ -1,4 +1,4 @@
-"""Indirect light by voxel cone tracing: smooth, fast, and as fine as the voxels are.
+"""Indirect light by voxel cone tracing: smooth and fast, with the resolution of the voxels.
 
 Source: Crassin et al. 2011, "Interactive Indirect Illumination Using Voxel Cone Tracing".
 """
@@ -28,7 +28,7 @@ from lobewise.render.voxels.grid import (
 )
 from lobewise.render.voxels.hits import Hits, cast_hits, find_bounds
 from lobewise.render.voxels.march import (
-    SHARPEST_TAN,
+    MIN_TAN,
     draw_jitter,
     find_reflection,
     gather_diffuse,
@@ -37,37 +37,36 @@ from lobewise.render.voxels.march import (
 from lobewise.render.voxels.refraction import can_refract, cross_glass
 
 RESOLUTIONS = (16, 32, 64, 128, 256)
-"""Numbers of voxels along an edge of the grid that can be asked for."""
+"""Numbers of voxels along an edge of the grid that users can choose."""
 
-MOST_GAIN = 0.9
-"""Largest share of light that is taken to be scattered on, again and again."""
+MAX_GAIN = 0.9
+"""Largest ratio of successive bounces in the extrapolation to infinitely many bounces."""
 
 Progress = Callable[[int, int], None]
 
 
 class VoxelCones:
-    """Cones through voxels that hold what the surfaces in them reflect of the direct light, and of some bounces more.
+    """Cones through voxels that store the direct light reflected by their surfaces, and some bounces of it.
 
-    Any shape that rays meet is voxelised, with any BSDF. Light sources occlude but do not shine: their light is in the
-    voxels that it falls on.
+    Shapes of any kind are voxelised, with any BSDF. Light sources occlude, but voxels do not store their emission, only
+    the light that falls on other surfaces.
 
-    Departs from Crassin 2011: surfaces in voxels reflect as if diffuse, with the sum of their albedos; rays find them
-    instead of a rasteriser; optical depths are added up instead of opacities (`lobewise.render.voxels.march`).
+    Departs from Crassin 2011: surfaces in voxels reflect like diffuse ones, with the sum of their albedos. Rays find
+    the surfaces, not a rasteriser. Optical depths are summed, not opacities (`lobewise.render.voxels.march`).
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        What lights the points.
     materials : dict
-        Of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
+        Materials of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
     resolution : int
         Voxels along the longest side of the scene: 16, 32, 64, 128 or 256.
     bounces : int
-        How often light in the voxels is scattered on from surface to surface beyond its first scattering, 0 to 16.
+        Number of bounces between surfaces after the first scattering, 0 to 16.
     light_samples : int
-        Samples of the light sources for each place where a ray met a surface, 1 to 1024.
+        Samples of the light sources for each hit of a ray with a surface, 1 to 1024.
     progress : callable, optional
-        Called with how many steps of the work are done, and of how many.
+        Called with the number of finished steps and of all steps.
 
     Raises
     ------
@@ -103,16 +102,16 @@ class VoxelCones:
 
     @property
     def state(self) -> Grid:
-        """What cones read beside the points; see `lobewise.render.tracing.points.IndirectMethod`."""
+        """The grid, which `shade` reads beside the points; see `lobewise.render.tracing.points.IndirectMethod`."""
         return self._grid
 
     @property
     def grid(self) -> Grid:
-        """The voxels as they are now."""
+        """The voxels."""
         return self._grid
 
     def update(self, progress: Progress | None = None) -> None:
-        """Fill the voxels anew, after lights, materials or shapes of the scene have changed."""
+        """Fill the voxels again after a change of the scene."""
         self._grid = self._build(progress)
 
     def _build(self, progress: Progress | None) -> Grid:
@@ -143,7 +142,7 @@ class VoxelCones:
         return grid
 
     def find_band_limit(self, points: Points, samples: int) -> float:
-        """Return 0: directions follow the lobes; see `lobewise.render.tracing.points.IndirectMethod`."""
+        """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
         return 0.0
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
@@ -181,16 +180,16 @@ class VoxelCones:
         )
 
     def _look_through(self, points: Points, rng: Any, jitter: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the albedo that is left for reflection, and the radiance that comes through clear surfaces."""
+        """Return the albedo of the reflection without refraction, and the radiance through clear surfaces."""
         crossing = cross_glass(self._scene, points.si, rng, points.active)
         ray = crossing.ray
-        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(SHARPEST_TAN), jitter, crossing.active)
+        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(MIN_TAN), jitter, crossing.active)
         through = crossing.weight * (cone.radiance + crossing.emitted)
         return points.surface.specular_albedo - crossing.first, dr.select(crossing.active, through, 0.0)
 
 
 def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
-    """Return the radiance that each side of the hits reflects of the direct light, as if diffuse (Color3f)."""
+    """Return the direct light that each side of the hits reflects, like a diffuse surface (Color3f)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(hits))
     si.p, si.n = mi.Point3f(hits.position), mi.Normal3f(hits.normal)
     lane = dr.arange(mi.UInt32, len(hits))
@@ -199,7 +198,7 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
     def take(index: Any, first: Any, second: Any) -> tuple[Any, Any]:
         point = draw_point(make_rng(lane, index, mi.UInt32(0)))
         light, radiance = scene.sample_emitter_direction(si, point, True, mi.Bool(True))
-        # A place inside a light source gets no number from it.
+        # A hit inside a light source gets NaN or infinity from it.
         arriving = mi.Color3f(radiance) * dr.dot(light.d, hits.normal)
         arriving = dr.select((light.pdf > 0) & dr.isfinite(dr.sum(arriving)), arriving, 0.0)
         return first + dr.maximum(arriving, 0.0), second + dr.maximum(-arriving, 0.0)
@@ -213,7 +212,7 @@ def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
 
 
 def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
-    """Return what faces radiate that reflect, beside the direct light, what they see in a grid (Color3f)."""
+    """Return the radiance of faces: the direct light plus the light that they reflect from the grid (Color3f)."""
     rng = make_rng(faces.slot, dr.opaque(mi.UInt32, bounce), mi.UInt32(0))
     position, reflects = mi.Point3f(faces.position), dr.max(faces.albedo) > 0
     radiance = direct + faces.albedo * gather_diffuse(grid, position, faces.normal, faces.normal, rng, reflects)
@@ -222,12 +221,12 @@ def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
 
 
 def _extend(series: list[Any], area: Floats) -> Any:
-    """Return the limit of a series of which three members are given, as if it were geometric from the last one on.
+    """Return the limit of a series from its last three members, as if it continued as a geometric series.
 
-    The ratio is that of all the light, for red, green and blue.
+    The ratio is that of the total light of all faces, for each colour.
     """
     before, last, end = (np.array(member, dtype=np.float64) for member in series)
     gains = (last - before) @ area, (end - last) @ area
-    ratio = np.clip(np.divide(gains[1], gains[0], out=np.zeros(3), where=gains[0] > 0), 0.0, MOST_GAIN)
+    ratio = np.clip(np.divide(gains[1], gains[0], out=np.zeros(3), where=gains[0] > 0), 0.0, MAX_GAIN)
     limit = end + np.maximum(end - last, 0.0) * (ratio / (1.0 - ratio))[:, None]
     return mi.Color3f(limit.astype(np.float32))

@@ -1,7 +1,7 @@
-"""Voxels that hold what a scene's surfaces radiate, sparse, in levels of ever larger voxels, for six directions each.
+"""Sparse voxels with the radiance of a scene's surfaces for six directions, in levels of ever larger voxels.
 
-A voxel stores, for travellers along each of the six axis directions, an optical depth ``tau`` and ``tau`` times the
-radiance that comes towards them: both add up along a ray, so what it is given does not depend on where its steps fall.
+For rays along each of the six axis directions a voxel stores an optical depth ``tau``, and ``tau`` times the radiance
+against the ray. Both add up along a ray, so the result does not depend on the places of its steps.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from lobewise.render.bridge import dr, mi
 from lobewise.render.voxels.hits import RAYS, Bounds, Hits
 
 DIRECTIONS = 6
-"""Directions of travel, +x -x +y -y +z -z, for each of which a voxel has its own radiance."""
+"""Directions of rays, +x -x +y -y +z -z. A voxel stores a radiance for each."""
 
-MOST_DEPTH = 5.0
-"""Optical depth of an opaque voxel: what lies behind it shows with a weight of 0.007."""
+MAX_OPTICAL_DEPTH = 5.0
+"""Optical depth of an opaque voxel. Light from behind it has a weight of 0.007."""
 
-FLAT = 0.9
-"""Length of the mean of the unit normals in a voxel from which they are taken to be those of a plane."""
+MIN_PLANAR_LENGTH = 0.9
+"""Smallest length of the mean of a voxel's unit normals at which its surface counts as a plane."""
 
 Floats = NDArray[np.float64]
 
@@ -32,9 +32,9 @@ Floats = NDArray[np.float64]
 class Grid:
     """All levels of the voxels (Dr.Jit arrays; a PyTree).
 
-    ``row`` tells, for every voxel of every level (level by level, x fastest), where in ``values`` it is, 0 for empty
-    ones; ``values`` holds four numbers (red, green, blue, tau) per row and direction; ``starts`` where levels begin;
-    ``planes``, per row and axis, the mean normal ``n`` of what rays met, and ``n.p``, or zeros where it is curved.
+    ``row`` holds the row of every voxel of every level (level by level, x fastest), 0 for empty voxels. ``starts``
+    holds where levels begin in ``row``. ``values`` holds four numbers (red, green, blue, tau) per row and direction.
+    ``planes`` holds, per row and axis, the mean normal ``n`` of the surface and ``n.p``, or zeros if it is curved.
     """
 
     row: Any
@@ -49,10 +49,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class Faces:
-    """What the surfaces in a voxel look like for one direction of travel, for all voxels and directions that see any.
+    """The surfaces in a voxel seen along one direction, for all pairs of voxel and direction with hits.
 
-    ``slot`` is the row times six plus the direction; positions, normals and albedos are means over hits. ``planes`` are
-    those of `Grid`.
+    ``slot`` is the row times six plus the direction. Positions, normals and albedos are means over hits. ``planes`` is
+    that of `Grid`.
     """
 
     slot: Any
@@ -64,7 +64,7 @@ class Faces:
 
 @dataclass(frozen=True)
 class Level:
-    """The voxels of one level that are not empty: their numbers in it, and the first one's row."""
+    """The voxels of one level that are not empty: their numbers in the level, and the row of the first one."""
 
     cells: NDArray[np.int64]
     first_row: int
@@ -72,7 +72,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which voxels there are, and in which row the faces of which hits are."""
+    """The voxels that are not empty, and the slots of the hits (for both sides) in level 0."""
 
     bounds: Bounds
     levels: tuple[Level, ...]
@@ -83,14 +83,14 @@ class Layout:
 
 
 def _find_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
-    """Return the numbers of the voxels of the next level that hold given ones."""
+    """Return the numbers of the voxels of the next level that contain the given voxels."""
     x, y, z = cells % resolution, cells // resolution % resolution, cells // resolution**2
     half = resolution // 2
     return x // 2 + half * (y // 2 + half * (z // 2))
 
 
 def plan_layout(bounds: Bounds, hits: Hits) -> Layout:
-    """Return which voxels hold anything, level by level up to 2x2x2."""
+    """Return the voxels with hits, level by level up to 2x2x2."""
     size = bounds.resolution
     cells = np.unique(hits.cell)
     levels: list[Level] = []
@@ -118,7 +118,7 @@ def plan_layout(bounds: Bounds, hits: Hits) -> Layout:
 
 
 def _sum(layout: Layout, weights: Sequence[Any]) -> Floats:
-    """Return the sums of a weight of each side's hits over the slots, in an order that is always the same."""
+    """Return the sums per slot of a weight of each side's hits, in a fixed order."""
     length = layout.rows * DIRECTIONS
     total = np.zeros(length)
     for slot, weight in zip(layout.slots, weights, strict=True):
@@ -127,7 +127,7 @@ def _sum(layout: Layout, weights: Sequence[Any]) -> Floats:
 
 
 def _average(layout: Layout, values: Sequence[Any], count: Floats) -> Floats:
-    """Return the means (slots, 3) over hits of a vector that each side has."""
+    """Return the means per slot, (slots, 3), of a vector of each side's hits."""
     parts = [np.array(value, dtype=np.float64) for value in values]
     sums = [_sum(layout, [part[i] for part in parts]) for i in range(3)]
     return np.stack(sums, axis=-1) / np.maximum(count, 1.0)[:, None]
@@ -136,17 +136,17 @@ def _average(layout: Layout, values: Sequence[Any], count: Floats) -> Floats:
 def find_depth(layout: Layout, hits: Hits) -> tuple[Floats, Floats]:
     """Return the optical depth and the number of hits of every slot.
 
-    With ``c`` the share of the rays through a voxel that meet something in it, an opaque one covers ``1 - (1 - c)^2``.
+    If a share ``c`` of the rays through a voxel hits an opaque surface in it, the opacity is ``1 - (1 - c)^2``.
 
-    Departs from Crassin 2011: the square keeps walls closed that pass through two voxels, of which each is covered in
-    part; and what is dense for travellers along one axis is not for those along another.
+    Departs from Crassin 2011: the square keeps walls closed that pass through two voxels and cover each in part. Each
+    axis has its own opacity.
     """
     ones = np.ones(len(hits))
     count = _sum(layout, (ones, ones))
     opacity = _sum(layout, (hits.opacity, hits.opacity)) / np.maximum(count, 1.0)
     covered = np.minimum(count / RAYS**2, 1.0)
     alpha = opacity * (1.0 - (1.0 - covered) ** 2)
-    return -np.log(np.maximum(1.0 - alpha, np.exp(-MOST_DEPTH))), count
+    return -np.log(np.maximum(1.0 - alpha, np.exp(-MAX_OPTICAL_DEPTH))), count
 
 
 def make_faces(layout: Layout, hits: Hits, count: Floats) -> Faces:
@@ -167,7 +167,7 @@ def make_faces(layout: Layout, hits: Hits, count: Floats) -> Faces:
 
 
 def _find_planes(layout: Layout, normals: Floats, positions: Floats, count: Floats) -> Any:
-    """Return the planes of `Grid`, from the means of level 0 per row and axis."""
+    """Return `Grid.planes` from the means of level 0 per row and axis."""
     sums = np.concatenate([normals, positions, np.ones((len(count), 1))], axis=-1) * count[:, None]
     sums = sums.reshape(layout.rows, 3, 7)
     size = layout.bounds.resolution
@@ -177,7 +177,7 @@ def _find_planes(layout: Layout, normals: Floats, positions: Floats, count: Floa
         size //= 2
     mean = sums[..., :6] / np.maximum(sums[..., 6:], 1.0)
     length = np.linalg.norm(mean[..., :3], axis=-1, keepdims=True)
-    normal = np.where(length >= FLAT, mean[..., :3] / np.maximum(length, 1e-6), 0.0)
+    normal = np.where(length >= MIN_PLANAR_LENGTH, mean[..., :3] / np.maximum(length, 1e-6), 0.0)
     planes = np.concatenate([normal, np.sum(normal * mean[..., 3:], axis=-1, keepdims=True)], axis=-1)
     return mi.Float(planes.astype(np.float32).ravel())
 
@@ -187,12 +187,12 @@ def _make(kind: Any, values: Floats) -> Any:
 
 
 def average_radiance(layout: Layout, faces: Faces, radiance: Sequence[Any], count: Floats) -> Any:
-    """Return the mean radiance (Color3f) of every face, from that of each side of the hits."""
+    """Return the mean radiance (Color3f) of every face, from the radiance of each side of the hits."""
     return _make(mi.Color3f, _average(layout, radiance, count)[np.array(faces.slot)])
 
 
 def fill_grid(layout: Layout, faces: Faces, depth: Floats, radiance: Any) -> Grid:
-    """Return the grid whose faces have a radiance (Color3f), with all its levels."""
+    """Return the grid, with all its levels, from the radiance (Color3f) of the faces."""
     bounds = layout.bounds
     values = dr.zeros(mi.Float, layout.rows * DIRECTIONS * 4)
     tau = dr.gather(mi.Float, mi.Float(depth.astype(np.float32)), faces.slot)
@@ -213,7 +213,7 @@ def fill_grid(layout: Layout, faces: Faces, depth: Floats, radiance: Any) -> Gri
 
 
 def _fill_level(layout: Layout, values: Any, below: int, level: Level) -> None:
-    """Fill a level from the one below it: two voxels one behind the other, four such pairs side by side.
+    """Fill a level from the level below it: two voxels one behind the other, four such pairs side by side.
 
     Source: Crassin et al. 2011, "Interactive Indirect Illumination Using Voxel Cone Tracing", section 6 (anisotropic
     pre-integration): composite along the direction, average across it.
@@ -236,7 +236,7 @@ def _fill_level(layout: Layout, values: Any, below: int, level: Level) -> None:
         far = _read(layout, values, base + along * (1 - backwards), direction)
         total += near + far * (1.0 - near.w)
     total *= 0.25
-    tau = -dr.log(dr.maximum(1.0 - total.w, float(np.exp(-MOST_DEPTH))))
+    tau = -dr.log(dr.maximum(1.0 - total.w, float(np.exp(-MAX_OPTICAL_DEPTH))))
     scale = dr.select(total.w > 0, tau / total.w, 0.0)
     slot = level.first_row * DIRECTIONS + lane
     dr.scatter(values, mi.Vector4f(total.x * scale, total.y * scale, total.z * scale, tau), slot)
@@ -248,7 +248,7 @@ def _pick(vector: Any, index: Any) -> Any:
 
 
 def _read(layout: Layout, values: Any, place: Any, direction: Any) -> Any:
-    """Return radiance times alpha, and alpha, of voxels at places of the row table."""
+    """Return radiance times alpha, and alpha, of voxels, given by indices into ``layout.row``."""
     row = dr.gather(mi.UInt32, layout.row, place)
     value = dr.gather(mi.Vector4f, values, row * DIRECTIONS + direction)
     alpha = 1.0 - dr.exp(-value.w)

@@ -1,4 +1,4 @@
-"""Where rays along the three axes meet a scene's surfaces: the raw material of voxels, for shapes of every kind."""
+"""Hits of rays along the three axes with a scene's surfaces, from which voxels of shapes of every kind are made."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from lobewise.render.tracing.rays import make_rng
 from lobewise.render.voxels.refraction import can_refract, refract
 
 RAYS = 2
-"""Rays side by side through a voxel's face, in each of two directions."""
+"""Rays through a voxel's face along each of its two edges."""
 
-MOST_HITS = 64
-"""How many surfaces one ray may pass."""
+MAX_HITS = 64
+"""Largest number of surfaces that one ray hits."""
 
 MARGIN = 0.3
-"""Voxels between the scene and the border of the grid; no whole number, so that walls of a box fall inside voxels."""
+"""Voxels between the scene and the border of the grid. A fraction, so that walls of a box lie inside voxels."""
 
-# The mean cosine of light that falls on a surface evenly, at which directional albedos stand for hemispherical ones.
+# The mean cosine of uniform light on a surface. The directional albedo at it approximates the hemispherical albedo.
 _MEAN_COSINE = 2.0 / 3.0
 
 Report = Callable[[], None]
@@ -33,7 +33,7 @@ Report = Callable[[], None]
 
 @dataclass(frozen=True)
 class Bounds:
-    """A cube of voxels: its lower corner, the edge of a voxel, and how many lie along an edge of the cube."""
+    """A cube of voxels: its lower corner, the edge of a voxel in world units, and the voxels along an edge."""
 
     lower: tuple[float, float, float]
     voxel: float
@@ -42,7 +42,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Side:
-    """One side of every hit surface: its albedo as if it were diffuse (Color3f) and its directional index."""
+    """One side of every hit surface: its albedo (Color3f), and the index of the ray direction that sees it."""
 
     albedo: Any
     direction: NDArray[np.int64]
@@ -50,11 +50,12 @@ class Side:
 
 @dataclass(frozen=True)
 class Hits:
-    """All that the rays met, one hit per lane.
+    """All hits of the rays, one per lane.
 
-    ``position`` and ``normal`` (world, unit, of the first side) are Dr.Jit arrays, as are the albedos; ``cell`` numbers
-    the voxel, x fastest; ``opacity`` in [0, 1] is what the surface keeps of light that goes along the ray. The first
-    side faces the ray's origin, so it is what travellers along ``+axis`` see; the second those along ``-axis``.
+    ``position`` and ``normal`` (world space, unit, of the first side) are Dr.Jit arrays, and so are the albedos.
+    ``cell`` is the number of the voxel, x fastest. ``opacity`` in [0, 1] is the share of light along the ray that the
+    surface does not transmit. The first side faces the ray's origin, so rays along ``+axis`` see it; rays along
+    ``-axis`` see the second side.
     """
 
     position: Any
@@ -68,7 +69,7 @@ class Hits:
 
 
 def _find_box(shape: Any) -> NDArray[np.float64]:
-    """Return the corners (2, 3) of a shape's box; a mesh's own is not set where Mitsuba has merged several into it."""
+    """Return the corners (2, 3) of a shape's box. Meshes that Mitsuba has merged have no valid box of their own."""
     if shape.is_mesh():
         vertices = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
         return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
@@ -77,8 +78,8 @@ def _find_box(shape: Any) -> NDArray[np.float64]:
 
 
 def find_bounds(scene: Any, resolution: int) -> Bounds:
-    """Return the cube that holds a scene's surfaces, slightly grown; InputError if none has a finite size."""
-    # Lights and cameras, which belong to the scene's own box, need no voxels; a sky's is infinite.
+    """Return the cube around a scene's surfaces, slightly enlarged; InputError if no surface has a finite size."""
+    # The scene's own box includes point lights and cameras, which need no voxels, and an infinite sky.
     boxes = np.array([_find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
@@ -91,7 +92,7 @@ def find_bounds(scene: Any, resolution: int) -> Bounds:
 
 
 def _make_rays(bounds: Bounds, axis: int) -> Any:
-    """Return the rays along one axis, `RAYS` squared of them through the middle of every column of voxels."""
+    """Return the rays along one axis, `RAYS` squared of them through every column of voxels."""
     across = bounds.resolution * RAYS
     lane = dr.arange(mi.UInt32, across * across)
     step = bounds.voxel / RAYS
@@ -117,7 +118,7 @@ def _find_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
 def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int, clear: bool) -> list[dict[str, Any]]:
     ray = _make_rays(bounds, axis)
     layers: list[dict[str, Any]] = []
-    while len(layers) < MOST_HITS and dr.width(ray):
+    while len(layers) < MAX_HITS and dr.width(ray):
         si = scene.ray_intersect(ray)
         bsdf, valid = si.bsdf(), si.is_valid()
         front = dr.dot(si.n, ray.d) < 0
@@ -131,7 +132,7 @@ def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int,
             "opacity": dr.clip(first.opacity * kept, 0.0, 1.0),
         }
         for name, side in (("first", first), ("second", second)):
-            # Of what is not let through, how much comes back.
+            # The albedo of the light that is not transmitted.
             total = side.diffuse_albedo + side.specular_albedo - through
             found[name] = dr.clip(total / kept, 0.0, 1.0)
         onward = si.spawn_ray(ray.d)
@@ -146,10 +147,10 @@ def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int,
 
 
 def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report: Report) -> Hits:
-    """Return what rays along the three axes meet, through every column of voxels.
+    """Return the hits of rays along the three axes, through every column of voxels.
 
-    A flat wall is met by as many rays as its area projects to, so the share of a voxel's rays that meet something is
-    how much it covers along that axis; ``report`` is called after each axis.
+    The number of rays that hit a flat wall is proportional to its projected area. So the share of a voxel's rays with
+    hits is its coverage along the axis. ``report`` is called after each axis.
     """
     clear = can_refract(scene)
     names = ("position", "normal", "opacity", "first", "second")

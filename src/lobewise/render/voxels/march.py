@@ -1,4 +1,4 @@
-"""Marching cones through voxels: what a bundle of rays meets, without tracing any."""
+"""Marches cones through voxels, which replaces tracing bundles of rays."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ DIFFUSE_CONES = 6
 """Cones of 60 degrees that share a hemisphere: one about the normal, five around it."""
 
 DIFFUSE_TAN = 0.5773502691896258
-"""Tangent of their half angle of 30 degrees."""
+"""Tangent of the half angle of a diffuse cone, 30 degrees."""
 
-SHARPEST_TAN = 0.005
-"""Tangent of half the narrowest cone's angle."""
+MIN_TAN = 0.005
+"""Tangent of the half angle of the narrowest cone."""
 
 FOOTPRINT = 0.1
-"""Voxels looked up are as wide as this share of the cone: large ones make what is opaque in them larger than it is.
+"""Width of the sampled voxels, over the width of the cone. Wide voxels enlarge opaque surfaces in them.
 
-Crassin 2011 takes the whole cone. With a half, a third, a sixth and a tenth the mean light between two walls under an
-open sky was 1.37, 1.25, 1.19 and 1.13 times that of paths; axes are drawn at random, so the cone is covered anyway.
+Crassin 2011 uses 1. With 1/2, 1/3, 1/6 and 1/10 the mean light between two walls under an open sky was 1.37, 1.25, 1.19
+and 1.13 times that of paths. Axes are drawn at random, so samples cover the whole cone anyway.
 """
 
 SMOOTH_FOOTPRINT = 0.7
-"""The same for smooth cones, whose axes stay. With 0.35, 0.7 and 1 the mean light that the showroom's metal reflects
-was 1.05, 1.02 and 0.99 times that of paths."""
+"""`FOOTPRINT` of smooth cones, whose axes are not random. With 0.35, 0.7 and 1 the mean light that the showroom's metal
+reflects was 1.05, 1.02 and 0.99 times that of paths."""
 
 SMOOTH_STEP = 0.5
-"""Step of smooth cones, in edges of the voxels that they look up."""
+"""Step of smooth cones, in edges of the sampled voxels."""
 
-TOUCHING = 0.5
-"""Voxels from a surface within which a cone counts as starting on it, if both face the same way:"""
+MAX_OWN_DISTANCE = 0.5
+"""Largest distance of a cone's origin from a voxel's plane on which it starts, in edges of the voxel."""
 
-SAME_WAY = 0.8
-"""so far that the cosine between their normals is at least this."""
+MIN_OWN_COSINE = 0.8
+"""Smallest cosine between the origin's normal and the normal of a voxel's plane on which it starts."""
 
-SHORTEST = 1e-3
-"""Least step, in edges of a voxel: one that ends on a border must get into the next voxel."""
+MIN_STEP = 1e-3
+"""Smallest step, in edges of a voxel: a step that ends on a border must reach the next voxel."""
 
-ENOUGH = 0.1
-"""Transmittance below which a cone ends."""
+MIN_TRANSMITTANCE = 0.1
+"""Smallest transmittance of a cone that goes on."""
 
 
 @dataclass
 class Cone:
-    """What a cone brings (Dr.Jit arrays; a PyTree).
+    """The light of a cone (Dr.Jit arrays; a PyTree).
 
-    ``radiance`` (Color3f); ``transmittance`` is what of the cone leaves the grid; ``inverse`` one over the
-    distance at which half of it is stopped, 0 where it never is.
+    ``radiance`` is a Color3f. ``transmittance`` is the share of the cone that leaves the grid. ``inverse`` is one over
+    the distance at which half of the cone is absorbed, 0 if this does not happen.
     """
 
     radiance: Any
@@ -68,14 +68,14 @@ class _March:
 
 
 def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
-    """Return what travellers along a direction meet in a voxel: tau times radiance and tau, per edge of the voxel.
+    """Return tau times radiance, and tau, of a voxel along a direction, per edge of the voxel.
 
-    Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. ``start`` is the surface that the traveller comes from,
-    its position and normal: only other surfaces count, and only if they lie ahead, for a wall close by from which the
-    traveller moves away does not stop him.
+    Along ``d`` a voxel's optical depth is ``sum |d_a| tau_a``. ``start`` is position and normal of the surface where
+    the cone starts. Only other surfaces count, and only if they lie ahead: a wall close by does not absorb a cone that
+    moves away from it.
 
-    Departs from Crassin 2011, who blends opacities by ``d_a^2``: with ``|d_a|`` and optical depths a wall stops the
-    same share of light whatever the angle at which it is passed.
+    Departs from Crassin 2011, who blends opacities by ``d_a^2``. With ``|d_a|`` and optical depths a wall absorbs the
+    same share of light at every angle.
     """
     size = grid.resolution >> level
     most = mi.Int32(size) - 1
@@ -92,7 +92,7 @@ def look_up(grid: Grid, cell: Any, level: Any, direction: Any, start: tuple[Any,
 
 
 def interpolate(grid: Grid, place: Any, level: Any, direction: Any, start: tuple[Any, Any], edge: Any) -> Any:
-    """Return what `look_up` does, interpolated between the eight voxels around a place, in edges of the voxels."""
+    """Return `look_up` interpolated between the eight voxels around ``place``, which is in edges of the voxels."""
     corner = dr.floor(place - 0.5)
     part = place - 0.5 - corner
     total = mi.Vector4f(0)
@@ -108,27 +108,27 @@ def _is_ahead(edge: Any, plane: Any, start: tuple[Any, Any], direction: Any) -> 
     origin, own = start
     normal = mi.Vector3f(plane.x, plane.y, plane.z)
     height = dr.dot(normal, mi.Vector3f(origin)) - plane.w
-    is_own = (dr.abs(height) < TOUCHING * edge) & (dr.abs(dr.dot(normal, own)) > SAME_WAY)
+    is_own = (dr.abs(height) < MAX_OWN_DISTANCE * edge) & (dr.abs(dr.dot(normal, own)) > MIN_OWN_COSINE)
     return ~is_own & ~(height * dr.dot(normal, direction) > 0)
 
 
 def trace_cone(
     grid: Grid, origin: Any, normal: Any, axis: Any, tangent: Any, jitter: Any, active: Any, smooth: bool = False
 ) -> Cone:
-    """Return what a cone from a surface meets.
+    """Return the light of a cone that starts on a surface.
 
     Parameters
     ----------
     origin, normal : Point3f, Vector3f
-        Where the cone starts and the normal of the surface itself there, of either sign.
+        Start of the cone, and the geometric normal there, of either sign.
     axis, tangent : Vector3f, Float
-        The cone's axis, unit, and the tangent of half its angle.
+        Unit axis of the cone, and the tangent of its half angle.
     jitter : tuple of four Float
-        In [0, 1): how far the voxels are moved along each axis, and which of two levels is taken between them. Over
-        all of them a voxel counts as trilinear interpolation would have it, and what is opaque keeps its size. A smooth
-        cone takes the first for where in a step it looks.
+        Random numbers in [0, 1): the shift of the voxels along each axis, and the choice between two levels. Their mean
+        is trilinear interpolation, but opaque surfaces keep their size. In a smooth cone the first number is the place
+        within each step.
     smooth : bool
-        Interpolate between voxels and look them up as wide as most of the cone: no noise, for eight times the work.
+        Interpolate between voxels of `SMOOTH_FOOTPRINT`: no noise, for eight times the work.
     """
     size = grid.voxel * mi.Float(grid.resolution)
     relative = mi.Vector3f(origin - grid.lower)
@@ -157,10 +157,10 @@ def trace_cone(
             ways = [dr.select(d > 0, c + 1.0 - p, p - c) for d, p, c in zip(axis, place, cell, strict=True)]
             gaps = [dr.select(speed > 0, way / speed, dr.inf) for way, speed in zip(ways, speeds, strict=True)]
             length = dr.minimum(dr.minimum(gaps[0], gaps[1]), gaps[2])
-            share = dr.minimum(dr.maximum(length, SHORTEST), (end - march.distance) / edge)
+            share = dr.minimum(dr.maximum(length, MIN_STEP), (end - march.distance) / edge)
             seen = look_up(grid, cell, level, axis, (origin, normal), edge)
 
-        # Where half of the cone is stopped is how far away it sees.
+        # The hit distance of the cone is the distance at which half of it is absorbed.
         before, after = march.transmittance, march.transmittance * dr.exp(-seen.w * share)
         part = dr.log(dr.maximum(2.0 * before, 1.0)) / dr.maximum(seen.w, 1e-6)
         passes = (before > 0.5) & (after <= 0.5)
@@ -171,27 +171,29 @@ def trace_cone(
         return (march,)
 
     def go_on(march: _March) -> Any:
-        return active & (march.distance < end) & (march.transmittance > ENOUGH)
+        return active & (march.distance < end) & (march.transmittance > MIN_TRANSMITTANCE)
 
     march = dr.while_loop((_March(),), go_on, step, label="cone")[0]
-    # What is left when a cone ends early counts as met.
-    whole = dr.select(march.transmittance > ENOUGH, 1.0, dr.rcp(1.0 - march.transmittance))
-    left = dr.select(march.transmittance > ENOUGH, march.transmittance, 0.0)
+    # Scale the radiance of a cone that ended early, as if the rest were absorbed as well.
+    whole = dr.select(march.transmittance > MIN_TRANSMITTANCE, 1.0, dr.rcp(1.0 - march.transmittance))
+    left = dr.select(march.transmittance > MIN_TRANSMITTANCE, march.transmittance, 0.0)
     return Cone(radiance=march.radiance * whole, transmittance=left, inverse=march.inverse)
 
 
 def draw_jitter(rng: Any) -> tuple[Any, ...]:
-    """Return the random numbers of one cone."""
+    """Return the four random numbers of one cone; see `trace_cone`."""
     return tuple(rng.next_float32() for _ in range(4))
 
 
 def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
-    """Return the axis of a diffuse cone, drawn from its share of the hemisphere.
+    """Return the axis of a diffuse cone, drawn at random from the cone's part of the hemisphere.
 
-    Departs from the fixed set of one cone along the normal and five at 60 degrees from it (Crassin 2011): axes are
-    drawn from six parts of the hemisphere of equal cosine-weighted solid angle, a cap and five sectors of the rest,
-    so that over pixels and frames every direction counts as the cosine says. ``number`` is that of the cone (0 to 5),
-    ``turn`` that of all six about the normal, in [0, 1), ``point`` one of the unit square.
+    ``number`` is the number of the cone (0 to 5), ``turn`` the rotation of all six about the normal, in [0, 1), and
+    ``point`` a random point of the unit square.
+
+    Departs from Crassin 2011, who has a fixed cone along the normal and five at 60 degrees from it. Here the hemisphere
+    is divided into six parts of equal cosine-weighted solid angle: a cap, and five sectors of the rest. So over pixels
+    and frames the weight of every direction is its cosine.
     """
     central = number == 0
     square = dr.select(central, point.x / DIFFUSE_CONES, (1.0 + (DIFFUSE_CONES - 1.0) * point.x) / DIFFUSE_CONES)
@@ -204,9 +206,9 @@ def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
 
 
 def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any, active: Any) -> Any:
-    """Return the mean of the radiance that falls on a diffuse surface, weighted by the cosine to a normal (Color3f).
+    """Return the cosine-weighted mean radiance (Color3f) that falls on a diffuse surface.
 
-    ``normal`` is that of the surface itself, of either sign; the cones lie about ``shading``, the one that light sees.
+    ``normal`` is the geometric normal, of either sign. The cones lie about the shading normal ``shading``.
     """
     turn = rng.next_float32()
 
@@ -220,12 +222,12 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any,
 
 
 def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v: Any) -> tuple[Any, Any]:
-    """Return the axis of a reflection lobe and the tangent of half the angle of the cone that stands for it.
+    """Return the axis of a reflection lobe, and the tangent of the half angle of the cone that approximates it.
 
-    Source: Tokuyoshi's public shaders for the dominant visible normal ``m`` of GGX, about which the lobe is reflected,
-    and its sharpness ``l = (2/a^2 - 2) m.n / (4 v.m)``; a cone as large as a spherical Gaussian of sharpness ``l`` has
-    ``cos(half) = 1 - 1/l``. See `lobewise.lobes.covariance`.
-    Departs: two alphas count as their geometric mean in the sharpness, and no cone is wider than a diffuse one.
+    Source: Tokuyoshi's public shaders, for the dominant visible normal ``m`` of GGX, about which the view is reflected,
+    and for the sharpness ``l = (2/a^2 - 2) m.n / (4 v.m)``. A cone with the solid angle of a spherical Gaussian of
+    sharpness ``l`` has ``cos(half) = 1 - 1/l``. See `lobewise.lobes.covariance`.
+    Departs: two alphas are replaced by their geometric mean in the sharpness, and no cone is wider than a diffuse one.
     """
     across = dr.cross(normal, tangent)
     local = mi.Vector3f(dr.dot(view, tangent), dr.dot(view, across), dr.maximum(dr.dot(view, normal), 1e-3))
@@ -235,8 +237,8 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
     sharpness = 2.0 * (1.0 - product) / dr.maximum(product, 1e-8) * m.z / (4.0 * cosine)
     half = 1.0 - dr.rcp(dr.maximum(sharpness, 1.0))
     tan_half = dr.safe_sqrt(1.0 - dr.square(half)) / dr.maximum(half, 0.1)
-    # The mirror image about m may lie below the surface; there is nothing to be seen there.
+    # Raise an axis that lies below the surface.
     mirrored = m * (2.0 * dr.dot(m, local)) - local
     mirrored.z = dr.maximum(mirrored.z, 0.02)
     axis = dr.normalize(tangent * mirrored.x + across * mirrored.y + normal * mirrored.z)
-    return axis, dr.clip(tan_half, SHARPEST_TAN, DIFFUSE_TAN)
+    return axis, dr.clip(tan_half, MIN_TAN, DIFFUSE_TAN)

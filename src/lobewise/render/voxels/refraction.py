@@ -1,4 +1,4 @@
-"""Light through glass: rays go where the voxels cannot tell, up to the first surface that is not clear."""
+"""Light through glass by rays, up to the first surface that does not refract, where a cone takes over."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.probe import make_context
 from lobewise.render.tracing.rays import draw_point
 
-MOST_BOUNDARIES = 4
-"""How many clear surfaces a ray crosses, one after the other."""
+MAX_BOUNDARIES = 4
+"""Largest number of clear surfaces that a ray crosses."""
 
 
 @dataclass
 class Crossing:
-    """Where a ray goes on behind clear surfaces (Dr.Jit arrays; a PyTree).
+    """A ray behind clear surfaces (Dr.Jit arrays; a PyTree).
 
-    ``first`` is what the first surface lets through, in [0, 1] (Color3f); ``weight`` what all of them do to radiance.
-    ``emitted`` is what shines at the end of the ray, seen through at least two surfaces (Color3f), for light seen
-    through one was scattered only once. ``active`` tells whether anything goes through.
+    ``first`` is the transmittance of the first surface, in [0, 1] (Color3f). ``weight`` is the factor of radiance
+    through all surfaces. ``emitted`` (Color3f) is the emission at the end of the ray, behind at least two surfaces:
+    light through a single surface was scattered only once. ``active`` tells whether any light is transmitted.
     """
 
     ray: Any
@@ -45,15 +45,15 @@ def _bends(flags: Any) -> Any:
 
 
 def can_refract(scene: Any) -> bool:
-    """Return whether any surface of a scene lets light through other than straight."""
+    """Return whether any surface of a scene refracts or scatters transmitted light."""
     found = [shape.bsdf() for shape in scene.shapes()]
     return any(bsdf is not None and bool(_bends(bsdf.flags())) for bsdf in found)
 
 
 def refract(bsdf: Any, si: Any, rng: Any, active: Any) -> tuple[Any, Any]:
-    """Return one sample of what a surface lets through bent, and its weight (Color3f), 0 where it lets through nothing.
+    """Return one BSDF sample of refracted or scattered transmission, and its weight (Color3f), 0 if there is none.
 
-    What passes straight, as through a mask, is left to the surface's opacity.
+    Null transmission, as through a mask, is not included; it is part of the surface's opacity.
     """
     point = draw_point(rng)
     chosen, weight = bsdf.sample(make_context(mi.BSDFFlags.Transmission), si, rng.next_float32(), point, active)
@@ -61,17 +61,14 @@ def refract(bsdf: Any, si: Any, rng: Any, active: Any) -> tuple[Any, Any]:
 
 
 def cross_glass(scene: Any, si: Any, rng: Any, active: Any) -> Crossing:
-    """Return where a ray goes on that enters at hits ``si``.
-
-    Light that is reflected on its way inside is lost.
-    """
+    """Return the ray behind clear surfaces that enters at hits ``si``. Light that is reflected inside is lost."""
     chosen, first = refract(si.bsdf(), si, rng, active)
     going = active & (dr.max(first) > 0)
 
     def cross(state: _State) -> None:
         state.si = scene.ray_intersect(state.ray, state.active)
         bsdf = state.si.bsdf()
-        clear = state.active & state.si.is_valid() & _bends(bsdf.flags()) & (state.count < MOST_BOUNDARIES)
+        clear = state.active & state.si.is_valid() & _bends(bsdf.flags()) & (state.count < MAX_BOUNDARIES)
         chosen, weight = refract(bsdf, state.si, state.rng, clear)
         state.ray = dr.select(clear, state.si.spawn_ray(state.si.to_world(chosen.wo)), state.ray)
         state.weight = dr.select(clear, state.weight * weight, state.weight)
