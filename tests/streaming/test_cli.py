@@ -51,7 +51,7 @@ def test_large_files_are_taken_in_bands(
 ) -> None:
     assert denoise(folder, *CHEAP) == 0
     assert "bands" not in capsys.readouterr().out
-    monkeypatch.setattr(plan, "WHOLE", 1e-6)
+    monkeypatch.setattr(plan, "MAX_WHOLE_GIB", 1e-6)
     assert denoise(folder, *CHEAP) == 0
     assert "in 1 band, " in capsys.readouterr().out
     assert denoise(folder, *CHEAP, "--bands", "off") == 0
@@ -66,7 +66,7 @@ def test_sequences_go_band_by_band_and_frame_by_frame(
     sequence = ["denoise", str(folder / "in.####.exr"), "-o"]
     assert run([*sequence, str(folder / "whole.####.exr"), "--bands", "off", *CHEAP]) == 0
     for name, options in (("rows", ["--bands", "30"]), ("auto", [])):
-        monkeypatch.setattr(plan, "WHOLE", 1e-6)
+        monkeypatch.setattr(plan, "MAX_WHOLE_GIB", 1e-6)
         capsys.readouterr()
         assert run([*sequence, str(folder / f"{name}.####.exr"), *options, *CHEAP]) == 0
         assert "2 of 2 frames; the last: 19x83 pixels in " in capsys.readouterr().out

@@ -317,7 +317,7 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert choose_rows(reader, asked, 1e-9) == 32
     assert not needs_bands(reader, asked)
     for rows, large in ((SHAPE[0] + 1, False), (SHAPE[0] - 1, True)):
-        monkeypatch.setattr(plan, "WHOLE", rows * SHAPE[1] * pixel / 2**30)
+        monkeypatch.setattr(plan, "MAX_WHOLE_GIB", rows * SHAPE[1] * pixel / 2**30)
         assert needs_bands(reader, asked) == large
     taken: list[float] = []
     monkeypatch.setattr(streaming, "choose_rows", lambda reader, settings, memory: taken.append(memory) or 30)

@@ -1,4 +1,4 @@
-"""What is filtered, and by which features: one layer of radiance for each lobe that the frame tells apart."""
+"""The layers of a frame, one for each lobe whose light it holds apart, and the features that filter each layer."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from lobewise.sparse_frame import AnyFrame
 
 Mask = NDArray[np.bool_]
 
-DARKEST_ALBEDO = 10.0 * ALBEDO_FLOOR
-"""Of light that is not known by lobe, what an albedo must be above to count as one."""
-NEAREST_HIT = 2.0
-"""Hits count as no nearer than this many pixel footprints."""
+MIN_WHOLE_ALBEDO = 10.0 * ALBEDO_FLOOR
+"""Albedo below which light that is not split by lobe is not divided by it."""
+MIN_HIT_DISTANCE = 2.0
+"""Smallest hit distance, pixel footprints: nearer hits count as this far."""
 
 
 class Support(Protocol):
-    """How much a layer's filter gathered at every pixel, two images (height, width)."""
+    """What the filter of a layer gathered at every pixel: two images (height, width)."""
 
     @property
     def weight_sum(self) -> FloatArray:
@@ -49,12 +49,26 @@ class Support(Protocol):
 
     @property
     def effective_samples(self) -> FloatArray:
-        """How many equal samples that is worth."""
+        """Number of equally weighted samples with the same variance."""
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One radiance to filter and what it is filtered by."""
+    """One radiance to filter, and the features by which its pixels are compared.
+
+    Parameters
+    ----------
+    radiance : (height, width, 3)
+    albedo : (height, width, 3), optional
+        Divides the radiance.
+    mask : (height, width), bool
+        Pixels that have this light.
+    features : tuple of Feature
+    name : str
+    is_diffuse, is_transmitted : bool
+        Whether surfaces scattered the light diffusely, or bent it. Bent light may have passed other surfaces behind, so
+        the lobe of the first surface does not tell where it came from.
+    """
 
     radiance: FloatArray
     albedo: FloatArray | None
@@ -63,11 +77,10 @@ class Layer:
     name: str = "color"
     is_diffuse: bool = False
     is_transmitted: bool = False
-    """Whether it was bent by a surface, and perhaps by others behind it: then no lobe of the first tells its way."""
 
     @property
     def is_reflected(self) -> bool:
-        """Whether it follows a specular lobe."""
+        """Whether the light follows a specular lobe."""
         return not self.is_diffuse and not self.is_transmitted
 
 
@@ -106,13 +119,13 @@ def _make_sg_lobes(frame: AnyFrame, settings: ResolvedSettings) -> SgField:
 
 
 def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
-    """Return the hits, no nearer than `NEAREST_HIT` footprints, so that contacts do not close the kernel."""
+    """Return the hits, no nearer than `MIN_HIT_DISTANCE` footprints, so that contacts do not close the kernel."""
     if not settings.hit_distance:
         return None
     camera = frame.require_camera(_name_similarity(settings))
     distance = frame.gbuffer.require("hit_distance", _name_similarity(settings))
     place, depth = find_places(frame.gbuffer, camera)
-    nearest = NEAREST_HIT * camera.get_pixel_angle(frame.height)
+    nearest = MIN_HIT_DISTANCE * camera.get_pixel_angle(frame.height)
     return HitField(place, find_inverse_hits(distance, depth, nearest))
 
 
@@ -225,15 +238,15 @@ def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
     """Return the albedo of all light together, (height, width, 3): the sum of both, or that which is known.
 
     Light also comes from where it is 0 (lamps, the sky, mirrors whose albedo nobody told): nothing is divided by less
-    than `DARKEST_ALBEDO`, and where no channel has more, by 1.
+    than `MIN_WHOLE_ALBEDO`, and where no channel has more, by 1.
     """
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
     if not known:
         return None
     albedo: FloatArray = np.sum(known, axis=0, dtype=np.float32) if len(known) > 1 else known[0]
     # Written so that an albedo that is no number counts as none.
-    black = ~(albedo.max(axis=-1, keepdims=True) > DARKEST_ALBEDO)
-    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
+    black = ~(albedo.max(axis=-1, keepdims=True) > MIN_WHOLE_ALBEDO)
+    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_WHOLE_ALBEDO)))
 
 
 def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:

@@ -1,16 +1,16 @@
-"""The light of an image before and after: what its filter lost is shared out, and where that is much it is told.
+"""The light that a filter loses: it is shared out over its layer, and the user is told where it is much.
 
-A filter that knows noise loses light: fireflies are bounded, and what is brighter than its neighbours counts less. So
-the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. What a layer lost is
-shared out over its pixels, in proportion to their light but no more than to `MAX_TAKER` of the layer's mean, so that
-shadows stay dark and spots that are still too bright take no more than others. Most of it was lost where no pixel
-tells; so it goes everywhere, too thin to be seen.
+A filter that is guided by the noise loses light: fireflies are bounded, and pixels brighter than their neighbours count
+less. So the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. The lost
+light of a layer is shared out over its pixels, in proportion to their light, but to no more than `MAX_TAKER` of the
+layer's mean: shadows stay dark, and spots that are still too bright take no more than other pixels. The samples do not
+tell where most of the light belongs, so it goes everywhere, too thin to be seen.
 
-Whether a filter clearly took light away is told by the change of its mean against the noise of that mean. Fireflies are
-light that the scene has, found by few samples: a mean without them is too dark, one with them is noisy. Which it is,
-their share alone does not tell: one of them may hold 4 % of an image whose mean is right by chance. So the change of
-the mean is compared with its standard error, from the squared residuals of all pixels; what k equal fireflies add to a
-mean is sqrt(k) of its errors. Source of the residual: `lobewise.filters.noise.residuals`.
+The user is told of a loss if the mean changed by much more than its noise. Fireflies are light of the scene that few
+samples found: a mean without them is too dark, and a mean with them is noisy. The share of the fireflies does not tell
+these cases apart, because one firefly may hold 4 % of an image whose mean is right by chance. So the change of the mean
+is compared with its standard error, from the squared residuals of all pixels: k equal fireflies change a mean by
+sqrt(k) standard errors. Source of the residual: `lobewise.filters.noise.residuals`.
 """
 
 from __future__ import annotations
@@ -28,42 +28,44 @@ from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE,
 from lobewise.frame import FloatArray, Frame
 
 MIN_SHARE_BOUNDED = 1e-3
-"""Share of the light that was taken from fireflies, below which they are not the cause of a change."""
+"""Share of the light that bounding took from fireflies. Below it, fireflies are not the cause of a change."""
 MIN_SHARE_LOST = 0.01
-"""Share of the mean below which nobody misses it: a seventieth of a stop."""
+"""Lost share of the mean below which the user is not told: a seventieth of a stop."""
 MIN_STANDARD_ERRORS = 2.5
-"""Of the noisy image's mean: below, its noise may be the change. Measured on 87 frames of Blender, LuxCore and Mitsuba
-with references (benchmarks/foreign): the 12 that are told lack 5 to 25 % of their reference's light (LuxCore's
-``sparks``), no other lacks more than 3 %; at 2 one more would be told, which lacks 1.9 %."""
+"""Standard errors of the noisy mean below which its noise explains a change. Measured on 87 frames of Blender, LuxCore
+and Mitsuba with references (benchmarks/foreign): the user is told of 12 frames, which lack 5 to 25 % of the light of
+their references (LuxCore's ``sparks``). No other frame lacks more than 3 %. With 2 standard errors the user would be
+told of one more frame, which lacks 1.9 %."""
 MAX_TAKER = 0.5
-"""Times the layer's mean light, over albedo, above which a pixel takes no more of what is shared out."""
+"""Light of a pixel over the layer's mean light, both over the albedo, above which a brighter pixel takes no more."""
 MAX_SHARED_AS_NOISE = 0.01
-"""Share of a layer's filtered light that is shared out even if it is no more than the noise of the layer's mean."""
+"""Share of a layer's filtered light that is shared out even where the noise of the layer's mean explains the loss."""
 MAX_GAIN_PER_FIREFLY = 0.02
-"""Share of their light by which pixels grow at most, for each of the equal fireflies that would lose as much, once by
-what takes part and once by all. A few pixels may hold more light than all others: they tell nothing of the mean, and
-would make the image several times as bright."""
+"""Largest gain of a pixel, as a share of its light, for each of the equal fireflies that would explain the loss. It
+bounds the gain of the light that takes part and the gain of all light. A few pixels may hold more light than all
+others: they tell nothing of the mean, and would make the image several times as bright."""
 MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
-"""By how much the light that takes part in sharing grows at most; what is left goes to all light in proportion, which
-grows by no more than the second."""
+"""Largest gain of the light that takes part in sharing, and largest gain of all light. The rest of the lost light goes
+to all light in proportion."""
 MAX_FALL = 0.5
-"""Share of its light that a layer loses at most, where its filter added some."""
+"""Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128
+"""Rows whose sums are computed together."""
 
 Rows = NDArray[np.float64]
 
 
 def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
-    """Return by which share of its light a pixel takes part in what is shared out, (height, width), in [0, 1].
+    """Return the share of each pixel's light that takes part in sharing, (height, width), in [0, 1].
 
-    What is no part of the layer passes as it is, and takes nothing.
+    Pixels outside of the layer take nothing.
 
     Parameters
     ----------
     layer : Layer
-        Whose light it is.
+        The noisy layer.
     part : array, shape (height, width, 3)
-        The layer, filtered; what is not finite or negative takes nothing.
+        The filtered layer. Pixels that are not finite or negative take nothing.
     level : float
         Mean light of the layer's samples, over albedo.
     """
@@ -77,10 +79,10 @@ def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
 
 
 def sum_missing(layer: Layer, part: FloatArray, taker: FloatArray, rows: slice = slice(None)) -> Rows:
-    """Return for some rows of a layer, over good pixels, what `find_gain` asks for, (rows, 5).
+    """Return sums over the good pixels of each row, (rows, 5), from which `find_gain` computes the gain.
 
-    They are the sums of its noisy light, of what the filtered ``part`` lacks of it, of the square of that, of the light
-    that takes part in sharing, and of all light of the pixels that take part. Light is the sum of the three channels.
+    The sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that
+    takes part in sharing; all light of the pixels that take part. Light is the sum of the three channels.
     """
     found = []
     for noisy, done, share in zip(layer.radiance[rows], part[rows], taker[rows], strict=True):
@@ -88,29 +90,29 @@ def sum_missing(layer: Layer, part: FloatArray, taker: FloatArray, rows: slice =
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
         missing = before - after
         sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
-        # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
+        # Sum each row alone: bands of any height then give the same bits.
         found.append([one.sum() for one in sums])
     return np.array(found, np.float64).reshape(-1, 5)
 
 
 class Gain(NamedTuple):
-    """What the light of a layer gains, as shares of it: what takes part in sharing, and all of the same pixels."""
+    """The gain of a layer: of the light that takes part in sharing, and of all light of the same pixels; shares."""
 
     takers: float = 0.0
     all: float = 0.0
 
     def sum_light(self, rows: Rows) -> float:
-        """Return the light that is shared out, the sum of all pixels and channels, from what `sum_missing` gave."""
+        """Return the light that is shared out, summed over pixels and channels; ``rows`` are of `sum_missing`."""
         taking, whole = rows[:, 3:].sum(axis=0)
         return float(self.takers * taking + self.all * whole)
 
 
 def find_gain(rows: Rows) -> Gain:
-    """Return what the light of a layer gains.
+    """Return the gain of a layer.
 
-    Of k equal fireflies, and nothing else, the share ``1 - 1/k^2`` is shared out: the error of what is missing is the
-    root of the sum of its squares. Pixels grow by no more than `MAX_GAIN_PER_FIREFLY` for each of them, whatever these
-    hold.
+    The standard error of the missing light is the root of the sum of its squares. Where k equal fireflies are all that
+    is missing, the share ``1 - 1/k^2`` of it is shared out. Pixels grow by at most `MAX_GAIN_PER_FIREFLY` for each
+    firefly, however much light the fireflies hold.
     """
     _, missing, squared, taking, whole = (float(each) for each in rows.sum(axis=0))
     if not (taking > 0.0 and squared > 0.0 and math.isfinite(squared)) or missing == 0.0:
@@ -126,7 +128,7 @@ def find_gain(rows: Rows) -> Gain:
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain) -> FloatArray:
-    """Return an image, (height, width, 3), with the light that a layer's ``part`` gains."""
+    """Return an image, (height, width, 3), plus the gain of a layer's ``part``."""
     if not any(gain):
         return image
     factor = np.where(taker > 0.0, np.float32(gain.takers) * taker + np.float32(gain.all), np.float32(0.0))
@@ -134,7 +136,7 @@ def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain)
 
 
 def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:
-    """Return which share of the light of all layers is missing after sharing, in [0, 1]."""
+    """Return the share of the light of all layers that is missing after sharing, in [0, 1]."""
     noisy = missing = 0.0
     for each, gain in zip(rows, gains, strict=True):
         sums = each.sum(axis=0)
@@ -144,29 +146,29 @@ def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:
 
 
 def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: slice = slice(None)) -> Rows:
-    """Return for some rows, over good pixels, the sums of the noisy light, of the result's and of squared residuals.
+    """Return sums over the good pixels of each row: noisy light, light of the result, squared residuals of the mean.
 
     Parameters
     ----------
     frame : Frame
-        Noisy; rows around those that are asked for tell their residuals.
+        The noisy frame. Residuals also read the rows beside ``rows``.
     image : array, shape (height, width, 3)
         The result.
     bad : bool array, shape (height, width)
-        Where a pixel is no radiance.
+        Pixels that are NaN, infinite or negative.
     rows : slice
-        Which rows.
+        Rows to sum.
 
     Returns
     -------
     array, shape (rows, 3)
-        Light is the sum of the three channels. The residuals are those of the mean: where neighbours share their noise,
-        as much larger.
+        Light is the sum of the three channels. Where neighbours share their noise, the noise of the mean is larger, and
+        the squared residuals are scaled accordingly.
     """
     first, stop, _ = rows.indices(frame.height)
     color, step = frame.radiance.color, _get_step(frame)
     found: list[list[np.float64]] = []
-    # A block at a time: in 64 bits a whole image would take as much memory as its filter.
+    # Sum block by block: a whole image in 64 bits takes as much memory as its filter.
     for top in range(first, stop, ROWS_AT_ONCE):
         end = min(top + ROWS_AT_ONCE, stop)
         begin = max(top - step, 0)
@@ -176,20 +178,20 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         squared = _find_squared_residual(noisy, step)[core]
         sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED_NOISE_VARIANCE * squared)
         lit = [np.where(good[core], one, 0.0) for one in sums]
-        # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
+        # Sum each row alone: bands of any height then give the same bits.
         found += [[one[row].sum(dtype=np.float64) for one in lit] for row in range(end - top)]
     return np.array(found, np.float64).reshape(-1, 3)
 
 
 def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
-    """Return the sentence that light was moved, or none where the noise explains the change.
+    """Return the sentence that tells the user of a loss, or nothing where the noise explains it.
 
     Parameters
     ----------
     rows : array, shape (height, 3)
-        What `sum_light` gave, of the image before its light is shared out.
+        Result of `sum_light` for the image before its light is shared out.
     share_bounded : float
-        Share of the light that was taken from fireflies, in [0, 1].
+        Share of the light that bounding took from fireflies, in [0, 1].
     """
     noisy, done, squared = rows.sum(axis=0) if len(rows) else (0.0, 0.0, 0.0)
     if share_bounded < MIN_SHARE_BOUNDED or not noisy > 0.0:
@@ -210,12 +212,12 @@ def _add_channels(image: FloatArray) -> NDArray[np.float64]:
 
 
 def _get_step(frame: Frame) -> int:
-    """Return from how many pixels away residuals are taken."""
+    """Return the distance of the neighbours that a residual reads, pixels."""
     return SHARED_STEP if frame.noise_is_shared else 1
 
 
 def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    """Return the squared residual of every pixel, which stands for neighbours that are bad (NaN) or outside."""
+    """Return the squared residual of every pixel. A pixel replaces its neighbours that are bad (NaN) or outside."""
     height, width = light.shape
     around = np.pad(light, step, mode="edge")
     total = np.zeros_like(light)

@@ -1,4 +1,4 @@
-"""What is done to filtered bands when the whole image is known: light is shared out, holes are filled, rows written."""
+"""The steps after all bands are filtered: share out light, fill holes, write rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lobewise.streaming.kept import KeptBands
 def finish_bands(
     reader: BandReader, kept: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[Gain]
 ) -> None:
-    """Hand the bands to the writer, with what every layer gains, and their holes filled."""
+    """Add the gain of every layer to the bands, fill their holes and hand them to the writer."""
     height, _ = reader.shape
     reader.forget(height)
     row = 0
@@ -39,14 +39,14 @@ def finish_bands(
 
 
 class Finisher:
-    """Rows that are filtered, until what surrounds their holes is there as well."""
+    """Holds filtered rows until the rows around their holes have arrived."""
 
     def __init__(self, find_mean: Callable[[], FloatArray], device: str) -> None:
         self._find_mean, self._device = find_mean, device
         self._images: dict[str, FloatArray] = {}
         self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._context = 0
-        """How many of the rows are out already, and only tell on those that follow."""
+        """Number of held rows that are released already: the holes of later rows read them."""
 
     def add(self, images: dict[str, FloatArray], holes: NDArray[np.bool_]) -> None:
         """Take the next rows."""
@@ -57,9 +57,9 @@ class Finisher:
         self._holes = np.concatenate([self._holes, holes])
 
     def release(self, *, last: bool) -> dict[str, FloatArray] | None:
-        """Return the rows that nothing which follows can change; None for none."""
+        """Return the rows that later rows cannot change; None if there are none."""
         first, count = self._context, len(self._holes)
-        # A row without holes is as it will be.
+        # A row without holes is final.
         stop = count if last or not self._holes[first:].any() else count - REFILL_REACH
         if stop <= first:
             return None
@@ -69,7 +69,7 @@ class Finisher:
             around = self._images["color"][begin:end], self._holes[begin:end]
             done["color"] = refill(*around, self._find_mean(), self._device)[first - begin : stop - begin]
         keep = max(stop - REFILL_REACH, 0)
-        # Copies, so that the rows above are let go.
+        # Copy, so that the memory of the rows above is freed.
         self._images = {field: image[keep:].copy() for field, image in self._images.items()}
         self._holes = self._holes[keep:].copy()
         self._context = stop - keep

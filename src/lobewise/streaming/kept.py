@@ -1,4 +1,4 @@
-"""Bands that are filtered but not finished, kept on the disk until the whole image is known."""
+"""Filtered bands, kept on the disk until all bands are filtered."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class _Place(NamedTuple):
-    """Where an image lies in the file."""
+    """Place of an image in the file."""
 
     start: int
     shape: tuple[int, ...]
@@ -18,7 +18,7 @@ class _Place(NamedTuple):
 
 
 class KeptBands:
-    """Images of bands in a binary file, which come back in the order in which they went in."""
+    """Images of bands in a binary file; they are read in the order in which they were added."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file

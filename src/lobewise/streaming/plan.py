@@ -1,4 +1,4 @@
-"""How an image is cut into bands of rows: what of it is read, how much memory a row takes, how many rows fit."""
+"""Bands of rows: the images that are read for them, the memory of a row, and the rows that fit."""
 
 from __future__ import annotations
 
@@ -13,57 +13,58 @@ from lobewise.settings.choices import get_quality
 
 GIB = float(2**30)
 DEFAULT_MEMORY = 3.0
-"""GiB that the bands of an image may take; what the program and its kernels are comes on top of that."""
-WHOLE = 4.0
-"""GiB above which a file is not denoised as a whole where nobody says how."""
-FEWEST_ROWS = 32
-"""Rows that a band has at least: kernels work in strips of so many."""
+"""Memory that a band may take, GiB; program and kernels take more."""
+MAX_WHOLE_GIB = 4.0
+"""Memory above which a file is denoised in bands by default, GiB."""
+MIN_ROWS = 32
+"""Rows of the smallest band: kernels work in strips of this height."""
 MEASURED_ROWS = 256
 """Rows of a band in the pass that measures the whole frame."""
 Bands = list[tuple[int, int]]
-"""First row and the one behind the last of each."""
+"""First row of each band, and the row behind its last."""
 
 _PARTS = ("color", "diffuse", "specular")
 
 
 def list_measured(settings: DenoiseSettings) -> Images:
-    """Return which images the pass that measures a frame looks at."""
+    """Return the images that the measuring pass reads."""
     if not get_quality(settings.quality).reads_halves:
         return frozenset({*(("radiance", part) for part in _PARTS), ("variance", "color")})
     return list_images(settings)
 
 
 def estimate_bytes(reader: BandReader, settings: DenoiseSettings) -> int:
-    """Return how many bytes a pixel takes while it is filtered."""
+    """Return the bytes of a pixel while it is filtered."""
     stored, read = reader.count_bytes()
     return (0 if forgets(settings) else stored) + read + get_quality(settings.quality).work_bytes_per_pixel
 
 
 def forgets(settings: DenoiseSettings) -> bool:
-    """Return whether rows are let go as soon as a frame is made of them, and decoded again for the next and the copy.
+    """Return whether stored rows are freed as soon as their frame is made, and decoded again when they are needed.
 
-    That is little beside what the quality "high" computes, and leaves room for taller bands.
+    A quality that mixes several images takes so long that decoding twice costs little, and the freed memory leaves room
+    for taller bands.
     """
     return get_quality(settings.quality).mixes
 
 
 def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
-    """Return whether a file is so large that it is better denoised in bands; ``settings`` have their quality chosen."""
+    """Return whether a file is so large that it is denoised in bands; the quality of ``settings`` is chosen."""
     height, width = reader.shape
-    return height * width * estimate_bytes(reader, settings) > WHOLE * GIB
+    return height * width * estimate_bytes(reader, settings) > MAX_WHOLE_GIB * GIB
 
 
 def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -> int:
-    """Return how many rows a band can have so that it and the rows around it fit ``memory`` GiB, at least a few."""
+    """Return the rows of a band that, with the rows around it, fits ``memory`` GiB; at least `MIN_ROWS`."""
     _, width = reader.shape
     fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))
-    return max(fitting - 2 * find_band_reach(settings), FEWEST_ROWS)
+    return max(fitting - 2 * find_band_reach(settings), MIN_ROWS)
 
 
 def find_band_reach(settings: ResolvedSettings) -> int:
-    """Return how many rows around a band are read: as far as anything tells on its pixels, or on what is told of them.
+    """Return how many rows around a band are read: the reach of the filters and of the notes to the user.
 
-    The quality "fast" does not look at evidence; the sentence on what it blurs does.
+    Filters without halves do not read the evidence, but the note on blurred detail does.
     """
     return find_reach(settings) + (0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH)
 
@@ -75,8 +76,8 @@ def cut_bands(height: int, rows: int) -> Bands:
 
 
 def widen(band: tuple[int, int], reach: int, height: int) -> tuple[int, int]:
-    """Return a band with ``reach`` rows to each side, as far as there are such, from an even row on.
+    """Return a band with ``reach`` more rows to each side, within the image, from an even row on.
 
-    Where a frame has no halves, its pixels are told apart by the colours of a checkerboard, which must not change.
+    A frame without halves is split by the colours of a checkerboard. An even first row keeps the colours.
     """
     return max(band[0] - reach, 0) // 2 * 2, min(band[1] + reach, height)

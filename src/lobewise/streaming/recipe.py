@@ -1,4 +1,4 @@
-"""The recipe from file to file: the frame is measured as a whole, then filtered band by band, to the same bits."""
+"""The recipe of `denoise_file`: measure the whole frame, then filter it band by band, to the same bits."""
 
 from __future__ import annotations
 
@@ -75,19 +75,19 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 Progress = Callable[[str, int, int], None]
-"""Told what is done, how many rows of it are, and how many there are."""
+"""Takes the name of the work, the rows that are done, and all rows."""
 
 
 @dataclass(frozen=True)
 class DenoisedFile:
-    """What `denoise_file` did.
+    """The report of `denoise_file`.
 
     Parameters
     ----------
     shape : (int, int)
         (height, width).
     bands : int
-        In how many bands it was filtered.
+        Number of bands.
     bad_pixel_count, energy_lost, settings, seconds, notes, unused, method
         As in `lobewise.Result`.
     """
@@ -131,10 +131,10 @@ def denoise_file(
     rows : int, optional
         Rows of a band, >= 1; by default as many as fit ``memory``.
     memory : float
-        GiB that a band may take, > 0. With large kernels the rows around a band may not leave room for any: then it has
-        a few, and takes more.
+        GiB that a band may take, > 0. With large kernels the rows around a band alone may take more: the band then has
+        `MIN_ROWS` rows.
     progress : callable, optional
-        Called with what is done, the rows that are, and the rows that there are.
+        Called with the name of the work, the rows that are done, and all rows.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def denoise_file(
     height, _ = reader.shape
     with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
-        # What "auto" stands for hangs on what there is, not on the pixels; but for the noise, which is measured.
+        # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
         probe = reader.read_frame(0, 1)
         chosen = resolve_all(probe, asked, spp=1.0)
         most = choose_rows(reader, chosen, memory) if rows is None else rows
@@ -219,7 +219,7 @@ def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: f
 
 @dataclass(frozen=True)
 class _Measured:
-    """What is known of the whole frame; of the quality "fast" only where it is asked for."""
+    """Measurements of the whole frame; the quality "fast" makes them only where a setting needs them."""
 
     levels: tuple[float, ...]
     tallies: tuple[Rows, ...]
@@ -229,18 +229,18 @@ class _Measured:
 
 @dataclass
 class _Seen:
-    """What is seen of the bands as they are filtered, to be told at the end."""
+    """Sums and findings of the bands, collected for the notes at the end."""
 
     measures_light: bool
-    """Whether so much was taken from fireflies that the light before and after is compared."""
+    """Whether bounding took so much from fireflies that the light before and after is compared."""
     light: list[Rows] = field(default_factory=list)
     blurred: list[Rows] = field(default_factory=list)
     missing: list[list[Rows]] = field(default_factory=list)
-    """Of every layer what its rows lack, as `sum_missing` gives it."""
+    """Results of `sum_missing` for the layers of each band."""
     unusable: list[Unusable] = field(default_factory=list)
 
     def list_notes(self, reader: BandReader, share_bounded: float) -> tuple[str, ...]:
-        """Return what is told of the whole frame, one sentence each."""
+        """Return the notes on the whole frame, one sentence each."""
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
         return (
             *(one.told for one in check_own_mark(reader.container)),
@@ -250,20 +250,20 @@ class _Seen:
         )
 
     def join_missing(self) -> list[Rows]:
-        """Return what all rows of every layer lack, (rows, 5) each; nothing with the quality "fast"."""
+        """Return the results of `sum_missing` of every layer for all rows; empty with the quality "fast"."""
         return [np.concatenate(rows) for rows in zip(*self.missing, strict=True)]
 
     def find_gains(self) -> list[Gain]:
-        """Return what the light of every layer gains."""
+        """Return the gain of every layer."""
         return [find_gain(rows) for rows in self.join_missing()]
 
     def find_share_missing(self) -> float:
-        """Return which share of the light is missing still."""
+        """Return the share of the light that is missing after sharing."""
         return find_share_missing(self.join_missing(), self.find_gains())
 
 
 def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
-    """Read a frame once; everything is summed by rows, and so to the same bits as of the whole frame."""
+    """Read a frame once and sum it row by row, to the same bits as of the whole frame."""
     height, width = reader.shape
     guided = get_quality(settings.quality).reads_halves
     lights: list[list[Rows]] = []
@@ -304,10 +304,7 @@ def _filter(
     tell: Progress,
     seen: _Seen,
 ) -> int:
-    """Filter band after band and keep what comes out; return how many pixels were bad.
-
-    What is to be told of each band is added to ``seen``.
-    """
+    """Filter and keep band after band; return the number of bad pixels. ``seen`` collects the notes."""
     height, width = reader.shape
     reach, bad_count = find_band_reach(settings), 0
     tell("Filtering", 0, height)
@@ -333,10 +330,10 @@ def _filter_band(
     core: slice,
     seen: _Seen,
 ) -> tuple[dict[str, NDArray[Any]], int]:
-    """Return the images of the rows of ``core`` by their fields, and how many pixels were bad.
+    """Return the images of the rows of ``core`` by their fields, and the number of bad pixels.
 
-    Beside the fields there are ``holes``, where the total is none, and ``taker0`` and so on, how much of what is shared
-    out the pixels of each layer take.
+    Beside the fields there are ``holes``, the pixels without a value, and for each layer ``taker0`` and so on, the
+    result of `find_takers`.
     """
     frame = reader.read_frame(*rows)
     seen.unusable += find_unusable(frame, core)

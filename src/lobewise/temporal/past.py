@@ -1,4 +1,4 @@
-"""What is remembered of the frame before, and how the frame after finds its way in it."""
+"""The memory of the frame before, and the search of each pixel's history in it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 
-AGREES = 0.1
-"""Agreement from which a pixel counts as found, and continues the frame before."""
-LARGEST_STEP = 0.25
-"""Part of the image's longer side that such a pixel may have moved by: what jumps further is seen in another shot."""
+MIN_AGREEMENT = 0.1
+"""Agreement above which a pixel counts as found in the frame before, 0 to 1."""
+MAX_STEP = 0.25
+"""Longest way of a found pixel, as a share of the image's longer side. Pixels that jump further are of another shot."""
 
 
 @dataclass(frozen=True)
 class Past:
-    """What is remembered of the frame before.
+    """The memory of the frame before.
 
     Parameters
     ----------
     guides : Guides
-        Its surfaces.
+        The surfaces of the frame.
     similarity : str
-        What compared its lobes.
+        The similarity by which its lobes were compared.
     sums : dict of array, shape (height, width, 7)
-        Of every layer by its name; see `lobewise.filters.history.sums`.
+        Sums of each layer, by its name; see `lobewise.filters.history.sums`.
     validation : dict of ValidationFeatures
-        Of every layer by its name, if they were made already.
+        Features of each layer, by its name; empty until they are made.
     allowance : array, shape (height, width), optional
-        With which they are made; see `lobewise.temporal.validation.make_validation_features`.
+        Argument of `lobewise.temporal.validation.make_validation_features`.
     """
 
     guides: Guides
@@ -57,11 +57,11 @@ class HistoryReprojection:
     Attributes
     ----------
     validation : dict of ValidationFeatures
-        Of this frame.
+        Features of this frame's layers.
     allowance : array, shape (height, width), or None
-        With which they were made.
+        Argument of `make_validation_features` for this frame.
     share : float
-        Share of the pixels, 0 to 1, that found theirs.
+        Share of the pixels that found their history, 0 to 1.
     """
 
     def __init__(
@@ -84,18 +84,18 @@ class HistoryReprojection:
         self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart)
         if past is None or self._places is None:
             return
-        # Those of a past that was read from a file are made again.
+        # A past that was read from a file has no features yet.
         self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
-        # What only place and normal tell apart tells how much of the image goes on.
+        # Measure how much of the image continues on a layer that is compared by place and normal alone.
         name = next((name for name in ("rest", "diffuse") if name in past.sums), None)
         if name is None:
             found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         else:
             found = self._found[name] = self._find(name, past.sums[name])
         if found is not None:
-            near = _find_near(self._places[0], LARGEST_STEP * max(guides.shape))
-            self.share = float(np.mean((found[..., AGREEMENT] > AGREES) & near))
+            near = _find_near(self._places[0], MAX_STEP * max(guides.shape))
+            self.share = float(np.mean((found[..., AGREEMENT] > MIN_AGREEMENT) & near))
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
             self.validation = make_validation_features(guides, settings, temporal, None, apart)
@@ -116,7 +116,7 @@ class HistoryReprojection:
         assert self._places is not None
         masks = old.mask, new.mask
         surface, virtual = self._places
-        # Where the reflection was, all but the surface's own features are compared.
+        # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
         features = old.surface, new.surface
         memory, device = self._temporal.memory, self._device
@@ -124,7 +124,7 @@ class HistoryReprojection:
 
 
 def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:
-    """Return which pixels moved less than ``reach``."""
+    """Return where pixels moved less than ``reach`` pixels."""
     height, width = places.shape[:2]
     across = np.abs(places[..., 0] - np.arange(width, dtype=np.float32)) < reach
     return np.asarray(across & (np.abs(places[..., 1] - np.arange(height, dtype=np.float32)[:, None]) < reach))
@@ -133,7 +133,7 @@ def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:
 def _find_all_places(
     guides: Guides, before: Guides
 ) -> tuple[tuple[FloatArray, FloatArray | None] | None, FloatArray | None]:
-    """Return where surfaces and reflections were, and by how many pixels surfaces moved by themselves."""
+    """Return the earlier places of surfaces and reflections, and the own motion of surfaces, pixels."""
     motion, camera, previous = guides.gbuffer.motion, guides.camera, before.camera
     if camera is None or previous is None or not guides.is_placed:
         if motion is None:
@@ -168,7 +168,7 @@ _PARTS = ("similarity", "sums", "allowance", "gbuffer", "camera")
 
 
 def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
-    """Return the past that `pack_past` took apart; its features are made when they are needed.
+    """Return the past from the arrays of `pack_past`; its features are made when they are needed.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def unpack_past(packed: Mapping[str, NDArray[Any]]) -> Past:
 
 
 def _unpack_camera(values: Mapping[str, Any]) -> Camera:
-    """Return a camera; made orthonormal once more, its directions would differ in the last bit."""
+    """Return a camera with exactly these directions: making them orthonormal again would change their last bits."""
     camera = Camera(**values)
     for name in ("forward", "up"):
         exact = np.array(values[name], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What the pixels of a layer are recognised by a frame later: the features that are compared between two frames."""
+"""The features that recognise the pixels of a layer one frame later."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import ResolvedSettings, TemporalSettings
 from lobewise.settings.choices import get_similarity
 
-FAR = 1e8
+BACKGROUND_DISTANCE = 1e8
 """Distance of the background, world units."""
 HIT_TOLERANCE = 0.08
-"""Standard deviation of the logarithm of a mirror's hit distance: what of a frame's change is no change of the hit."""
+"""Standard deviation of the logarithm of a mirror's hit distance between two frames that show the same hit."""
 HIT_TOLERANCE_PER_LOBE = 1.5
-"""How much of it a lobe adds for each radian that it is wide: its hit distance is an average over what it sees."""
+"""Increase of this standard deviation for each radian of a lobe's width: a wide lobe averages its hit distances."""
 
 
 @dataclass(frozen=True, repr=False)
 class Guides(Guided):
-    """What is known of a frame's surfaces, whatever was shaded."""
+    """The surfaces of a frame, full or sparse."""
 
     gbuffer: GBuffer
     camera: Camera | None
@@ -63,16 +63,16 @@ class Guides(Guided):
 
 @dataclass(frozen=True)
 class ValidationFeatures:
-    """What one layer is recognised by.
+    """The features that recognise one layer.
 
     Parameters
     ----------
     mask : bool array, shape (height, width)
-        Where the layer has meaning.
+        Pixels that have this light.
     surface : tuple of Feature
-        Compared where the surface point was.
+        Compared at the earlier place of the surface point.
     virtual : tuple of Feature
-        Compared where the reflection was; empty where reflections are not told apart or not tracked.
+        Compared at the earlier place of the reflection; empty where reflections are not split off or not tracked.
     """
 
     mask: NDArray[np.bool_]
@@ -80,7 +80,7 @@ class ValidationFeatures:
     virtual: tuple[Feature, ...] = ()
 
     def fits(self, other: ValidationFeatures) -> bool:
-        """Return whether both compare the same things in images of one size."""
+        """Return whether both have the same kinds of features and one size."""
 
         def describe(features: Sequence[Feature]) -> list[object]:
             return [describe_structure(feature) for feature in features]
@@ -95,30 +95,30 @@ class ValidationFeatures:
 def make_validation_features(
     guides: Guides, settings: ResolvedSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
 ) -> dict[str, ValidationFeatures]:
-    """Return what every layer is recognised by: ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
+    """Return the features of the layers ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
 
     Parameters
     ----------
     guides : Guides
-        Of one frame.
+        Surfaces of one frame.
     settings : ResolvedSettings
-        Which similarity compares lobes.
+        Its similarity compares the lobes.
     temporal : TemporalSettings
-        How strictly.
+        Its ``beta`` and ``plane_sigma`` say how strictly.
     allowance : array, shape (height, width), optional
-        Pixel footprints by which the surface moved by itself, allowed for beside those of the settings.
+        Own motion of the surface, pixel footprints. It widens the tolerance of the settings.
     apart : bool
-        Whether diffuse and specular radiance are.
+        Whether diffuse and specular radiance are split.
     """
     frame = guides.frame
     surface = find_surface(frame)
     everywhere = np.ones(guides.shape, dtype=bool)
     normal = guides.gbuffer.require("normal", "a history")
     position = guides.places[0] if guides.is_placed else None
-    # The background faces the camera from far away, so that it is itself again and no surface.
+    # Put the background far away, facing the camera: it then matches itself and no surface.
     backdrop = Backdrop(normal, normal, position)
     if not surface.all():
-        backdrop = put_backdrop(surface, normal, position, guides.camera, FAR)
+        backdrop = put_backdrop(surface, normal, position, guides.camera, BACKGROUND_DISTANCE)
     plane = _make_plane(guides, temporal, surface, allowance, backdrop)
     facing = NormalFeature(backdrop.facing, settings.normal_exponent)
     validation = {"rest": ValidationFeatures(everywhere, (*plane, facing))}
@@ -130,7 +130,7 @@ def make_validation_features(
         hit_distance=can_use_hits(frame),
     )
     lobes, mask = make_specular_features(frame, same, surface, apart)
-    # Reflections that are mixed with diffuse light do not move as one.
+    # Track reflections only where they are split from diffuse light, which moves with the surface.
     virtual = (*lobes, *_make_hit_features(guides)) if apart and same.hit_distance else ()
     validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or lobes)), virtual)
     if apart:
@@ -154,7 +154,7 @@ def _make_plane(
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
-    """Return what compares how far away is what a lobe sees, the more strictly the narrower it is."""
+    """Return the feature of hit distances; narrow lobes are compared more strictly."""
     distance, alpha_u, alpha_v = (getattr(guides.gbuffer, name) for name in ("hit_distance", "alpha_u", "alpha_v"))
     if alpha_u is None:
         return ()
