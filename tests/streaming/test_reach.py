@@ -14,7 +14,7 @@ from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.denoising.planning.layer_plans import BALANCED_DIFFUSE, BALANCED_SPECULAR, scale_kernel
 from lobewise.denoising.stages import filter_frame
 from lobewise.features import ScreenFeature
-from lobewise.filters import compositing, fireflies, highlights, mixing, noise_guides, specks
+from lobewise.filters import compositing, fireflies, highlights, mixing_pass, noise_guides, specks
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
@@ -110,7 +110,7 @@ def test_proportions_are_read_off_averages_of_averages() -> None:
     extras = np.zeros((HEIGHT, WIDTH, 1), np.float32)
     changed = [(alter(a, 40.0), alter(b, 41.0)) for a, b in candidates]
     before, after = (find_features(pairs, 1, extras, 1.0) for pairs in (candidates, changed))
-    assert measure(before, after) == mixing.REACH
+    assert measure(before, after) == mixing_pass.REACH
 
 
 def test_coverage_reaches_the_neighbours() -> None:
