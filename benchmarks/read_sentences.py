@@ -28,8 +28,8 @@ NOT_PROSE = re.compile(r"^\s*(\||#|!\[|<!--|>>>)")
 """Table rows, headings, pictures, marks and doctests."""
 LABELS = re.compile(r"^\s*([A-Z]\w+\n\s*-{3,}|\w[\w, ]* : .*|\w+Error)$", flags=re.M)
 """Lines of a docstring that are no prose: underlined headings, names with types of parameters, names of errors."""
-FIGURES = re.compile(r"<!-- figures:(?!end).*?<!-- figures:end -->", flags=re.S)
-"""Marked figures of a page."""
+FIGURES = re.compile(r"<!-- (?:figures:(?!end)|ways:start).*?<!-- (?:figures|ways):end -->", flags=re.S)
+"""Places of a page that programs fill."""
 LIST_ITEM = re.compile(r"^\s*([-*]|\d+\.)\s+")
 
 
