@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.settings import Knob
+from lobewise.settings.choices import SIMILARITIES
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.looks import KNOBS, FrameLook, Look, list_controls
 from lobewise.viewer.messages import Description
@@ -113,7 +114,7 @@ class LookPanel:
         return replace(
             look,
             form=look.form if look.quality == "fast" else "full",
-            hit_distance=look.hit_distance and look.similarity in ("sg", "asg", "ggx"),
+            hit_distance=look.hit_distance and _takes_hits(look.similarity),
         )
 
     def _get(self, name: str) -> Any:
@@ -128,7 +129,7 @@ class LookPanel:
         """Hide controls that change nothing with the current settings."""
         handles = self._handles
         similarity = self._get("similarity")
-        filtered = similarity != "none"
+        filtered, compares_normals = similarity != "none", _compares_normals(similarity)
         # Only the quality "fast" has other kernels than the full one.
         plain = "quality" not in handles or self._get("quality") == "fast"
         shown = {
@@ -139,9 +140,9 @@ class LookPanel:
             "beta": filtered and not handles["auto_beta"].value,
             "temporal": filtered,
             "filter_direct": filtered,
-            "normal_exponent": similarity == "normal",
-            "auto_tau": filtered and similarity != "normal",
-            "hit_distance": similarity in ("sg", "asg", "ggx"),
+            "normal_exponent": compares_normals,
+            "auto_tau": filtered and not compares_normals,
+            "hit_distance": _takes_hits(similarity),
         }
         if "form" in handles:
             shown["radius"] = filtered and not (plain and self._get("form") == "atrous")
@@ -171,6 +172,16 @@ class LookPanel:
             self._changed()
 
         handle.on_update(react)
+
+
+def _takes_hits(similarity: str) -> bool:
+    """Return whether a similarity is known to compare the surfaces that lobes hit; "auto" and "none" are not."""
+    return similarity in SIMILARITIES and SIMILARITIES[similarity].takes_hits
+
+
+def _compares_normals(similarity: str) -> bool:
+    """Return whether a similarity is known to compare normals instead of lobes; "auto" and "none" are not."""
+    return similarity in SIMILARITIES and not SIMILARITIES[similarity].has_lobes
 
 
 @dataclass
