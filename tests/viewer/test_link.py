@@ -17,7 +17,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.viewer import Viewer, link
-from lobewise.viewer.link import MOST_RESTARTS, Link
+from lobewise.viewer.link import MAX_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
 from lobewise.viewer.server import find_port, hold_interrupts
@@ -140,7 +140,7 @@ class TestDeath:
         one, _, remarks = open_link()
         one.submit(ask(1, 666))
         wait_until(lambda: remarks and not remarks[-1][1])
-        assert len(remarks) == MOST_RESTARTS + 1
+        assert len(remarks) == MAX_RESTARTS + 1
         assert "exit code 7" in remarks[-1][0]
 
     def test_what_cannot_be_opened_is_told(self, open_link):

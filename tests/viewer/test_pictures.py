@@ -9,7 +9,7 @@ from lobewise.interactive.settings import InteractiveSettings
 from lobewise.reporting.display import map_tones, map_tones_quickly
 from lobewise.viewer.looks import FrameLook, name_sides
 from lobewise.viewer.messages import Window
-from lobewise.viewer.pictures import BARS, LEGENDS, MOST_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
+from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
 
 
 class TestTones:
@@ -30,7 +30,7 @@ class TestStops:
     @pytest.mark.parametrize("level", [1e-6, 0.03, 1.0, 2.7, 1e6])
     def test_it_is_a_step_of_the_slider(self, level):
         stops = choose_stops(np.full((8, 8, 3), level, np.float32))
-        expected = np.clip(np.log2(0.8 / level), -MOST_STOPS, MOST_STOPS)
+        expected = np.clip(np.log2(0.8 / level), -MAX_STOPS, MAX_STOPS)
         assert stops == round(stops, 1)
         assert stops == pytest.approx(expected, abs=0.0501)
 

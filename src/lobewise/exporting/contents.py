@@ -35,7 +35,7 @@ class Contents:
     def title(self) -> str:
         """The filter in half a line."""
         plan = self.plan
-        lobes = f" of {plan.lobes}" if plan.similarity == "sg_mixture" else ""
+        lobes = f" of {plan.lobes}" if plan.is_mixture else ""
         reach = "" if plan.form == "atrous" else f", radius {plan.radius}"
         return f"lobewise filter, {plan.similarity}{lobes}, {plan.form}{reach}"
 

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from lobewise.errors import InputError
 from lobewise.settings import LARGEST_RADIUS, MAX_LOBES, Declared, Form, Knob, Similarity, document
+from lobewise.settings.choices import SIMILARITIES
+from lobewise.settings.choices import Similarity as SimilarityRecord
 
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
 TARGETS = (
@@ -75,13 +77,18 @@ class ExportSettings(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.anisotropic and self.similarity not in ("asg", "ggx"):
+        if self.anisotropic and not (self.record and self.record.has_covariance):
             raise InputError(
                 "anisotropic lobes",
                 expected="similarity 'asg' or 'ggx'",
                 got=repr(self.similarity),
                 action="choose one of them, or leave it out",
             )
+
+    @property
+    def record(self) -> SimilarityRecord | None:
+        """The record of the similarity; None for "diffuse", which only exports have."""
+        return SIMILARITIES.get(self.similarity)
 
 
 document(ExportSettings)

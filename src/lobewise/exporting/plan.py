@@ -24,6 +24,7 @@ from lobewise.features import (
 )
 from lobewise.guides.lobe_fields import define_lobes
 from lobewise.guides.mixture_fields import define_mixture
+from lobewise.settings.choices import get_similarity
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,12 @@ class FilterPlan(ExportSettings):
     @property
     def makes_lobes(self) -> bool:
         """Whether there is a second function, which makes the lobes from normal, roughness and position."""
-        return self.similarity not in ("normal", "diffuse")
+        return self.record is not None and self.record.has_lobes
+
+    @property
+    def is_mixture(self) -> bool:
+        """Whether a lobe is a sum of spherical Gaussians."""
+        return self.record is not None and self.record.is_mixture
 
     @property
     def terms(self) -> list[Term]:
@@ -99,7 +105,7 @@ class FilterPlan(ExportSettings):
         return self.make_features(arrays, {each.name: 1.0 for each in given})
 
     def _list(self, *names: str, role: str = "") -> list[Argument]:
-        return list_arguments(*names, lobes=self.lobes if self.similarity == "sg_mixture" else PLANAR, role=role)
+        return list_arguments(*names, lobes=self.lobes if self.is_mixture else PLANAR, role=role)
 
 
 def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
@@ -107,4 +113,5 @@ def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
 
     The exported function is compiled from this definition, and the sample is made with it in this process.
     """
-    return define_mixture(grid, lobes) if similarity == "sg_mixture" else define_lobes(grid, similarity, False)
+    is_mixture = get_similarity(similarity).is_mixture
+    return define_mixture(grid, lobes) if is_mixture else define_lobes(grid, similarity, False)

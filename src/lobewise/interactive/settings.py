@@ -15,6 +15,10 @@ METHODS: tuple[Method, ...] = get_args(Method)
 """Ways of computing indirect light."""
 UNFILTERED: Unfiltered = "none"
 """The similarity that switches the filter off."""
+MAX_SHOWN_SHARPNESS = 1e6
+"""Sharpness that the views show brightest, inverse square radians."""
+MAX_SHOWN_FRAMES = 40.0
+"""History length that the views show brightest, frames."""
 _OF_THE_FILTER = ("beta", "radius", "screen_sigma", "tau", "normal_exponent")
 
 

@@ -12,17 +12,13 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer, Result
 from lobewise.guides.lobe_fields import make_sg_field
+from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
 from lobewise.lobes.band_limit import default_tau
 from lobewise.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:
     # The viewer of finished frames imports this module, and must not need Mitsuba.
     from lobewise.render.stages import DirectLight, FirstHits
-
-MAX_SHOWN_SHARPNESS = 1e6
-"""Sharpness that is shown brightest, inverse square radians."""
-MAX_SHOWN_FRAMES = 40.0
-"""History length that is shown brightest, frames."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""JSON and TOML from files that nobody vouches for: limits first, then the parser, then one sentence or a value.
+"""Read JSON and TOML from untrusted files. Limits are checked before the parser runs, and errors are one sentence.
 
-A parser alone is not enough. Nested brackets exhaust its stack, a number of 400 digits fits no float, a file of a few
-megabytes of empty lists takes a gigabyte as Python objects, and of two keys of one name the last wins silently.
+A parser alone is not enough: nested brackets exhaust its stack, a number of 400 digits fits no float, a few megabytes
+of empty lists take a gigabyte as Python objects, and of two equal keys the last wins silently.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ else:
     import tomli as tomllib
 
 MAX_DEPTH = 64
-"""Lists and objects inside each other. The files of this package have 6, those of glTF about 10."""
+"""Deepest nesting of lists and objects. Files of this package have 6 levels, glTF files about 10."""
 MAX_VALUES = 1 << 21
-"""Values in one document: at most 400 MB as Python objects."""
+"""Most values in one document: they take at most 400 MB as Python objects."""
 MAX_DIGITS = 308
-"""Digits of a whole number: any that has no more is finite as a 64-bit float."""
+"""Most digits of an integer: an integer of 308 digits is finite as a 64-bit float."""
 MAX_DOTS_IN_LINE = 256
-"""Dots in one line of TOML: of a dotted key the parser keeps every beginning, which takes memory by their square."""
+"""Most dots in a line of TOML. The parser stores every prefix of a dotted key, so memory grows with their square."""
 
 _STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*(?:"|\\?\Z)', re.DOTALL)
 _HALF_OF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
@@ -40,11 +40,11 @@ _BESIDE_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
 class _Refused(ValueError):
-    """Inner, short: what is wrong with a document. The public edge adds its name."""
+    """The reason why a document is refused. The public functions add its name."""
 
 
 def read_document(path: PathLike, limit: int, *, what: str, holds: str) -> bytes:
-    """Return the bytes of a file that should hold ``holds``, of at most ``limit`` bytes; ``what`` stands in errors.
+    """Return the bytes of a file of at most ``limit`` bytes. ``what`` and ``holds`` name it and its content in errors.
 
     Raises FileError as `lobewise.io.files.require_readable`, or if the file is larger.
     """
@@ -62,11 +62,11 @@ def read_document(path: PathLike, limit: int, *, what: str, holds: str) -> bytes
 
 
 def parse_json(data: bytes | str, *, what: str, action: str = "mend the file") -> Any:
-    """Return what a JSON document says; ``what`` stands in errors: where the document is from.
+    """Return the value of a JSON document; ``what`` names its source in errors.
 
-    Lists and objects lie at most `MAX_DEPTH` deep, there are at most `MAX_VALUES` values, whole numbers have at most
-    `MAX_DIGITS` digits, every key of an object is there once, and there is no NaN or Infinity, which JSON does not
-    have. A fraction such as 1e999 comes out as infinity: whoever takes a number asks whether it is finite.
+    The limits are `MAX_DEPTH`, `MAX_VALUES` and `MAX_DIGITS`. Every key of an object must be unique, and NaN and
+    Infinity, which JSON does not have, are refused. A fraction such as 1e999 is read as infinity: callers must check
+    that numbers are finite.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def parse_json(data: bytes | str, *, what: str, action: str = "mend the file") -
 
 
 def parse_toml(data: bytes, *, what: str, action: str = "mend the file") -> dict[str, Any]:
-    """Return what a TOML document says, within the limits of `parse_json`; ``what`` stands in errors.
+    """Return the value of a TOML document, within the limits of `parse_json`; ``what`` names its source in errors.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _parse(parse: Callable[[], Any], kind: str, what: str, action: str) -> Any:
     except _Refused as problem:
         got = str(problem)
     except ValueError as problem:
-        # Parsers say what they stumble on in words of their own, which change from version to version.
+        # The parsers' own messages change from version to version: tell only the place.
         got = f"text that is no {kind}{_find_place(problem)}"
     except MemoryError:
         got = "more than there is memory for"
@@ -125,7 +125,7 @@ def _parse(parse: Callable[[], Any], kind: str, what: str, action: str) -> Any:
 
 
 def _find_place(problem: ValueError) -> str:
-    """Return where a parser stopped, as far as it says: " from line 1, column 20 on"."""
+    """Return where a parser stopped, such as " from line 1, column 20 on"; empty if it does not tell."""
     if isinstance(problem, json.JSONDecodeError):
         if not problem.doc[problem.pos :].strip():
             return f": it ends too soon, in line {problem.lineno}"
@@ -137,7 +137,7 @@ def _find_place(problem: ValueError) -> str:
 
 
 def _decode(data: bytes) -> str:
-    """Return text in UTF-8, with or without the mark that some editors put first."""
+    """Decode UTF-8, with or without a byte order mark."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -149,13 +149,12 @@ def _make_printable(text: str) -> str:
 
 
 def _check_nesting(data: bytes) -> None:
-    """Raise `_Refused` if brackets lie too deep or there are too many values, before any is made."""
-    # Any value but the first follows a comma or opens a list or an object; it is enough to look outside strings.
+    """Raise `_Refused` if brackets are nested too deep or there are too many values, before any value is made."""
+    # Every value but the first follows a comma or an opening bracket, so count these outside strings.
     if data.count(b"[") + data.count(b"{") + data.count(b",") <= MAX_DEPTH:
         return
     plain = _STRING.sub(b"", data)
     brackets = np.frombuffer(plain.translate(None, _BESIDE_BRACKETS), np.uint8)
-    # In ASCII the closing brackets are the opening ones plus two.
     opens = (brackets == ord("[")) | (brackets == ord("{"))
     if int(np.count_nonzero(opens)) + plain.count(b",") > MAX_VALUES:
         raise _Refused(f"more than {MAX_VALUES} values")
@@ -203,14 +202,14 @@ def _check_depth(value: Any) -> None:
 
 
 def _check_letters(value: Any) -> None:
-    """Raise `_Refused` if a text holds half of a pair of code units, which no file or terminal takes."""
+    """Raise `_Refused` if a text holds half of a surrogate pair, which cannot be encoded."""
     for _, one in _walk(value):
         if isinstance(one, str) and any("\ud800" <= letter <= "\udfff" for letter in one):
             raise _Refused(f"a text with half a letter in it: {one[:40]!r}")
 
 
 def describe_kind(value: Any) -> str:
-    """Return what kind of thing a value of a document is, in JSON's words: ``a list``, ``a number``, ``nothing``."""
+    """Return the kind of a value in a document, such as ``a list``, ``a number`` or ``nothing``."""
     kinds = (
         (bool, "true or false"),
         ((int, float), "a number"),
@@ -226,7 +225,7 @@ def require_number(
 ) -> float:
     """Return a value of a document as a float.
 
-    Raises InputError if it is no finite number; true and false are none.
+    Raises InputError unless it is a finite number. True and false are no numbers.
     """
     if not _is_number(value):
         raise InputError(what, expected=expected, got=show_value(value), action=action)
@@ -234,10 +233,7 @@ def require_number(
 
 
 def require_numbers(what: str, value: Any, count: int, *, action: str = "") -> NDArray[np.float64]:
-    """Return a list of ``count`` finite numbers of a document as an array, shape (count,).
-
-    Raises InputError if it is none.
-    """
+    """Return a list of ``count`` finite numbers of a document as an array, shape (count,); else raise InputError."""
     if not isinstance(value, list) or len(value) != count or not all(map(_is_number, value)):
         words = {2: "two", 3: "three", 4: "four"}.get(count, str(count))
         action = action or f"write [{', '.join('xyzw'[:count])}]"
@@ -246,9 +242,9 @@ def require_numbers(what: str, value: Any, count: int, *, action: str = "") -> N
 
 
 def require_arrays(what: str, values: Mapping[str, Any], names: Iterable[str], *, action: str) -> None:
-    """Raise InputError unless each of these values of a document is a number, or lists of numbers inside lists.
+    """Raise InputError unless each of the named values is a number or nested lists of numbers.
 
-    NumPy alone would take texts as well, and give every element the room of the longest.
+    NumPy alone would accept texts too, and give every element the size of the longest text.
     """
     for name in names:
         for _, one in _walk(values[name]):
@@ -262,7 +258,7 @@ def _is_number(value: Any) -> bool:
 
 
 def show_value(value: Any) -> str:
-    """Return a value as text, in short where it is long."""
+    """Return a value as text, abbreviated if it is long."""
     if isinstance(value, (list, dict)) and (len(value) > 8 or any(isinstance(one, (list, dict)) for one in value)):
         return f"{describe_kind(value)} of {len(value)}"
     text = json.dumps(value, default=str)

@@ -1,4 +1,4 @@
-"""Paths of users: what can go wrong with them, said once; outputs that appear whole or not at all."""
+"""Check the paths that users give, and write outputs whole or not at all."""
 
 from __future__ import annotations
 
@@ -17,13 +17,7 @@ PathLike = str | os.PathLike[str]
 
 
 def as_path(path: Any, what: str) -> Path:
-    """Return a path as one of text.
-
-    Raises
-    ------
-    InputError
-        If it is something else than a text, bytes or a path.
-    """
+    """Return a text, bytes or path as a Path; raise InputError for anything else."""
     try:
         return Path(os.fsdecode(path))
     except TypeError:
@@ -34,7 +28,7 @@ def as_path(path: Any, what: str) -> Path:
 
 @contextmanager
 def refusing(name: str, expected: str, action: str) -> Iterator[None]:
-    """Raise FileError about what is called ``name`` where the system refuses something inside."""
+    """Turn an OSError in the ``with`` block into a FileError about the file called ``name``."""
     try:
         yield
     except OSError as problem:
@@ -42,11 +36,11 @@ def refusing(name: str, expected: str, action: str) -> Iterator[None]:
 
 
 def require_readable(path: PathLike, *, what: str = "input", holds: str = "") -> Path:
-    """Return ``path`` if it names a regular file that is not empty and can be opened; it should hold ``holds``.
+    """Return ``path`` if it names a regular file that is not empty and can be opened.
 
-    Without it an input should hold an image, and any other file what it is called.
+    ``holds`` says in errors what the file should hold: by default an image for an input, else a ``what``.
 
-    Raises FileError if it does not exist, is a directory or a device, is empty, or may not be read.
+    Raises FileError if the file does not exist, is a directory or a device, is empty, or may not be read.
     """
     file = as_path(path, what)
     try:
@@ -85,7 +79,7 @@ def require_writable(path: PathLike, *, what: str = "output") -> Path:
 
     A symbolic link is followed, so that writing replaces what it points at and not the link.
 
-    Raises FileError if it is a directory or a device, its folder does not exist, or may not be written to.
+    Raises FileError if the path is a directory or a device, or its folder does not exist or may not be written to.
     """
     named = as_path(path, what)
     try:
@@ -120,9 +114,9 @@ def require_other_files(
     what: str = "output",
     action: str = "choose another name",
 ) -> None:
-    """Raise InputError if an output is a file that is read, by whichever name: a link of either kind, another spelling.
+    """Raise InputError if an output is one of the inputs, also by another name: a hard or symbolic link.
 
-    Any other file that exists may be replaced. A path that names no file is no input.
+    Inputs that do not exist are ignored.
     """
     known = {place: path for path in inputs if (place := _find_place(path)) is not None}
     for path in outputs:
@@ -139,7 +133,7 @@ def require_other_files(
 
 
 def _find_place(path: PathLike) -> tuple[int, int] | None:
-    """Return what a file has alone whatever it is called, its device and number; None if there is none."""
+    """Return the device and inode of a file, which identify it under any name; None if it does not exist."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -151,7 +145,7 @@ EXR_NAMES = (".exr", ".sxr", ".mxr", "")
 
 
 def require_exr_name(path: PathLike) -> None:
-    """Raise InputError if the name of an output says that it is a file of another kind than EXR."""
+    """Raise InputError if an output's name has the ending of another format than EXR."""
     kind = as_path(path, "output").suffix
     if kind.lower() not in EXR_NAMES and not kind[1:].isdecimal():
         raise InputError(
@@ -163,9 +157,9 @@ def require_exr_name(path: PathLike) -> None:
 
 
 def make_folder(path: PathLike, *, what: str = "output") -> Path:
-    """Return the folder ``path``, made now if there is none, in which files can be written.
+    """Return the folder ``path``, created if it does not exist.
 
-    Raises FileError if it cannot be made, or may not be written to.
+    Raises FileError if it cannot be created or written to.
     """
     folder = as_path(path, what)
     try:
@@ -186,8 +180,8 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path``; on success it replaces ``path`` in one step, on failure it is removed.
 
     A reader sees the old file or the whole new one, never a part. An existing target keeps its permissions, its owner
-    and its extended attributes; what cannot be kept is told by a `lobewise.io.replacing.TargetWarning`. What a killed
-    process left of the same target is overwritten.
+    and its extended attributes; a `lobewise.io.replacing.TargetWarning` tells which of these could not be kept. A
+    temporary file that a killed process left for this target is overwritten.
 
     Raises FileError if the path cannot be written, another process is writing it, or the disk refuses, for example
     because it is full.
@@ -203,7 +197,7 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 
 @contextmanager
 def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
-    """Open a file without a name, on the disk that ``path`` is on, for what an output is made of; it leaves no trace.
+    """Open a temporary file without a name on the disk of ``path``. It disappears when it is closed.
 
     Raises FileError as `open_atomic`.
     """
@@ -216,7 +210,7 @@ def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
 
 
 def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
-    """Write ``text`` as UTF-8, whole or not at all; bytes of file names that are no UTF-8 come out as escapes.
+    """Write ``text`` as UTF-8, whole or not at all. Bytes that were not UTF-8, as in file names, become escapes.
 
     Raises FileError if the path cannot be written.
     """
@@ -225,7 +219,7 @@ def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
 
 
 def _find_sibling(file: Path) -> str | None:
-    """Return the file of the same folder whose name is nearest, if one is near."""
+    """Return the file in the folder whose name is most similar; None if no name is similar."""
     import difflib
 
     try:
@@ -237,11 +231,11 @@ def _find_sibling(file: Path) -> str | None:
 
 
 def say_reason(problem: OSError | ValueError) -> str:
-    """Return what the system has to say, without its capital letter."""
+    """Return the system's message, beginning with a small letter."""
     reason = getattr(problem, "strerror", None) or str(problem)
     return reason[:1].lower() + reason[1:]
 
 
 def _is_read_only(target: Path) -> bool:
-    """Return whether a file is closed to writing; root is asked by the mode too, as the system would let it."""
+    """Return whether a file may not be written. Its mode counts for root too, who could write it."""
     return not target.stat().st_mode & 0o222 or not os.access(target, os.W_OK)

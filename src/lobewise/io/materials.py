@@ -19,20 +19,20 @@ from lobewise.lobe_table import LobeTable
 
 FORMAT = "lobewise lobes"
 VERSION = 1
-# Far above the 4 lobes of a table over a thousand views; a larger file is something else.
 _MAX_BYTES = 1 << 26
+"""Largest lobe file, far above that of 4 lobes for a thousand views."""
 _FIELDS = tuple(item.name for item in fields(LobeTable))
 
 
 def read_merl(path: PathLike) -> MerlBrdf:
-    """Return the BRDF of a MERL file, named as the file is.
+    """Return the BRDF of a MERL file, with the file's name.
 
     Raises
     ------
     FileError
         If it cannot be read, or is not a whole MERL file with measurements; see `parse_merl`.
     """
-    # One byte more than there should be is enough to see that something follows.
+    # Read one byte more than a MERL file has, to detect larger files.
     data = read_bytes(path, FILE_BYTES + 1, holds="a MERL table")
     try:
         return parse_merl(data, Path(path).stem)
@@ -76,7 +76,7 @@ def write_lobe_table(path: PathLike, table: LobeTable) -> None:
 
 
 def lobe_table_to_json(table: LobeTable) -> str:
-    """Return the text of a lobe file; it may as well stand in the header of an image."""
+    """Return the text of a lobe file. Headers of images hold it too."""
     values: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     for name in _FIELDS:
         value = getattr(table, name)
@@ -86,7 +86,7 @@ def lobe_table_to_json(table: LobeTable) -> str:
 
 
 def lobe_table_from_json(text: str | bytes, *, what: str = "lobe table") -> LobeTable:
-    """Return the table that `lobe_table_to_json` wrote; ``what`` stands in errors: where the text is from.
+    """Return the table that `lobe_table_to_json` wrote; ``what`` names the source of the text in errors.
 
     Raises FileError if it is no lobe table, is of another version, or holds values that no table can have.
     """

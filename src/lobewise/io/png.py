@@ -14,7 +14,7 @@ from lobewise.io.files import PathLike
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 MAX_BYTES_OF_TEXTS = 4096
-"""How far from the beginning of a file its texts are looked for."""
+"""Texts are searched in this many bytes from the beginning of a file."""
 
 
 def encode_png(

@@ -1,4 +1,4 @@
-"""Files that replace others in one step, also where a process is killed in between or two write at once."""
+"""Replace files in one step, safe against killed processes and concurrent writers."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ except ImportError:
     fcntl = None  # type: ignore[assignment]
 
 MAX_NAME_BYTES = 255
-"""Length of a file's name on usual file systems."""
+"""Longest file name of usual file systems."""
 MIN_SECONDS_OF_LEFTOVERS = 86400.0
-"""Age from which on a temporary file of the first version of lobewise is taken for one of a killed process."""
+"""Age from which a temporary file of lobewise's first version counts as left by a killed process."""
 _OPEN = (
     os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 )
@@ -29,11 +29,11 @@ _MAX_ATTEMPTS = 100
 
 
 class TargetWarning(UserWarning):
-    """A file was replaced, and something beside its content could not stay as it was."""
+    """A file was replaced, but its owner, group or hard links could not be kept."""
 
 
 def name_temporary(target: Path) -> Path:
-    """Return the one temporary file of a target: the next write of that target takes it over."""
+    """Return the temporary file of a target. Every write of the target uses this one."""
     name = f".{target.name}.part"
     if len(os.fsencode(name)) > MAX_NAME_BYTES:
         name = f".{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:32]}.part"
@@ -41,10 +41,10 @@ def name_temporary(target: Path) -> Path:
 
 
 class Replacement:
-    """A new content of ``target``, which must be a real path, written into ``stream``.
+    """The new content of ``target``, a real path; write it into ``stream``.
 
-    It is locked as long as it is open, and given back by the system when the process dies. Without `finish` the target
-    stays as it was, and nothing is left.
+    The temporary file is locked while it is open; the system releases the lock when the process dies. Without `finish`
+    the target stays as it was and the temporary file is removed.
 
     Raises
     ------
@@ -65,14 +65,14 @@ class Replacement:
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._is_done:
-            # Before the lock is given back: afterwards the file may be another process's.
+            # Remove the file while it is locked: afterwards another process may own it.
             with suppress(OSError):
                 self._temporary.unlink()
         with suppress(OSError):
             self.stream.close()
 
     def finish(self) -> None:
-        """Put the new content in the target's place."""
+        """Replace the target by the new content."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
         told = _keep_properties(self._target, self.stream.fileno())
@@ -87,7 +87,7 @@ class Replacement:
 
 
 def _open_locked(path: Path) -> int:
-    """Return a descriptor of an empty file of this user at a path, locked; one that is there already is taken over."""
+    """Return a descriptor of a locked, empty file of this user at a path. An existing file is emptied."""
     for _ in range(_MAX_ATTEMPTS):
         if path.is_symlink():
             raise OSError(f"{str(path)!r} beside it, which is a link")
@@ -112,7 +112,7 @@ def _open_locked(path: Path) -> int:
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Return whether an open file still has its name: the one before may have been put in place meanwhile."""
+    """Return whether an open file still has its name: another writer may have moved it to its target meanwhile."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except FileNotFoundError:
@@ -120,7 +120,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 
 def _is_own(descriptor: int, path: Path) -> bool:
-    """Return whether an open file is this user's alone; one that is not loses its name."""
+    """Return whether an open file belongs to this user and has one name; unlink it if not."""
     found = os.fstat(descriptor)
     if not stat.S_ISREG(found.st_mode):
         raise OSError(f"{str(path)!r} beside it, which is no regular file")
@@ -131,7 +131,7 @@ def _is_own(descriptor: int, path: Path) -> bool:
 
 
 def _keep_properties(target: Path, descriptor: int) -> str:
-    """Give a new file the permissions, the owner and the attributes of what it replaces; return what cannot be kept."""
+    """Give a new file the permissions, owner and attributes of the old file; return a sentence about what is lost."""
     try:
         old = target.stat()
     except OSError:
@@ -151,7 +151,7 @@ def _keep_properties(target: Path, descriptor: int) -> str:
             for key in os.listxattr(target):
                 if not key.startswith("security."):
                     os.setxattr(descriptor, key, os.getxattr(target, key))
-    # After the owner, since a change of owner takes bits away.
+    # Set the mode after the owner: a change of owner clears bits of the mode.
     _set_mode(target, descriptor, stat.S_IMODE(old.st_mode))
     if old.st_nlink > 1:
         told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
@@ -166,7 +166,7 @@ def _set_mode(target: Path, descriptor: int, mode: int) -> None:
 
 
 def read_mask() -> int:
-    """Return the permissions that new files and folders do not get; it can only be read by setting it."""
+    """Return the umask of the process. It can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
@@ -176,7 +176,7 @@ _swept: set[Path] = set()
 
 
 def _remove_leftovers(target: Path) -> None:
-    """Remove ``.NAME.exr.????????.part``, which killed processes of the first version left, once for each folder."""
+    """Remove temporary files ``.NAME.exr.????????.part`` of killed processes of the first version, once per folder."""
     folder = target.parent
     if folder in _swept:
         return
@@ -191,7 +191,7 @@ def _remove_leftovers(target: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the new name durable; some file systems do not support it, and the data is safe without."""
+    """Make the new name durable. Some file systems do not support this; the data is safe without it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -10,14 +10,14 @@ from pathlib import Path
 from lobewise.errors import FileError, InputError, find_nearest
 from lobewise.io.files import PathLike, say_reason
 
-# The run of digits: signs as Blender writes them, or a number's format as C and ffmpeg write it.
+# Placeholder of the number: #### as in Blender, or %04d as in C and ffmpeg.
 _RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
 
 
 def is_pattern(text: PathLike) -> bool:
-    """Return whether a path stands for numbered files: its name has ``####`` or ``%04d``, and no file is named so."""
+    """Return whether a path stands for numbered files: its name has ``####`` or ``%04d``, and no such file exists."""
     path = Path(text)
-    # Not by `Path.is_file`, which raises an error at a name that is too long.
+    # `Path.is_file` would raise an error for a name that is too long.
     return _RUN.search(path.name) is not None and not os.path.isfile(path)
 
 
@@ -26,12 +26,12 @@ class FramePattern:
     """The name of numbered files."""
 
     folder: Path
-    """Where the files are."""
-    # What stands before and after the number, the ending included.
     before: str
+    """Text before the number."""
     width: int
-    """Digits that a number has at least; smaller numbers begin with zeros, larger ones have more digits."""
+    """Fewest digits of a number. Smaller numbers begin with zeros, larger ones have more digits."""
     after: str
+    """Text after the number, with the ending."""
 
     @classmethod
     def parse(cls, text: PathLike) -> FramePattern:
@@ -60,10 +60,9 @@ class FramePattern:
         return self.folder / f"{self.before}{number:0{self.width}d}{self.after}"
 
     def find(self) -> list[tuple[int, Path]]:
-        """Return the files that exist with their numbers, in the order of the numbers.
+        """Return the existing files with their numbers, in the order of the numbers.
 
-        Numbers may be missing: a number that is not the one before it plus 1 begins a new take, and whoever follows
-        motion from frame to frame must begin anew there.
+        After a missing number a new take begins: histories of earlier frames must not be used for it.
 
         Raises FileError if there is no file, or the folder cannot be read.
         """
@@ -76,7 +75,7 @@ class FramePattern:
                 got=say_reason(problem),
                 action="check the path",
             ) from None
-        # More digits than the pattern has are a large number, unless they begin with a zero.
+        # A number with more digits than the pattern must not begin with a zero.
         digits = rf"[0-9]{{{self.width}}}|[1-9][0-9]{{{self.width},}}"
         name = re.compile(f"{re.escape(self.before)}({digits}){re.escape(self.after)}")
         found = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
@@ -91,9 +90,9 @@ class FramePattern:
         )
 
     def _find_near(self, names: list[str]) -> str | None:
-        """Return the pattern of other numbered files whose name is nearest, if one is near.
+        """Return the pattern of other numbered files with the most similar name; None if no name is similar.
 
-        Compared are the letters: all such names have a run of # and an ending in common.
+        Only letters and digits before the ending are compared, because every pattern has a run of # and the ending.
         """
         wanted = Path(str(self))
         patterns: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""The browsers of a page: what each is given, what it asks for, and what it is shown and told."""
+"""The browsers of a page: their controls, requests, pictures and messages."""
 
 from __future__ import annotations
 
@@ -21,11 +21,14 @@ from lobewise.viewer.panel import Actions, Panel
 from lobewise.viewer.pictures import BARS
 from lobewise.viewer.status import write_figures, write_message
 
-_QUALITY = 90
-"""Of a picture that others follow; one that stays is sent again without loss."""
+_JPEG_QUALITY = 90
+"""JPEG quality of a picture. The last picture of a row is sent again without loss."""
 _TICK = 0.05
+"""Seconds between two looks at what no event tells."""
 _STATUS_EVERY = 0.2
+"""Shortest time between two updates of the figures, seconds."""
 _SLOW_AFTER = 0.8
+"""Time after which the status says what the worker is doing, seconds."""
 
 
 class Audience:
@@ -52,7 +55,7 @@ class Audience:
         self._page: Any = None
 
     def join(self, page: Any) -> None:
-        """Take in the browsers of a page of viser's from now on."""
+        """Serve the browsers of a page of viser from now on."""
         self._page = page
         page.on_client_connect(self.welcome)
         page.on_client_disconnect(self.dismiss)
@@ -61,10 +64,11 @@ class Audience:
     def statistics(self) -> dict[str, Any]:
         """Figures for tests and benchmarks.
 
-        ``frames``: pictures shown; ``browsers``; ``process``, ``memory`` and ``restarts`` of the process that renders:
-        its id, bytes, and how often it died. Lists with an entry for each browser: ``fps`` of the last 20 pictures;
-        ``size``, ``accumulated`` and ``seconds`` of the last one; ``eyes``: where the camera is, in its own unit;
-        ``resting``: whether the last picture was sent without loss and no other is asked for.
+        ``frames`` counts the pictures shown and ``browsers`` the browsers. ``process``, ``memory`` and ``restarts`` are
+        the worker's id, its memory in bytes, and how often it died. The others are lists with an entry for each
+        browser: ``fps`` of the last 20 pictures; ``size``, ``accumulated`` and ``seconds`` of the last picture;
+        ``eyes``, the camera's position in the browser's unit; ``resting``, whether the last picture was sent without
+        loss and no request is open.
         """
         with self._lock:
             guests = list(self._guests.values())
@@ -84,9 +88,9 @@ class Audience:
             }
 
     async def welcome(self, client: Any) -> None:
-        """Take a browser in; it gets its controls as soon as there is something to control.
+        """Add a browser. It gets its controls as soon as the target is open.
 
-        In the server's own thread, so that nobody is taken in who has already gone.
+        This runs in the server's own thread, so that a browser that has gone is never added.
         """
         guest = Guest(client, read_pose(client.camera), self._fixed_size)
         client.scene.set_background_image(_make_blank(), format="jpeg")
@@ -113,7 +117,7 @@ class Audience:
                 self.controls.pop(identity, None)
 
     def _furnish(self, guest: Guest) -> None:
-        """Give a browser its controls, or until the target is open a line that says what is being done."""
+        """Give a browser its controls, or a status line as long as the target is not open."""
         found, gui = self.found, guest.client.gui
         if found is None or self.cameras is None:
             guest.status = gui.add_html(write_message(self._notice))
@@ -146,9 +150,8 @@ class Audience:
         guest.pose = self.cameras.start
 
     def _follow(self, guest: Guest, camera: Any) -> None:
-        """Take notice of a browser's camera, or of a window that changed its size."""
+        """React to a change of a browser's camera or window."""
         pose = read_pose(camera)
-        # A finished frame hangs still; only a scene is rendered at fewer pixels in motion.
         if has_moved(guest.pose, pose):
             guest.pose = pose
             guest.moved_at = time.monotonic()
@@ -166,7 +169,7 @@ class Audience:
             self.link.submit(request)
 
     def receive(self, report: Report) -> None:
-        """Do what a report of the other process says."""
+        """React to a report of the worker."""
         if isinstance(report, Picture):
             self._doing = ""
             self._show(report)
@@ -191,7 +194,7 @@ class Audience:
                 guest.status.content = write_message(report.text, bad=True)
 
     def _open(self, found: Description) -> None:
-        """Give every browser its controls and ask for its first picture; once more after the process died."""
+        """Give every browser its controls and ask for its first picture. A restarted worker only tells the target."""
         with self._lock:
             first = self.found is None
             self.found, self.cameras = found, CameraMap(found)
@@ -225,11 +228,11 @@ class Audience:
         more = picture.final and guest.needs_more(self.found) and not self.link.is_waiting(picture.client)
         if more:
             self._ask(guest)
-        guest.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_QUALITY)
+        guest.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_JPEG_QUALITY)
         self._tell_figures(guest, now=not more)
 
     def _tell_figures(self, guest: Guest, *, now: bool = False) -> None:
-        """Bring a browser's figures up to date, a few times a second."""
+        """Update a browser's figures, at most every `_STATUS_EVERY` seconds unless ``now`` is set."""
         moment = time.monotonic()
         picture = guest.picture
         if picture is None or guest.status is None or not (now or moment - guest.told_at > _STATUS_EVERY):
@@ -242,14 +245,14 @@ class Audience:
         guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered, unseen=unseen)
 
     def _announce(self, text: str, *, bad: bool = False) -> None:
-        """Show one line to every browser; those that come later see it too until the target is open."""
+        """Show one line to every browser, and to later ones until the target is open."""
         self._notice = text
         with self._lock:
             for guest in self._guests.values():
                 self._tell(guest, text, bad=bad)
 
     def _tell(self, guest: Guest, text: str, *, bad: bool = False) -> None:
-        """Show one line to a browser: below the figures of its picture, or instead of a picture."""
+        """Show one line to a browser, below the figures of its picture if it has a picture."""
         if guest.picture is None and guest.status is not None:
             guest.status.content = write_message(text, bad=bad)
         else:
@@ -257,7 +260,7 @@ class Audience:
             self._tell_figures(guest, now=True)
 
     def remark(self, text: str, again: bool) -> None:
-        """Tell every browser that the process died."""
+        """Tell every browser that the worker died."""
         self._restarts += again
         with self._lock:
             guests = list(self._guests.values())
@@ -269,7 +272,7 @@ class Audience:
             self.over.set()
 
     def watch(self) -> None:
-        """Look after what no event tells: cameras that came to rest, pictures that take long."""
+        """Watch for cameras that came to rest and for pictures that take long, until the viewer stops."""
         told = 0.0
         while not self.over.wait(_TICK):
             with self._lock:
@@ -295,11 +298,10 @@ class Audience:
 
 
 def choose_other(found: Description, look: Look) -> Look:
-    """Return what the right side of the wipe begins with: the usual filter, or nothing where that is on the left."""
+    """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
     names = found.similarities
     if "normal" in names and look.similarity != "normal":
         return replace(look, similarity="normal")
-    # The last that there is, always: nothing at all.
     return replace(look, similarity="none")
 
 

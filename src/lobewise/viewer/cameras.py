@@ -1,4 +1,4 @@
-"""The browser's camera as ours, and ours as the browser's."""
+"""Convert between the browser's camera and the camera of a scene."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from lobewise.viewer.messages import Description, Window
 Vector = NDArray[np.float64]
 
 FRAME_FOV = 0.8
-"""Angle of view, radians, at which a finished frame hangs before the browser's camera."""
+"""Vertical angle of view, radians, under which the browser's camera sees a finished frame at first."""
 _DISTANCE = 4.0
-"""Of the browser's camera from what it looks at: its keys fly 2 units a second, whatever the scene's unit is."""
+"""First distance from the browser's camera to its look-at point, in the browser's unit. Its keys fly 2 units a second,
+whatever the scene's unit is."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A camera of the browser, in its own unit of length."""
+    """A camera of the browser, in the browser's unit of length. Vectors have the shape (3,)."""
 
-    # Where it is, the point about which it orbits, and the axis of that, shape (3,).
     position: Vector
     look_at: Vector
+    """The point about which the camera orbits."""
     up: Vector
+    """The axis of the orbit."""
     fov: float
     """Full vertical angle of view, radians."""
 
 
 class CameraMap:
-    """Between the browser's cameras and those of a scene, or the part of a finished frame that is looked at.
+    """Maps the browser's camera to the camera of a scene, or to the visible part of a finished frame.
 
-    What was found has the scene's own camera and the point that it looks at; without a camera it is a finished frame.
+    A description without a camera is that of a finished frame.
     """
 
     def __init__(self, found: Description) -> None:
@@ -46,14 +48,17 @@ class CameraMap:
             return
         camera = found.camera
         gap = float(np.dot(np.asarray(found.look_at) - camera.position, camera.forward))
-        # Where nothing is in front of the camera, any point will do.
+        # With the look-at point behind the camera, any other point will do.
         gap = gap if gap > 1e-9 else 1.0
         self._scale = _DISTANCE / gap
         position = self._scale * camera.position
         self.start = Pose(position, position + _DISTANCE * camera.forward, find_up(camera), camera.fov_y)
 
     def to_camera(self, pose: Pose) -> Camera | None:
-        """Return the camera of a scene; None where the browser's looks along its own axis, and of a finished frame."""
+        """Return the camera of a scene.
+
+        None for a finished frame, or if the browser's camera looks along the axis of its orbit.
+        """
         forward = pose.look_at - pose.position
         across = float(np.linalg.norm(np.cross(forward, pose.up)))
         if not self._scene or not across > 1e-6 * float(np.linalg.norm(forward) * np.linalg.norm(pose.up)):
@@ -61,7 +66,7 @@ class CameraMap:
         return Camera(position=pose.position / self._scale, forward=forward, up=pose.up, fov_y=pose.fov)
 
     def to_window(self, pose: Pose, width: int, height: int) -> Window:
-        """Return the picture area, and of a finished frame the part that the browser's camera looks at."""
+        """Return the picture area and, for a finished frame, the part of the frame that is visible."""
         if self._scene:
             return Window(max(width, 1), max(height, 1))
         gap = float(np.linalg.norm(pose.look_at - pose.position))
@@ -74,9 +79,9 @@ class CameraMap:
 
 
 def find_up(camera: Camera) -> Vector:
-    """Return the axis of the world that is nearest to a camera's up: what an orbit turns about.
+    """Return the world axis that is nearest to a camera's up, as the axis of orbits.
 
-    Scenes do not say which axis is up; a camera that is not rolled by more than 45 degrees does.
+    Scenes do not say which axis is up. The axis is right if the camera is rolled by less than 45 degrees.
     """
     axis = np.zeros(3)
     largest = int(np.argmax(np.abs(camera.up)))
@@ -85,7 +90,7 @@ def find_up(camera: Camera) -> Vector:
 
 
 def read_pose(camera: Any) -> Pose:
-    """Return what a browser's camera handle says."""
+    """Return the pose of a browser's camera handle."""
     return Pose(
         np.array(camera.position, dtype=np.float64),
         np.array(camera.look_at, dtype=np.float64),

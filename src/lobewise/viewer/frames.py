@@ -1,4 +1,4 @@
-"""A finished frame, filtered anew for every look that a page asks for."""
+"""A finished frame that is filtered for every look that a page asks for."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ from lobewise.viewer.messages import Description, FrameReading, Request
 from lobewise.viewer.pictures import MAX_SHOWN_SAMPLES
 from lobewise.viewer.shots import Shot
 
-_MOST_RESULTS = 8
+_MAX_RESULTS = 8
+"""Filtered images that are kept in memory, of all browsers."""
 
 
 class FrameTarget:
-    """An EXR file of any renderer, or one of lobewise's that was shaded sparsely; all browsers share its results.
+    """An EXR file of any renderer, or a sparsely shaded frame of lobewise. All browsers share the filtered images.
 
-    Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`, or if a sparse file is to be read in
-    another way than it tells.
+    Raises FileError, MissingChannelError or InputError as `lobewise.read_frame`. Raises InputError if ``reading`` is
+    given for a sparsely shaded frame.
     """
 
     def __init__(self, path: str, reading: FrameReading | None = None) -> None:
@@ -69,7 +70,7 @@ class FrameTarget:
         self._shown: dict[int, FrameLook] = {}
 
     def describe(self) -> Description:
-        """Return what this file allows."""
+        """Return the properties of the frame."""
         frame = self._frame
         sparse = isinstance(frame, SparseFrame)
         guides = frame.gbuffer
@@ -106,13 +107,13 @@ class FrameTarget:
         return any(look not in self._results for look in (request.look, request.other) if look is not None)
 
     def show_input(self, request: Request) -> list[Shot]:
-        """Return the frame as it is."""
+        """Return the unfiltered frame."""
         return [Shot(self._noisy, lambda view: self._get_view(view, None), (self._frame.width, self._frame.height))]
 
     def render(self, request: Request) -> list[Shot]:
         """Return the frame, filtered by one or two looks.
 
-        Raises LobewiseError if the file lacks what a look compares.
+        Raises LobewiseError if the file lacks a channel that a look needs.
         """
         assert isinstance(request.look, FrameLook)
         self._shown[request.client] = request.look
@@ -123,10 +124,10 @@ class FrameTarget:
         self._shown.pop(client, None)
 
     def write(self, client: int, folder: Path) -> Path:
-        """Return the EXR file, in ``folder``, of what a browser sees: the source with the filtered radiance.
+        """Write a copy of the file with the radiance that a browser sees into ``folder``; return its path.
 
-        It is what ``lobewise denoise`` writes with the same settings. The passes of light are read and filtered for the
-        file alone: while settings are tried they would take time and memory.
+        ``lobewise denoise`` writes the same file for the same settings. Passes of light are read and filtered only
+        here: while the user tries settings they would cost time and memory.
         """
         look, frame = self._shown.get(client, FrameLook("none")), self._frame
         result = self._get_result(look)
@@ -166,7 +167,7 @@ class FrameTarget:
     def _get_result(self, look: FrameLook) -> Result:
         if look not in self._results:
             self._results[look] = self._make_result(look)
-            while len(self._results) > _MOST_RESULTS:
+            while len(self._results) > _MAX_RESULTS:
                 self._results.popitem(last=False)
         self._results.move_to_end(look)
         return self._results[look]

@@ -1,4 +1,4 @@
-"""What is known of one browser, and what picture it gets next: fewer pixels while frames take too long."""
+"""The state of one browser, and its next request: fewer pixels while frames take too long."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from lobewise.viewer.panel import Panel
 
 STILL_AFTER = 0.3
 """Seconds without a camera event after which a camera stands still."""
-MOST_ACCUMULATED = 256
-"""Frames after which a camera that stands still gets no more."""
+MAX_ACCUMULATED = 256
+"""Largest number of frames in the mean of a camera that stands still."""
 _RATE_SPAN = 3.0
+"""Time over which pictures per second are counted, seconds."""
 TARGET = 0.2
 """Seconds that a frame may take while the camera moves."""
 STEPS = (1.0, 0.71, 0.5, 0.35, 0.25)
-"""Factors of width and height, each about half the pixels of the one before."""
-_ROOM = 0.6
-"""A larger picture is tried when it would take no longer than this part of the target."""
+"""Factors of width and height. Each step halves the number of pixels, about."""
+_MAX_LOAD = 0.6
+"""Largest expected time of a larger picture, relative to the target, at which the larger picture is tried."""
 _SMOOTHING = 0.5
+"""Weight of the newest time in the mean of times."""
 
 
 class Guest:
-    """One browser: viser's handle of it, and where its camera is.
+    """One browser: viser's handle, its camera and its pictures.
 
-    With ``fixed_size`` resolution and aspect are those that were asked for, whatever the window.
+    With ``fixed_size`` resolution and aspect do not depend on the window.
     """
 
     def __init__(self, client: Any, pose: Pose, fixed_size: bool) -> None:
@@ -57,13 +59,13 @@ class Guest:
 
     @property
     def is_resting(self) -> bool:
-        """Whether the last picture was sent without loss, so that nothing follows unless it is asked for."""
+        """Whether the last picture was sent without loss."""
         return self.picture is not None and self.picture is self._kept
 
     def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
-        """Return what the browser would see next; None where there is nothing to see.
+        """Return the request for the browser's next picture; None if it has no controls or no valid camera.
 
-        ``fresh`` tells whether a frame is to be rendered, or the last one shown otherwise.
+        ``fresh`` tells whether a new frame is rendered, or the last frame is shown again.
         """
         panel, camera = self.panel, self.client.camera
         if panel is None:
@@ -74,7 +76,7 @@ class Guest:
             placed = cameras.to_camera(self.pose)
             if placed is None:
                 return None
-            # Sizes are multiples of 8: the few pixels by which aspects differ are cut.
+            # Sizes are multiples of 8, so aspects differ by a few pixels: crop them.
             window = replace(window, fill=not self._fixed_size)
             self.pace.fixed = self._fixed_size or not panel.adapt
             factor = self.pace.factor if self.is_moving else 1.0
@@ -101,7 +103,7 @@ class Guest:
         )
 
     def add_picture(self, picture: Picture) -> None:
-        """Take notice of a picture that is shown."""
+        """Count a picture that is shown."""
         self.picture = picture
         self.shown += 1
         self.note = ""
@@ -111,31 +113,31 @@ class Guest:
             self.pace.add(picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0), factor)
 
     def needs_more(self, found: Description) -> bool:
-        """Return whether a scene whose camera stands still has not been rendered to the end."""
+        """Return whether a camera that stands still needs more frames, or a frame of the full size."""
         picture, panel = self.picture, self.panel
         if found.camera is None or picture is None or panel is None or self.is_moving:
             return False
         window = Window(self.client.camera.image_width, self.client.camera.image_height)
-        unfinished = panel.accumulate and picture.accumulated < MOST_ACCUMULATED
+        unfinished = panel.accumulate and picture.accumulated < MAX_ACCUMULATED
         return unfinished or picture.size != self._choose_size(found, window, 1.0)
 
     def get_last(self) -> Picture | None:
-        """Return a picture that nothing followed for a while and that was not yet sent without loss."""
+        """Return the last picture if it is older than `STILL_AFTER` and was not yet sent without loss, else None."""
         picture = self.picture
         if picture is None or picture is self._kept or time.monotonic() - self._times[-1] < STILL_AFTER:
             return None
         return picture
 
     def keep(self, picture: Picture) -> None:
-        """Take notice of a picture that was sent without loss."""
+        """Remember that a picture was sent without loss."""
         self._kept = picture
 
     def drop_pictures(self) -> None:
-        """Free the pictures of a browser that has gone, whose handles refer to each other and live a while longer."""
+        """Free the pictures of a browser that has gone. Its handles refer to each other and stay in memory longer."""
         self.picture = self._kept = None
 
     def get_rate(self, last: int | None = None) -> float | None:
-        """Return pictures per second: of the last ``last``, or of the last seconds; None where there are too few."""
+        """Return pictures per second, over the last ``last`` pictures or `_RATE_SPAN`; None for fewer than three."""
         now = time.monotonic()
         times = list(self._times)
         times = [moment for moment in times if now - moment < _RATE_SPAN] if last is None else times[-last - 1 :]
@@ -150,15 +152,15 @@ class Guest:
 
 
 def has_moved(before: Pose, after: Pose) -> bool:
-    """Return whether a browser's camera is elsewhere."""
+    """Return whether two poses differ."""
     pairs = ((before.position, after.position), (before.look_at, after.look_at), (before.up, after.up))
     return before.fov != after.fov or any((one != two).any() for one, two in pairs)
 
 
 class Pace:
-    """Chooses the step for one browser from the times of its frames, which may take ``target`` seconds.
+    """Chooses one of the `STEPS` for a browser, so that its frames take at most ``target`` seconds.
 
-    A ``fixed`` one always has all pixels.
+    With ``fixed`` every frame has all pixels.
     """
 
     def __init__(self, target: float = TARGET, fixed: bool = False) -> None:
@@ -178,12 +180,12 @@ class Pace:
             return
         before = seconds if self._seconds is None else self._seconds
         self._seconds = before + _SMOOTHING * (seconds - before)
-        # One slow frame is a kernel that was compiled; two are slow.
+        # A single slow frame may have compiled a kernel: wait for the second.
         if min(self._seconds, seconds) > self._target and self._step + 1 < len(STEPS):
             self._go(self._step + 1)
         elif self._step > 0:
             larger = (STEPS[self._step - 1] / STEPS[self._step]) ** 2
-            if max(self._seconds, seconds) * larger < _ROOM * self._target:
+            if max(self._seconds, seconds) * larger < _MAX_LOAD * self._target:
                 self._go(self._step - 1)
 
     def _go(self, step: int) -> None:
@@ -191,7 +193,7 @@ class Pace:
 
 
 def fit_size(pixels: int, aspect: float, factor: float = 1.0) -> tuple[int, int]:
-    """Return columns and rows, multiples of 8, of a picture of an aspect with about so many pixels.
+    """Return columns and rows, multiples of 8, of a picture with an aspect and about ``pixels * factor**2`` pixels.
 
     >>> fit_size(512 * 512, 1.0)
     (512, 512)

@@ -1,4 +1,4 @@
-"""The page's end of the pipe: starts the process that renders, hands it the latest wishes in turn, starts it again."""
+"""The page's end of the pipe: it starts the worker, gives it the latest requests in turn, and restarts it."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ from typing import Any
 from lobewise.viewer.messages import Forget, Opened, Order, Problem, Report, Request, Save, Target
 from lobewise.viewer.worker import run_worker
 
-MOST_RESTARTS = 3
-"""How often within `RESTART_SPAN` seconds the process is started again."""
+MAX_RESTARTS = 3
+"""Restarts of the worker within `RESTART_SPAN`; after one more death it stays off."""
 RESTART_SPAN = 60.0
+"""Seconds."""
 _PATIENCE = 2.0
+"""Seconds to wait for a process or thread to end."""
 _log = logging.getLogger(__name__)
 
 
 class Link:
-    """A process that renders for several browsers, one picture at a time, each browser in its turn.
+    """The worker process. It renders one picture at a time, for each browser in turn.
 
-    Of every browser only the latest request is kept: a new one replaces the one that waits. So the process is never
-    behind, however slow a picture is.
+    A new request of a browser replaces the waiting one, so that the worker is never behind, however slow it is.
 
-    ``receive`` is called with every `Report`, from a thread of the link; ``remark`` with a sentence when the process
-    died, and whether it is started again.
+    ``receive`` is called with every `Report`, from a thread of the link. When the worker died, ``remark`` is called
+    with a sentence, and with whether the worker is started again.
     """
 
     def __init__(self, target: Target, receive: Callable[[Report], None], remark: Callable[[str, bool], None]) -> None:
@@ -58,39 +59,39 @@ class Link:
 
     @property
     def process_id(self) -> int:
-        """Of the process that renders, 0 where there is none."""
+        """Process id of the worker, 0 if there is none."""
         with self._lock:
             return int(self._process.pid or 0) if self._process is not None else 0
 
     def get_busy(self) -> tuple[Order | None, float]:
-        """Return the order that is worked on, and for how many seconds."""
+        """Return the order that the worker is executing, and since how many seconds."""
         with self._lock:
             return self._order, time.monotonic() - self._since
 
     def submit(self, request: Request) -> None:
-        """Ask for a picture; it replaces an earlier wish of that browser that has not been begun."""
+        """Ask for a picture. It replaces a waiting request of that browser."""
         with self._lock:
             waiting = self._wishes.get(request.client)
             if waiting is not None and waiting.fresh and not request.fresh:
-                # What only shows the last frame anew must not cancel a frame that was asked for.
+                # A request that only shows the last frame again must not cancel the request for a new frame.
                 request = _freshen(request)
             self._wishes[request.client] = self._latest[request.client] = request
             self._send_next()
 
     def is_waiting(self, client: int) -> bool:
-        """Return whether a wish of that browser waits or is worked on."""
+        """Return whether a request of that browser waits or is being executed."""
         with self._lock:
             order = self._order
             return client in self._wishes or (isinstance(order, Request) and order.client == client)
 
     def save(self, client: int, kind: str) -> None:
-        """Ask for a file of what a browser sees."""
+        """Ask for a file of the picture that a browser sees."""
         with self._lock:
             self._errands.append(Save(client, kind))
             self._send_next()
 
     def forget(self, client: int) -> None:
-        """Take back what a browser wished for, and free what it had."""
+        """Cancel the requests of a browser, and free its state in the worker."""
         with self._lock:
             self._wishes.pop(client, None)
             self._latest.pop(client, None)
@@ -99,7 +100,7 @@ class Link:
             self._send_next()
 
     def stop(self) -> None:
-        """End the process; a picture that is worked on is given up."""
+        """End the worker; a picture that is being rendered is lost."""
         with self._lock:
             self._stopped = True
             process, pipe = self._process, self._pipe
@@ -123,14 +124,14 @@ class Link:
         process = context.Process(target=run_worker, args=(theirs, self._target), name="lobewise-viewer", daemon=True)
         with _without_interrupts():
             process.start()
-        # Held here too, the pipe would never end when the process does.
+        # While this process holds the other end too, the death of the worker would not close the pipe.
         theirs.close()
         with self._lock:
             self._process, self._pipe = process, ours
             self._ready, self._order = False, None
 
     def _send_next(self) -> None:
-        """Give the process its next order if it has none; saving and forgetting come first. Needs the lock."""
+        """Send the next order if the worker is idle; saving and forgetting come first. The caller holds the lock."""
         if not self._ready or self._order is not None or self._pipe is None or self._stopped:
             return
         order: Order
@@ -144,7 +145,7 @@ class Link:
         try:
             self._pipe.send(order)
         except OSError:
-            # The listener finds the process dead.
+            # The worker died, which `_listen` will notice.
             return
 
     def _listen(self) -> None:
@@ -172,11 +173,11 @@ class Link:
             try:
                 self._receive(report)
             except Exception:
-                # Something about one browser; the others go on.
+                # One browser's problem must not stop the others.
                 _log.exception("a report of the renderer could not be shown")
 
     def _revive(self) -> bool:
-        """Start the process again after it died, and ask for what every browser sees; False where that is no use."""
+        """Restart the worker after it died, and repeat the last request of every browser; False if it stays off."""
         with self._lock:
             process = self._process
             self._ready, self._order = False, None
@@ -184,7 +185,7 @@ class Link:
         code = process.exitcode
         now = time.monotonic()
         self._deaths = [moment for moment in self._deaths if now - moment < RESTART_SPAN] + [now]
-        again = len(self._deaths) <= MOST_RESTARTS
+        again = len(self._deaths) <= MAX_RESTARTS
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
         if not again:
             self._remark(f"The renderer {how}, the {len(self._deaths)}th time within a minute; it stays off.", False)
@@ -193,7 +194,7 @@ class Link:
         with self._lock:
             if self._stopped:
                 return False
-            # Files are asked for again only by hand: what killed it may have been one. There is nothing to forget.
+            # Saving a file may have killed the worker, so do not repeat it. A new worker has nothing to forget.
             self._errands.clear()
             for client, request in self._latest.items():
                 self._wishes.setdefault(client, _freshen(request))
@@ -203,11 +204,14 @@ class Link:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started meanwhile never see Ctrl-C, which a terminal sends to all: the page ends them."""
+    """Block Ctrl-C in processes that are started in the ``with`` block: a terminal sends it to every process.
+
+    The page ends the worker itself.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Started with the first process, it would let Ctrl-C through again.
+    # Start the resource tracker first: if it started together with the worker, it would unblock Ctrl-C.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -1,4 +1,4 @@
-"""What travels between the page's process and the one that renders."""
+"""Messages between the process of the page and the worker, the process that renders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lobewise.viewer.looks import Look
 
 @dataclass(frozen=True)
 class FrameReading:
-    """How the file of a finished frame is read, where it does not tell: as `lobewise.read_frame` takes it."""
+    """How the file of a finished frame is read; the fields are those of `lobewise.read_frame`."""
 
     preset: PathLike | None = None
     mapping: Mapping[str, str] | None = None
@@ -24,55 +24,56 @@ class FrameReading:
 
     @property
     def is_given(self) -> bool:
-        """Whether anything is said of the file."""
+        """Whether any field is set."""
         return any((self.preset, self.mapping, self.camera, self.half))
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is looked at."""
+    """The scene or finished frame that the viewer shows."""
 
     name: str
     """A built-in scene, a Mitsuba XML file or an EXR file."""
     is_frame: bool
-    """Whether it is a finished frame."""
+    """Whether the target is a finished frame."""
     size: tuple[int, int] | None = None
-    """Columns and rows of a rendered scene, None for those of the scene."""
+    """Columns and rows of a rendered scene; None for the scene's own size."""
     reading: FrameReading = field(default_factory=FrameReading)
-    """Of a finished frame."""
+    """How the file of a finished frame is read."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """What the worker found: enough to build the controls of a page."""
+    """The properties of an open target, from which the controls of a page are built."""
 
     look: Look
-    """The settings to begin with."""
+    """The first settings."""
     # Pixels of the picture.
     width: int
     height: int
     camera: Camera | None = None
-    """Where a scene is seen from first; None for a finished frame."""
+    """The first camera of a scene; None for a finished frame."""
     look_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point about which an orbit turns."""
-    # What can be chosen. Views are named by `lobewise.viewer.pictures.VIEWS`.
+    # Choices of the controls. Views are keys of `lobewise.viewer.pictures.VIEWS`.
     methods: tuple[str, ...] = ()
     similarities: tuple[str, ...] = ()
     qualities: tuple[str, ...] = ()
     forms: tuple[str, ...] = ()
     views: tuple[str, ...] = ("image",)
-    # Of a finished frame: whether it was shaded sparsely, whether it tells what lobes hit.
     sparse: bool = False
+    """Whether a finished frame was shaded sparsely."""
     hit_distance: bool = False
+    """Whether a finished frame has hit distances and lobes to compare them with."""
     notes: tuple[str, ...] = ()
-    """What was found in the file of a finished frame, converted, or is missing, in sentences."""
+    """Sentences about the file of a finished frame: what was found, converted, or is missing."""
     unseen: str = ""
-    """What of a scene the pictures do not show, in a sentence."""
+    """A sentence about the parts of a scene that the pictures do not show; empty for none."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """The browser's picture area, and which part of a finished frame it shows."""
+    """The browser's picture area, and the part of a finished frame that it shows."""
 
     # Pixels of the picture area.
     width: int = 1
@@ -80,34 +81,36 @@ class Window:
     zoom: float = 1.0
     """1 shows the whole picture."""
     centre: tuple[float, float] = (0.0, 0.0)
-    """The middle of what is seen: 0, 0 is the picture's, +-1 half the height that is seen at zoom 1; x right, y up."""
+    """Centre of the visible part from the picture's centre, in half visible heights at zoom 1; x right, y up."""
     fill: bool = False
-    """Whether a picture of another aspect is cut instead of getting bars."""
+    """Whether a picture of another aspect is cropped instead of getting bars."""
 
 
 @dataclass(frozen=True)
 class Request:
     """One picture for one browser."""
 
-    # Whose, and which of its requests.
     client: int
+    """The browser."""
     number: int
+    """Counts the requests of the browser."""
     window: Window
-    # Settings, and those right of the wipe; None without a wipe.
     look: Look
+    """Settings of the picture, or of its part left of the wipe."""
     other: Look | None = None
+    """Settings right of the wipe; None without a wipe."""
     wipe: float = 0.5
-    """Where the line is, 0 at the left to 1 at the right."""
+    """Position of the line, from 0 at the left to 1 at the right."""
     view: str = "image"
-    """What is shown."""
+    """A key of `lobewise.viewer.pictures.VIEWS`."""
     stops: float | None = None
     """Exposure, base-2 logarithm; None to choose it from the image."""
     camera: Camera | None = None
-    """Of a scene."""
+    """The camera of a scene."""
     size: tuple[int, int] = (512, 512)
     """Columns and rows to render."""
     fresh: bool = True
-    """Whether a scene is rendered, or only what was rendered last is shown anew."""
+    """Whether a new frame of a scene is rendered. If not, the last frame is shown again with another view or window."""
     accumulate: bool = True
     """Whether frames of a camera that stands still are averaged."""
 
@@ -136,7 +139,7 @@ class Opened:
 
 @dataclass(frozen=True)
 class Progress:
-    """What the worker does now, for the status line."""
+    """The current work of the worker, for the status line."""
 
     text: str
 
@@ -145,23 +148,25 @@ class Progress:
 class Picture:
     """A picture to show, and its figures."""
 
-    # Those of the request.
     client: int
     number: int
+    """Number of the request."""
     pixels: NDArray[np.uint8]
     """sRGB, shape (height, width, 3)."""
     size: tuple[int, int]
     """Columns and rows that were rendered."""
     stops: float
-    """Exposure that was used."""
+    """Exposure of the picture, base-2 logarithm."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage; "total" is the whole."""
-    # Frames averaged, pixels shaded again, bytes that the worker holds.
+    """Wall time by stage; "total" is the sum of the stages of rendering."""
     accumulated: int = 1
+    """Frames in the mean."""
     recomputed: int = 0
+    """Pixels that were shaded again."""
     memory: int = 0
+    """Memory of the worker, bytes."""
     final: bool = True
-    """Whether the request is done; of a frame that is filtered for the first time the noisy input comes before."""
+    """Whether the request is done. The noisy input is shown first where a filter takes long."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +180,9 @@ class SavedFile:
 
 @dataclass(frozen=True)
 class Problem:
-    """One sentence about what went wrong; without a client the target cannot be shown at all.
+    """A sentence about an error. Without a client the target cannot be shown at all.
 
-    ``ours`` tells a mistake of the program from one that the user can mend.
+    ``ours`` marks an error of the program, which the user cannot correct.
     """
 
     text: str

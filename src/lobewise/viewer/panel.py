@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.settings import Knob
+from lobewise.settings.choices import SIMILARITIES
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.looks import KNOBS, FrameLook, Look, list_controls
 from lobewise.viewer.messages import Description
-from lobewise.viewer.pictures import LEGENDS, MOST_STOPS, VIEWS
+from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, VIEWS
 from lobewise.viewer.status import write_message
 
 NAMES = {
@@ -26,19 +27,21 @@ NAMES = {
     "normal": "normal-aware",
     "atrous": "à-trous",
 }
-"""Words of settings that read otherwise in a list to choose from."""
+"""Words of settings that have another name on the page."""
 FLY_HINT = "Left drag orbits, right drag moves, the wheel zooms. W A S D E Q fly, the arrow keys turn."
 ZOOM_HINT = "The wheel zooms, right drag moves; W A S D fly."
 
 
 class Slider(NamedTuple):
-    """What a slider offers for a number: ends and step, where it stands at "auto", and what its numbers mean."""
+    """The range of a slider, and how its numbers map to those of the setting."""
 
     low: float
     high: float
     step: float
     at_auto: float = 0.0
+    """Number of the slider while the setting is "auto"."""
     note: str = ""
+    """Text after the label."""
     to_slider: Callable[[float], float] = float
     from_slider: Callable[[float], float] = float
 
@@ -59,13 +62,13 @@ class LookPanel:
     Parameters
     ----------
     gui : viser's GUI
-        Where controls are added; a folder is its context.
+        Controls are added to its current folder.
     found : Description
-        What can be chosen.
+        The choices.
     look : Look
-        What is set first.
+        The first settings.
     changed : callable
-        Called when the user changed anything.
+        Called when the user changed a setting.
     """
 
     def __init__(self, gui: Any, found: Description, look: Look, changed: Callable[[], None]) -> None:
@@ -100,18 +103,18 @@ class LookPanel:
         return tuple(self._handles.values())
 
     def get_look(self) -> Look:
-        """Return what is set."""
+        """Return the current settings."""
         values = {name: self._get(name) for name in self._handles if not name.startswith("auto_")}
         look = replace(self._look, **values)
         if isinstance(look, InteractiveSettings):
             return look
         if look.similarity == "none":
-            # One look for all settings that change nothing, so that it is computed once.
+            # The other settings change nothing: return one look for all of them, which is computed once.
             return FrameLook(similarity="none")
         return replace(
             look,
             form=look.form if look.quality == "fast" else "full",
-            hit_distance=look.hit_distance and look.similarity in ("sg", "asg", "ggx"),
+            hit_distance=look.hit_distance and _takes_hits(look.similarity),
         )
 
     def _get(self, name: str) -> Any:
@@ -123,11 +126,11 @@ class LookPanel:
         return next((word for word, shown in NAMES.items() if shown == value), value)
 
     def _refresh(self) -> None:
-        """Hide what changes nothing for the chosen settings."""
+        """Hide controls that change nothing with the current settings."""
         handles = self._handles
         similarity = self._get("similarity")
-        filtered = similarity != "none"
-        # Another kernel than the full one has no other quality.
+        filtered, compares_normals = similarity != "none", _compares_normals(similarity)
+        # Only the quality "fast" has other kernels than the full one.
         plain = "quality" not in handles or self._get("quality") == "fast"
         shown = {
             "radius": filtered,
@@ -137,9 +140,9 @@ class LookPanel:
             "beta": filtered and not handles["auto_beta"].value,
             "temporal": filtered,
             "filter_direct": filtered,
-            "normal_exponent": similarity == "normal",
-            "auto_tau": filtered and similarity != "normal",
-            "hit_distance": similarity in ("sg", "asg", "ggx"),
+            "normal_exponent": compares_normals,
+            "auto_tau": filtered and not compares_normals,
+            "hit_distance": _takes_hits(similarity),
         }
         if "form" in handles:
             shown["radius"] = filtered and not (plain and self._get("form") == "atrous")
@@ -152,7 +155,7 @@ class LookPanel:
                 handles[name].visible = visible
 
     def _slide(self, knob: Knob, value: Any) -> None:
-        """Add a slider, and where the setting can be "auto" a box for that before it."""
+        """Add a slider, after a checkbox for "auto" if the setting can be "auto"."""
         slider, auto = self._sliders[knob.name], value == "auto"
         if "auto" in knob.choices:
             hint = f"{knob.label} follows the noise."
@@ -171,16 +174,26 @@ class LookPanel:
         handle.on_update(react)
 
 
+def _takes_hits(similarity: str) -> bool:
+    """Return whether a similarity is known to compare the surfaces that lobes hit; "auto" and "none" are not."""
+    return similarity in SIMILARITIES and SIMILARITIES[similarity].takes_hits
+
+
+def _compares_normals(similarity: str) -> bool:
+    """Return whether a similarity is known to compare normals instead of lobes; "auto" and "none" are not."""
+    return similarity in SIMILARITIES and not SIMILARITIES[similarity].has_lobes
+
+
 @dataclass
 class Actions:
-    """What the controls do; each is called from the server's threads.
+    """The functions that the controls call, from the server's threads.
 
     Parameters
     ----------
     render, redraw : callable
-        Something changed that asks for a new frame, or only for the last one to be shown otherwise.
+        Called after changes that need a new frame, or that only show the last frame in another way.
     reset_camera, expose : callable
-        The two buttons of the folder "View".
+        Called by the two buttons of the folder "View".
     save : callable
         Called with "exr" or "png".
     """
@@ -199,12 +212,12 @@ class Panel:
     ----------
     gui : viser's GUI of that browser
     found : Description
-        What can be chosen.
+        The choices.
     look, other : Look
-        What is set first on the left and on the right.
+        The first settings of the left and the right side.
     actions : Actions
     fixed_size : bool
-        Whether resolution is never lowered, so that there is no control for it.
+        Whether the resolution is never lowered; then there is no control for it.
     """
 
     def __init__(
@@ -219,7 +232,7 @@ class Panel:
             self._view = gui.add_dropdown("Show", names, hint="The image, or what happens inside.")
             self._legend = gui.add_html("", visible=False)
             self._stops = gui.add_slider(
-                "Exposure, stops", -MOST_STOPS, MOST_STOPS, 0.1, 0.0, hint="Each stop doubles the light."
+                "Exposure, stops", -MAX_STOPS, MAX_STOPS, 0.1, 0.0, hint="Each stop doubles the light."
             )
             self._expose = gui.add_button("Auto exposure", hint="Put the brightest 2 % above the shoulder.", icon=None)
             hint = FLY_HINT if scene else ZOOM_HINT
@@ -252,11 +265,11 @@ class Panel:
         paces = (handle for handle in (self._accumulate, self._adapt) if handle is not None)
         handles = (*others, *paces, *self.left.handles, *self.right.handles)
         self.controls = dict(describe_control(handle) for handle in handles)
-        """What the controls can be set to, by viser's identities of them."""
+        """The values that each control takes, by viser's identities."""
 
     @property
     def view(self) -> str:
-        """What is shown, a key of `VIEWS`."""
+        """The chosen view, a key of `VIEWS`."""
         return next(name for name, shown in VIEWS.items() if shown == self._view.value)
 
     @property
@@ -266,7 +279,7 @@ class Panel:
 
     @property
     def wipe(self) -> float | None:
-        """Where the line is, None without a wipe."""
+        """Position of the line, None without a wipe."""
         return float(self._place.value) if self._wiped.value else None
 
     @property
@@ -276,11 +289,11 @@ class Panel:
 
     @property
     def adapt(self) -> bool:
-        """Whether resolution may be lowered."""
+        """Whether the resolution may be lowered."""
         return self._adapt is not None and bool(self._adapt.value)
 
     def set_stops(self, stops: float) -> None:
-        """Show an exposure that was chosen."""
+        """Move the slider to an exposure that was chosen automatically."""
         self._stops.value = stops
 
     def _connect(self, reset: Any, save: Any) -> None:
@@ -326,7 +339,7 @@ class Panel:
 
 
 def describe_control(handle: Any) -> tuple[str, Control]:
-    """Return viser's identity of a control, by which browsers name it, and what it can be set to."""
+    """Return viser's identity of a control, by which browsers name it, and the values that it takes."""
     identity = str(handle._impl.uuid)
     if hasattr(handle, "options"):
         return identity, Control(choices=tuple(handle.options))

@@ -1,4 +1,4 @@
-"""From images and guides to pictures: tone curve, false colours, the wipe with its line and labels, the window."""
+"""Make pictures of images and guides: tone curve, false colours, the wipe with its line and labels, the window."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
 from lobewise.reporting.display import choose_exposure, make_error_palette, map_tones_quickly
 from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]
 
 MAX_SHOWN_SAMPLES = 256.0
-"""Effective samples that are shown as 1."""
-MOST_STOPS = 10.0
-"""Exposures of the page go from minus this to this, in steps of a tenth."""
+"""Number of effective samples that is shown brightest."""
+MAX_STOPS = 10.0
+"""Largest exposure of the page, either way, stops; its slider has steps of a tenth."""
 
 VIEWS = {
     "image": "image",
@@ -34,43 +35,46 @@ VIEWS = {
     "normal": "normals",
     "albedo": "albedo",
 }
-"""What can be shown, by the name of the array, with its name on the page."""
+"""Views by the name of their array, with their names on the page."""
 
 LEGENDS = {
-    "sharpness": "dark: sharpness 1, bright: a million (a mirror), logarithmic",
+    "sharpness": f"dark: sharpness 1, bright: {MAX_SHOWN_SHARPNESS:,.0f} (a mirror), logarithmic",
     "weight_sum": "W / (1 + W): half is the support of one sample that matches fully",
     "effective_samples": f"dark: 1, bright: {MAX_SHOWN_SAMPLES:.0f}, logarithmic",
-    "history": "dark: none, bright: 40 frames or more",
+    "history": f"dark: none, bright: {MAX_SHOWN_FRAMES:.0f} frames or more",
     "recomputed": "bright: shaded again",
     "hit_distance": "t / (t + d): dark on the surface, half as far as the camera, bright at infinity",
     "normal": "x, y, z from -1 to 1 as red, green, blue",
 }
-"""What the colours of a view mean."""
+"""Meaning of the colours of a view."""
 
 _RADIANCE = ("image", "noisy", "diffuse", "specular", "direct", "indirect")
 _COLORS = ("normal", "albedo")
 BARS = (16, 17, 20)
-"""Colour of what lies outside the picture."""
+"""Colour of the bars beside a picture, sRGB."""
 _LABEL_MARGIN = 6
-_MOST_MAGNIFIED = 24
+"""Pixels between a label and the line of the wipe, or the edge of the picture."""
+_MAX_MAGNIFICATION = 24
+"""Largest side of a magnified pixel, pixels."""
 MAX_PIXELS_WITH_BARS = 4.0
-"""Pixels of picture and bars, over those of the picture. A longer window gets a coarser picture, not more bars."""
+"""Largest number of pixels of picture and bars, relative to the picture alone. In a longer window the picture gets
+coarser."""
 
 
 def choose_stops(image: NDArray[np.float32]) -> float:
-    """Return the exposure of an image, base-2 logarithm, as the page's slider can show and ask for it.
+    """Return an exposure for an image, base-2 logarithm, within range and steps of the page's slider.
 
     Raises InputError if no pixel is finite.
     """
     stops = math.log2(choose_exposure(np.ascontiguousarray(image[::4, ::4])))
-    return round(min(max(stops, -MOST_STOPS), MOST_STOPS), 1)
+    return round(min(max(stops, -MAX_STOPS), MAX_STOPS), 1)
 
 
 def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
     """Return the picture of one view, a key of `VIEWS`.
 
     ``values`` are radiance or colours in [0, 1], (height, width, 3), or numbers in [0, 1], (height, width), which are
-    shown from dark to bright. ``exposure`` is a factor for radiance; nothing else is changed by it.
+    shown from dark to bright. ``exposure`` is a factor for radiance and changes nothing else.
     """
     if view in _RADIANCE:
         return map_tones_quickly(values, exposure)
@@ -80,20 +84,21 @@ def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
 
 
 def fit_window(picture: Pixels, window: Window) -> Pixels:
-    """Return what the window shows of a picture, with its aspect: bars where it is larger, whole pixels where zoomed.
+    """Return the part of a picture that the window shows, with the window's aspect.
 
-    A window so long that bars would be most of the picture gets every second or third pixel.
-    A picture of the window's aspect at zoom 1 comes back as it is.
+    Bars fill the rest of the window, and a zoomed picture has square magnified pixels. In a window so long that bars
+    would be most of the result, the picture keeps only every second or third pixel. A picture with the window's aspect
+    is returned as it is at zoom 1.
     """
     height, width = picture.shape[:2]
     aspect = window.width / window.height
     tall = min(float(height), width / aspect) if window.fill else max(float(height), width / aspect)
-    # A pixel's difference is not worth a bar.
+    # Ignore differences of about a pixel.
     alike = abs(tall * aspect - width) < 1.5 and abs(tall - height) < 1.5
     if window.zoom == 1.0 and window.centre == (0.0, 0.0) and alike:
         return picture
     seen = tall / window.zoom
-    times = max(1.0, min(np.ceil(window.height / seen), _MOST_MAGNIFIED)) if seen * 1.5 < window.height else 1.0
+    times = max(1.0, min(np.ceil(window.height / seen), _MAX_MAGNIFICATION)) if seen * 1.5 < window.height else 1.0
     if times == 1.0:
         times = min(1.0, math.sqrt(MAX_PIXELS_WITH_BARS * height * width / (seen * seen * aspect)))
     rows, columns = max(round(seen * times), 1), max(round(seen * aspect * times), 1)
@@ -109,7 +114,7 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
         left, right = _find_run(inside_columns)
         rows_taken, columns_taken = row[inside_rows].astype(int), column[inside_columns].astype(int)
         if times == 1.0:
-            # Pixel for pixel, and slices are several times faster than lists of places.
+            # Slices are several times faster than lists of indices.
             part = picture[rows_taken[0] : rows_taken[-1] + 1, columns_taken[0] : columns_taken[-1] + 1]
         else:
             part = picture[rows_taken[:, None], columns_taken[None, :]]
@@ -118,7 +123,7 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
 
 
 def _find_run(inside: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return where the one run of True begins, and where it has ended."""
+    """Return the first index of the only run of True, and the index after it."""
     places = np.flatnonzero(inside)
     return int(places[0]), int(places[-1]) + 1
 

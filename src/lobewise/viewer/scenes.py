@@ -1,4 +1,4 @@
-"""A scene that is rendered while it is looked at, with histories of its own for every browser."""
+"""A scene that is rendered while browsers look at it. Every browser has its own histories."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lobewise.viewer.shots import Shot
 
 
 class SceneTarget:
-    """A built-in scene or a Mitsuba file, whatever `lobewise.render.load_scene` takes.
+    """A scene, named as for `lobewise.render.load_scene`.
 
-    ``size`` is columns and rows, by default those of the scene; ``progress`` is called with ``(done, total)`` while a
+    ``size`` is columns and rows, by default those of the scene. ``progress`` is called with ``(done, total)`` while a
     method prepares the scene. Raises LobewiseError as `lobewise.interactive.Session`.
     """
 
@@ -34,7 +34,7 @@ class SceneTarget:
         self._warm = False
 
     def describe(self) -> Description:
-        """Return what this scene allows."""
+        """Return the properties of the scene."""
         width, height = self._first.size
         centre = find_orbit_centre(self._first.scene)
         return Description(
@@ -50,11 +50,11 @@ class SceneTarget:
         )
 
     def is_slow(self, request: Request) -> bool:
-        """Return whether nothing was rendered yet, so that kernels are compiled first."""
+        """Return whether no frame was rendered yet, so that kernels must be compiled."""
         return not self._warm
 
     def show_input(self, request: Request) -> list[Shot]:
-        """Return a frame without filters, whose kernels are few: the first picture does not wait for the others."""
+        """Return a frame without filters, for which few kernels must be compiled."""
         plain = InteractiveSettings(
             similarity="none", temporal=False, adaptive=0.0, filter_direct=False, accumulate=False
         )
@@ -63,9 +63,9 @@ class SceneTarget:
         return [_to_shot(session.render(request.camera, plain))]
 
     def render(self, request: Request) -> list[Shot]:
-        """Return the next frame of a browser, or what it had last where nothing is to be rendered.
+        """Return the next frame of a browser, or its last frame if the request needs no new one.
 
-        Raises LobewiseError if the method finds nothing to work with, or the camera is not one.
+        Raises LobewiseError if the scene has nothing for the method to work with, or the camera is invalid.
         """
         looks = [
             _to_settings(look, accumulate=request.accumulate)
@@ -93,7 +93,7 @@ class SceneTarget:
         self._last.pop(client, None)
 
     def write(self, client: int, folder: Path) -> Path:
-        """Return the EXR file, in ``folder``, of a browser's last image, with its guides; there must be one."""
+        """Write a browser's last image with its guides into an EXR file in ``folder``; return its path."""
         frame = self._last[client][0]
         noisy = frame.make_frame()
         whole = Frame(Radiance(frame.image), noisy.gbuffer, noisy.camera, lobe_tables=noisy.lobe_tables)

@@ -1,4 +1,4 @@
-"""The page's process: it answers browsers at once, whatever the process that renders is doing."""
+"""The process of the page: it answers browsers at once, whatever the worker is doing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lobewise.viewer.door.access import Access, is_loopback
 from lobewise.viewer.messages import FrameReading, Target
 
 LOOPBACK = "127.0.0.1"
-_LAST_PORT_AFTER = 100
+_MAX_TRIED_PORTS = 100
 
 
 class Viewer:
@@ -33,21 +33,21 @@ class Viewer:
     is_frame : bool
         Whether it is an EXR file.
     host, port : str, int
-        Where the page is; the next free port if this one is taken, any free one if it is 0.
+        Address of the page. If the port is taken, the next free one; if it is 0, any free one.
     size : (int, int), optional
         Columns and rows of a scene's picture.
     fixed_size : bool
-        Render at that size whatever the window's aspect, and never fewer pixels.
+        Always render at the size of the target, whatever the window's aspect and the speed of rendering.
     changes : dict, optional
         Settings to begin with: fields of `lobewise.interactive.InteractiveSettings` or `FrameLook`.
     token : str, optional
         The secret in the URL without which nobody gets the page: 16 or more letters, digits and any of ``. _ ~ -``; by
         default a random one.
     tell : callable, optional
-        Called from any thread with sentences for whoever started the viewer: how the file was read, what of the scene
-        is not shown, which browser was disconnected and why. By default they are logged as warnings.
+        Called from any thread with sentences for whoever started the viewer: how the file was read, which parts of the
+        scene are not shown, why a browser was disconnected. By default they are logged as warnings.
     reading : FrameReading, optional
-        Of an EXR file: whose conventions it follows, which channels are what, the camera, the second render.
+        How an EXR file is read.
 
     Raises
     ------
@@ -96,17 +96,17 @@ class Viewer:
         Raises
         ------
         InputError
-            If host and port are not to be had.
+            If the host is unknown or no port is free.
         MissingDependencyError
-            If viser is not installed, or is one whose server cannot be protected.
+            If viser is not installed, or if the server of its version cannot be protected.
         """
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
         port = find_port(self._host, self._asked_port)
         try:
-            # Ctrl-C waits until there is something whole to stop.
+            # Let Ctrl-C wait until everything has started, so that everything is stopped.
             with hold_interrupts():
-                # First, because it takes longer than the page.
+                # Start the worker first, because it takes longer than the page.
                 self._audience.link.start()
                 self._serve(port)
                 self._ticker.start()
@@ -116,7 +116,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is, with the token that opens it: whoever has this URL can use the page."""
+        """The URL of the page with the secret token. Anyone who has this URL can use the page."""
         host = f"[{self._host}]" if ":" in self._host else self._host
         place = f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self._server.get_port()}"
         return f"{place}/?token={self._access.token}"
@@ -132,7 +132,7 @@ class Viewer:
         return self._audience.statistics
 
     def wait_until_open(self) -> None:
-        """Return when the target is open, or the viewer was stopped.
+        """Wait until the target is open or the viewer was stopped.
 
         Raises
         ------
@@ -144,16 +144,16 @@ class Viewer:
         self._require_success()
 
     def wait(self) -> None:
-        """Return when the viewer was stopped.
+        """Wait until the viewer was stopped.
 
         Raises
         ------
         LobewiseError
             If the target cannot be opened.
         RuntimeError
-            If that is no fault of the target.
+            If it cannot be opened because of an error of the program.
         """
-        # With a timeout Ctrl-C gets through on every system.
+        # Without a timeout Ctrl-C would not interrupt the wait on every system.
         while not self._audience.over.wait(0.5):
             pass
         self._require_success()
@@ -163,7 +163,7 @@ class Viewer:
             raise self._audience.failure
 
     def stop(self) -> None:
-        """End the page and the process behind it."""
+        """End the page and the worker."""
         self._audience.over.set()
         self._audience.link.stop()
         server, self._server = self._server, None
@@ -176,7 +176,7 @@ class Viewer:
 
         from lobewise.viewer.door.serving import guard_serving, require_guard
 
-        # It greets on standard output, which has one line of ours.
+        # viser prints a greeting, and standard output must have the program's own line alone.
         with (
             contextlib.redirect_stdout(io.StringIO()),
             guard_serving(self._access, self._audience.controls, self._tell),
@@ -186,7 +186,7 @@ class Viewer:
         require_guard(self._host, server.get_port())
         # A picture may be on its way to a browser that is just leaving.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
-        # Any browser could ask for a tunnel through somebody's server, which would make the page public.
+        # Otherwise any browser could make the page public, by a tunnel through another server.
         server.request_share_url = _refuse_sharing  # type: ignore[method-assign]
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="medium")
         server.gui.main_panel.dock_right()
@@ -199,7 +199,7 @@ def find_port(host: str, port: int) -> int:
     Raises InputError if there is no such host here, or no port of the next hundred is free.
     """
     reason = ""
-    for candidate in range(port, min(port + _LAST_PORT_AFTER, 65536)) if port else (0,):
+    for candidate in range(port, min(port + _MAX_TRIED_PORTS, 65536)) if port else (0,):
         try:
             kind, _, _, _, address = socket.getaddrinfo(host, candidate, type=socket.SOCK_STREAM)[0]
             with socket.socket(kind, socket.SOCK_STREAM) as probe:
@@ -218,7 +218,7 @@ def find_port(host: str, port: int) -> int:
 
 @contextlib.contextmanager
 def hold_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C for the end of the block, where the block runs in the main thread."""
+    """Delay Ctrl-C until the end of the ``with`` block. In other threads than the main thread it does nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""Shot: one image that can be shown, and what can be looked at inside it. TargetSession: what makes them."""
+"""Shot: one image with its views. OpenTarget: a scene or finished frame that makes shots."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ class Shot:
     image: FloatArray
     """Linear radiance, shape (height, width, 3)."""
     get_view: Callable[[str], FloatArray]
-    """Returns the array of a view by its name: radiance and colours (height, width, 3), numbers (height, width)."""
+    """Return a view by its name: radiance or colours, (height, width, 3), or numbers in [0, 1], (height, width)."""
     size: tuple[int, int]
     """Columns and rows."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall time by stage, "total" among them."""
-    # Frames averaged, pixels shaded again.
     accumulated: int = 1
+    """Frames in the mean."""
     recomputed: int = 0
+    """Pixels that were shaded again."""
 
 
 class OpenTarget(Protocol):
-    """A scene or a finished frame, open in the worker; it keeps what each browser needs apart."""
+    """A scene or a finished frame that is open in the worker. Every browser has its own state."""
 
     def describe(self) -> Description:
-        """Return what can be chosen."""
+        """Return the properties of the target."""
 
     def is_slow(self, request: Request) -> bool:
-        """Return whether `show_input` has something to show before `render` is done."""
+        """Return whether `render` will take so long that `show_input` should be shown meanwhile."""
 
     def show_input(self, request: Request) -> list[Shot]:
-        """Return what is there sooner, for the time until `render` is done."""
+        """Return the unfiltered image, to be shown until `render` is done."""
 
     def render(self, request: Request) -> list[Shot]:
-        """Return one image, or two of them for the wipe."""
+        """Return one shot, or two for the wipe."""
 
     def forget(self, client: int) -> None:
-        """Drop what a browser had."""
+        """Drop the state of a browser."""
 
     def write(self, client: int, folder: Path) -> Path:
-        """Return the EXR file, written into a folder, of what a browser sees."""
+        """Write the image that a browser sees into an EXR file in ``folder``; return its path."""

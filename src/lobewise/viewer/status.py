@@ -15,7 +15,7 @@ STAGES = {
     "filter": "filter",
     "picture": "tone map",
 }
-"""Stages by the name of their seconds, with their names on the page."""
+"""Stages by their keys in the seconds of a picture, with their names on the page."""
 
 _QUIET = "opacity:.65"
 _WARNING = "#ff8f70"
@@ -31,10 +31,10 @@ def write_message(text: str, *, bad: bool = False) -> str:
 def write_figures(
     picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True, unseen: str = ""
 ) -> str:
-    """Return HTML that tells what a picture took.
+    """Return HTML with the size and the times of a picture.
 
-    ``shown`` counts the pictures so far, ``fps`` is None where pictures per second mean nothing, ``note`` is a line
-    below, plain text, ``rendered`` tells whether the picture is one of a scene, and ``unseen`` what is missing in it.
+    ``shown`` counts the pictures so far. ``fps`` is None where pictures per second mean nothing. ``note`` is a line of
+    plain text below. ``rendered`` tells whether the picture shows a scene, and ``unseen`` says what is missing in it.
     """
     width, height = picture.size
     parts = [f"{width}\u202f\u00d7\u202f{height}"]
@@ -55,7 +55,7 @@ def write_figures(
         if name in picture.seconds
     ]
     table = f'<table style="width:100%;border-collapse:collapse">{"".join(rows)}</table>'
-    # A line of its own also where it is empty, so that the controls below never jump.
+    # Keep the line where it is empty too, so that the controls below never move.
     below = f'<div style="{_QUIET}">{escape(note) or "&nbsp;"}</div>'
     missing = f'<div style="color:{_WARNING}">{escape(unseen)}</div>' if unseen else ""
     return f'<div style="{_BOX}">{head}<div style="{_QUIET}">{" · ".join(parts)}</div>{table}{missing}{below}</div>'

@@ -1,6 +1,7 @@
-"""The process that renders: it takes one order at a time, and whatever happens in it the page goes on.
+"""The worker: the process that renders, one order at a time.
 
-Compilers hold Python's lock for seconds and a renderer may abort its process; neither must stop the server.
+Compilers hold Python's lock for seconds, and a renderer may abort its process. In a process of its own neither stops
+the page.
 """
 
 from __future__ import annotations
@@ -34,11 +35,12 @@ if TYPE_CHECKING:
     from lobewise.viewer.shots import OpenTarget, Shot
 
 _PARENT_GONE = 3
+"""Exit code of a worker whose parent has ended."""
 
 
 def run_worker(pipe: connection.Connection, target: Target) -> None:
-    """Open the target, then answer orders until the pipe is closed or the parent is gone. Runs in its own process."""
-    # Ctrl-C reaches the whole group; the parent decides when this process ends.
+    """Open the target, then answer orders until the pipe is closed or the parent has ended. Runs in its own process."""
+    # Ctrl-C reaches every process of the terminal; the parent decides when this one ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     try:
@@ -48,7 +50,7 @@ def run_worker(pipe: connection.Connection, target: Target) -> None:
 
 
 def _follow_parent() -> None:
-    """End this process as soon as its parent has ended, however that came."""
+    """End this process as soon as its parent has ended, even if the parent was killed."""
     parent = parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
@@ -56,7 +58,7 @@ def _follow_parent() -> None:
 
 
 class Worker:
-    """Answers orders over a pipe: they come in and reports go out; after every order the last report is None."""
+    """Answers orders over a pipe with reports. None follows the last report of an order."""
 
     def __init__(self, pipe: connection.Connection, target: Target) -> None:
         self._pipe = pipe
@@ -99,7 +101,7 @@ class Worker:
             self._send(Progress(f"Preparing the scene, {100 * done // max(total, 1)} %"))
 
     def _answer(self, opened: OpenTarget, order: Order) -> None:
-        """Do one order; what goes wrong is told to its browser and ends nothing."""
+        """Execute one order. An error is reported to its browser, and the worker goes on."""
         try:
             if isinstance(order, Forget):
                 self._shown.pop(order.client, None)
@@ -130,7 +132,7 @@ class Worker:
         labels = name_sides(order.look, order.other or order.look)
         pixels = wipe(pictures[0], pictures[1], order.wipe, labels) if two else pictures[0]
         if final:
-            # For a file, without bars and whole, whatever part is looked at.
+            # Keep the whole picture, without bars, for a file.
             whole = pictures[0] is plain[0]
             wiped = pixels if whole or not two else wipe(plain[0], plain[1], order.wipe, labels)
             self._shown[order.client] = wiped if two else plain[0]
@@ -161,13 +163,13 @@ class Worker:
 
 
 def describe_failure(problem: Exception) -> str:
-    """Return one line about an error that is ours."""
+    """Return one line about an error of the program."""
     what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
     return f"Something went wrong inside lobewise: {what}"
 
 
 def measure_memory() -> int:
-    """Return the bytes that this process holds in memory, 0 where the system does not tell."""
+    """Return the memory of this process, bytes; 0 on systems that do not tell it."""
     if sys.platform == "linux":
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return 0

@@ -1,4 +1,4 @@
-"""Frames as OpenEXR files; a module for each thing that is done with them, from bytes to frames."""
+"""Read and write frames as OpenEXR files; one module for each step from bytes to frames."""
 
 from __future__ import annotations
 

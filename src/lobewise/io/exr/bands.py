@@ -1,8 +1,8 @@
-"""Frames read from, and results written to, OpenEXR files some rows at a time.
+"""Read frames from OpenEXR files, and write results to them, some rows at a time.
 
-Which channel means what is decided where whole files are read and written (`lobewise.io.exr`). A file's chunks are cut
-into parts of their own, which the codec decodes and encodes as if there were no others, so that the bytes that are
-written are those of the whole image.
+The meaning of channels is declared once, for whole files too (`lobewise.io.exr.layout`). Chunks are cut into parts of
+their own, which the codec decodes and encodes separately. So the written file has the bytes of a file that was written
+as a whole.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from lobewise.io.files import PathLike, open_atomic
 from lobewise.lobe_table import LobeTable
 
 SLAB_ROWS = 64
-"""About so many rows are decoded or encoded at once: enough work for all cores."""
+"""Rows that are decoded or encoded at once, about: enough work for all cores."""
 MAX_KEPT_BYTES = 200
-"""Bytes of a pixel in channels that are only copied, up to which they are kept rather than decoded again."""
+"""Most bytes per pixel of channels that are only copied, up to which they are kept instead of decoded twice."""
 
 
 def count_slab_rows(part: Part) -> int:
@@ -48,13 +48,13 @@ def count_slab_rows(part: Part) -> int:
 
 
 class BandReader:
-    """A frame in a file, read some rows at a time; every row is decoded once and kept until it is forgotten.
+    """Reads a frame some rows at a time. Every row is decoded once and kept until it is forgotten.
 
-    ``lobe_tables`` are as in `lobewise.io.exr.read_frame`; ``wanted`` are owner and field of the images that frames
-    shall have, where the file has them, by default all.
+    ``lobe_tables`` are as in `lobewise.io.exr.read_frame`. ``wanted`` are owner and field of the images to read, if the
+    file has them; by default all.
 
-    Raises FileError, MissingChannelError or InputError as `lobewise.io.exr.read_frame`, as far as the header tells; and
-    FileError if a part that is read has subsampled channels, whose rows are not those of the image.
+    Raises errors about the header as `lobewise.io.exr.read_frame`, and FileError if a part that is read has subsampled
+    channels, which have fewer rows than the image.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class BandReader:
         return frozenset((slot.owner, slot.field) for _, slots in self._plan for slot in slots)
 
     def count_bytes(self) -> tuple[int, int]:
-        """Return the bytes of a pixel as it is stored, all channels that are kept, and as it is in a frame."""
+        """Return bytes per pixel: of all kept channels in their stored types, and of the images of a frame."""
         stored = sum(
             DTYPES[channel.pixel_type].itemsize
             for index, names in self._kept.items()
@@ -105,12 +105,12 @@ class BandReader:
         return stored, sum(4 * len(slot.channels) for _, slots in self._plan for slot in slots)
 
     def count_more(self, part: Part) -> int:
-        """Return the bytes of a pixel in the channels of a part that are not kept."""
+        """Return bytes per pixel of the channels of a part that are not kept."""
         kept = self._kept.get(part.index, set())
         return sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels if channel.name not in kept)
 
     def keep(self, part: Part, names: Collection[str]) -> None:
-        """Keep these channels of a part as well; rows that were read without them are read again."""
+        """Keep these channels of a part too. Rows that were read without them are read again."""
         self._require_plain(part)
         self._kept.setdefault(part.index, set()).update(names)
         self._slabs = {key: slab for key, slab in self._slabs.items() if key[0] != part.index}
@@ -123,7 +123,7 @@ class BandReader:
         FileError
             If pixels are damaged.
         InputError
-            If a pixel names a lobe table that is not there.
+            If a pixel names a lobe table that does not exist.
         """
         images: dict[tuple[str, str], FloatArray] = {}
         for part, slots in self._plan:
@@ -134,9 +134,9 @@ class BandReader:
             return build_frame(images, camera, self.spp, self.lobe_tables)
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
-        """Return rows of every channel of a part, in the types that they were stored in.
+        """Return rows of every channel of a part, in their stored types.
 
-        If some of its channels are not kept, all are decoded again; the rows are then those of whole chunks.
+        If some of its channels are not kept, all are decoded again; then ``first`` and ``stop`` must fit whole chunks.
         """
         names = sorted(channel.name for channel in part.channels)
         if self._kept.get(part.index, set()).issuperset(names):
@@ -144,7 +144,7 @@ class BandReader:
         return decode_part(self.container, crop_part(part, first, stop))
 
     def forget(self, row: int) -> None:
-        """Let go of what lies above ``row``."""
+        """Free the rows above ``row``."""
         for index, top in list(self._slabs):
             if top + count_slab_rows(self.container.parts[index]) <= row:
                 del self._slabs[index, top]
@@ -174,24 +174,23 @@ class BandReader:
 
 @dataclass
 class _Written:
-    """How far a part is written, and where its chunks wait."""
+    """A part that is being written."""
 
     part: Part
     slots: list[Slot]
     row: int
+    """The first row that is not written."""
     spool: ChunkSpool
 
 
 class BandWriter:
-    """A copy of the file that a reader reads, its radiance replaced from the top to the bottom.
+    """Writes a copy of a reader's file with new radiance, from the top to the bottom.
 
-    What becomes of the file is what `lobewise.io.exr.write_result` says.
+    Create it before the reader reads any row: from then on the reader also keeps the channels that are only copied,
+    unless they exceed `MAX_KEPT_BYTES`. ``fields`` are the images that `add` will be given, of ``color``, ``diffuse``
+    and ``specular``. ``spool`` is a binary file for the chunks until all are written.
 
-    The reader has not read any row yet; it then keeps what is copied, unless that is much (`MAX_KEPT_BYTES`).
-    ``fields`` are the images that are going to be given, of ``color``, ``diffuse`` and ``specular``. Chunks lie in
-    ``spool``, a binary file, until all are there.
-
-    Raises FileError if the part of an image is of a kind that cannot be written.
+    Raises FileError if the part of an image cannot be written (see `require_encodable`).
     """
 
     def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
@@ -209,7 +208,7 @@ class BandWriter:
 
     @property
     def row(self) -> int:
-        """The first row that is still read from the file."""
+        """The first row that is still needed from the reader."""
         return min(each.row for each in self._written)
 
     def add(self, images: Mapping[str, FloatArray]) -> None:
@@ -222,7 +221,7 @@ class BandWriter:
         for each in self._written:
             rows = each.part.rows_per_chunk
             stop = self._bottom if self._bottom == height else self._bottom // rows * rows
-            # Not all at once: a codec holds its pixels several times.
+            # Encode some rows at a time: a codec holds several copies of its pixels.
             while each.row < stop:
                 self._encode(each, min(each.row + count_slab_rows(each.part), stop))
         self._pending = {field: image[self.row - self._top :] for field, image in self._pending.items()}

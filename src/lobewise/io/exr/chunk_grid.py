@@ -1,6 +1,6 @@
-"""Which pixels each chunk of a part holds, in the order of the chunk table, and how many bytes they can come from.
+"""The pixels of each chunk of a part, in the order of the chunk table, and the largest expansion of compressed bytes.
 
-Source: "OpenEXR File Layout", openexr.com, for the order; for the expansion the formats that are named below.
+Source: for the order, "OpenEXR File Layout", openexr.com; for the expansion, the formats that are named below.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ MAX_EXPANSION = {
     "dwaa": 132096,
     "dwab": 132096,
 }
-"""Bytes of pixels that a byte of a chunk can stand for at most. The other compressions have no such bound."""
+"""Most bytes of pixels that one byte of a chunk can decode to. The other compressions have no such bound."""
 _SIZES = {"half": 2, "float": 4, "uint": 4}
 
 
 @dataclass(frozen=True)
 class Place:
-    """What a chunk's leader must say, and how many pixels the chunk has.
+    """The coordinates that a chunk's leader must have, and the size of the chunk.
 
     Parameters
     ----------
     coordinates : tuple of int
-        Of scanlines the row of the first; of a tile its column and row among the tiles and its level in x and in y.
+        For scanlines, the first row. For a tile, its column and row among the tiles, and its level in x and in y.
     width, height : int
         Pixels.
     """
@@ -50,7 +50,7 @@ class Place:
     height: int
 
     def count_bytes(self, channels: tuple[Channel, ...]) -> int:
-        """Return how many bytes the pixels have at least, decoded: a subsampled channel may have a few more."""
+        """Return the fewest bytes of the decoded pixels. A subsampled channel may have a few more."""
         return sum(
             _SIZES[each.pixel_type] * (self.width // each.x_sampling) * (self.height // each.y_sampling)
             for each in channels
@@ -79,7 +79,7 @@ def list_levels(window: Window, mode: int) -> tuple[list[tuple[int, int]], list[
         while out[-1] > 1:
             out.append((out[-1] + 1) // 2 if mode >> 4 else out[-1] // 2)
         if mode >> 4:
-            # Rounding up goes by the original size, not by the level before; both agree for halving.
+            # Round up from the original size. Rounding up each level before gives the same sizes.
             out = [max(1, -(-full // 2**level)) for level in range(len(out))]
         return out
 

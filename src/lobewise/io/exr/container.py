@@ -9,14 +9,14 @@ from pathlib import Path
 MAGIC = b"\x76\x2f\x31\x01"
 TILED, LONG_NAMES, DEEP, MULTIPART = 0x200, 0x400, 0x800, 0x1000
 
-# Rows in one chunk, by the value of the attribute `compression`.
+# Name and rows in one chunk, by the value of the attribute `compression`.
 COMPRESSIONS = {
     0: ("none", 1), 1: ("rle", 1), 2: ("zips", 1), 3: ("zip", 16), 4: ("piz", 32), 5: ("pxr24", 16), 6: ("b44", 32),
     7: ("b44a", 32), 8: ("dwaa", 32), 9: ("dwab", 256), 10: ("htj2k256", 256), 11: ("htj2k32", 32),
     12: ("lj2k", 256), 13: ("zstd", 1),
 }  # fmt: skip
 PIXEL_TYPES = ("uint", "half", "float")
-# Bytes of attributes whose type has one size. Source: "OpenEXR File Layout", predefined attribute types.
+# Bytes of attributes whose type has a fixed size. Source: "OpenEXR File Layout", predefined attribute types.
 ATTRIBUTE_BYTES = {
     "box2f": 16, "box2i": 16, "chromaticities": 32, "compression": 1, "double": 8, "envmap": 1, "float": 4, "int": 4,
     "keycode": 28, "lineOrder": 1, "m33d": 72, "m33f": 36, "m44d": 128, "m44f": 64, "rational": 8, "tiledesc": 9,
@@ -26,14 +26,14 @@ ATTRIBUTE_BYTES = {
 
 @dataclass(frozen=True)
 class Attribute:
-    """One header attribute as its bytes; names keep undecodable bytes as surrogates."""
+    """One header attribute with its bytes. Names keep undecodable bytes as surrogates."""
 
     name: str
     type: str
     value: bytes
 
     def pack(self) -> bytes:
-        """Return the attribute as it stands in a file."""
+        """Return the attribute as the bytes of a file."""
         return _pack_name(self.name) + _pack_name(self.type) + struct.pack("<i", len(self.value)) + self.value
 
 
@@ -49,13 +49,13 @@ class Channel:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it has a value for every pixel."""
+        """Whether the channel has a value for every pixel."""
         return self.x_sampling == self.y_sampling == 1
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Where one chunk lies in the file: ``offset`` and ``size`` without the part number that multi-part files add."""
+    """Offset and size of one chunk in a file, without the part number that multi-part files add."""
 
     index: int
     offset: int
@@ -97,43 +97,43 @@ class Part:
     levels: int
     chunks: tuple[Chunk, ...]
     tiles_above: int = 0
-    """Rows of tiles that lie above, where this is cut from a taller part."""
+    """Rows of tiles above this part, if it was cut from a taller part."""
 
     @property
     def rows_per_chunk(self) -> int:
-        """Rows that a chunk has, the last ones perhaps less."""
+        """Rows of a chunk; the last chunk may have fewer."""
         if self.tiled:
             return self.tile_size[1]
         return next(rows for name, rows in COMPRESSIONS.values() if name == self.compression)
 
     @property
     def tile_size(self) -> tuple[int, int]:
-        """Columns and rows of a tile; of a part with tiles alone."""
+        """Columns and rows of a tile; only for a part with tiles."""
         columns, rows = struct.unpack_from("<II", self._require("tiles"))
         return columns, rows
 
     @property
     def tile_mode(self) -> int:
-        """How many resolution levels there are and how sizes are rounded, as the attribute ``tiles`` has it."""
+        """Kind of resolution levels and rounding of their sizes: the last byte of the attribute ``tiles``."""
         return self._require("tiles")[8]
 
     @property
     def line_order(self) -> int:
-        """Whether chunks lie from top to bottom (0), from bottom to top (1) or anyhow (2)."""
+        """Order of the chunks in the file: from top to bottom (0), from bottom to top (1) or any (2)."""
         return self._require("lineOrder")[0]
 
     @property
     def name(self) -> str:
-        """The part's name, empty where it has none."""
+        """The part's name, empty if it has none."""
         return self.get_text("name")
 
     @property
     def view(self) -> str:
-        """The part's view, for example ``left``; empty where it has none."""
+        """The part's view, for example ``left``; empty if it has none."""
         return self.get_text("view")
 
     def find_obstacle(self, channel: Channel) -> str:
-        """Return why no image can be made of a channel, as what the channel "is"; empty where one can."""
+        """Return why no image can be made of a channel, to follow "the channel is"; empty if one can be made."""
         if self.deep:
             return "deep, with any number of samples in each pixel"
         if not channel.is_whole:
@@ -149,7 +149,7 @@ class Part:
         return next(item.value for item in self.attributes if item.name == name)
 
     def get_text(self, name: str) -> str:
-        """Return the text of a string attribute, empty where it is missing."""
+        """Return the text of a string attribute, empty if it is missing."""
         attribute = self.get(name)
         return attribute.value.decode("utf-8", "replace") if attribute and attribute.type == "string" else ""
 
@@ -164,7 +164,7 @@ class Container:
 
     @property
     def multipart(self) -> bool:
-        """Whether the file is written in the multi-part form, even with one part."""
+        """Whether the file has the multi-part form, which a file with one part can have too."""
         return bool(self.version & MULTIPART)
 
 
@@ -173,10 +173,10 @@ def _pack_name(name: str) -> bytes:
 
 
 def crop_part(part: Part, first: int, stop: int) -> Part:
-    """Return the rows from ``first`` to before ``stop`` as a part of its own, of one resolution.
+    """Return the rows from ``first`` to before ``stop`` as a part of its own, with one resolution level.
 
-    ``first`` counts from the top of the data window and is a multiple of `Part.rows_per_chunk`; so is ``stop``, or it
-    is the height.
+    Rows count from the top of the data window. ``first`` is a multiple of `Part.rows_per_chunk`; ``stop`` is another
+    multiple, or the height.
     """
     window, rows = part.data_window, part.rows_per_chunk
     above, below, across = first // rows, -(-stop // rows), 1
@@ -184,7 +184,7 @@ def crop_part(part: Part, first: int, stop: int) -> Part:
     changed = {"dataWindow": struct.pack("<4i", cut.x_min, cut.y_min, cut.x_max, cut.y_max)}
     if part.tiled:
         across = -(-window.width // part.tile_size[0])
-        # The mode in the last byte: one level. That of the whole image comes first in the table.
+        # Mode 0 in the last byte: one level. The chunks of the full resolution come first in the table.
         changed["tiles"] = struct.pack("<IIB", *part.tile_size, 0)
     return replace(
         part,
@@ -199,6 +199,6 @@ def crop_part(part: Part, first: int, stop: int) -> Part:
 
 
 def show_name(name: str) -> str:
-    """Return a name from a file so that any terminal can show it, and none obeys it."""
+    """Return a name from a file that is safe to print: control characters become escapes, long names are cut."""
     shown = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in name)
     return shown if len(shown) <= 80 else shown[:77] + "..."

@@ -1,4 +1,4 @@
-"""What an EXR file holds, and what denoising would make of it; no pixel is read."""
+"""Describe an EXR file and what denoising would use of it. No pixel is read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LAYOUTS = {
 
 @dataclass(frozen=True)
 class ChannelDescription:
-    """One channel: its name, its pixel type, and the image of a frame that it is read into, or an empty text."""
+    """One channel: its name, its pixel type, and the image of a frame that it is read into; empty for none."""
 
     name: str
     pixel_type: str
@@ -48,7 +48,7 @@ class PartDescription:
 
 @dataclass(frozen=True)
 class ImageDescription:
-    """One image that a frame can have: its channels in short, whether the file has them, and what follows."""
+    """One image that a frame can have: its channels, whether the file has them, and the cost if they are missing."""
 
     label: str
     found: bool
@@ -58,7 +58,7 @@ class ImageDescription:
 
 @dataclass(frozen=True)
 class RoleDescription:
-    """One image that was taken from a file of another renderer: what it is, its channels, what becomes of them."""
+    """One image from a file of another renderer: its role, its channels and how they are converted."""
 
     role: str
     channels: str
@@ -72,11 +72,11 @@ COSTS = {
     "layers": "diffuse and specular light are filtered together, which blurs reflections",
     "albedo": "textures are filtered like noise",
 }
-"""What follows where a frame lacks something."""
+"""Consequence of each thing that a frame can lack."""
 REMEDY = "lobewise render, which writes every guide in one pass"
-"""What gives a file in lobewise's names the images that it lacks."""
+"""Remedy for images that a file in lobewise's names lacks."""
 USES = (*COSTS, "silhouettes", "halves")
-"""What denoising can use of a frame; "camera" stands for a camera with positions or depths."""
+"""Things that denoising can use of a frame. "camera" means a camera with positions or depths."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,13 @@ class Lack:
     role : str
         A key of `COSTS`.
     cost : str
-        What follows.
+        Consequence of the lack.
     remedy : str
-        What to switch on in the renderer; empty where nothing helps.
+        What to switch on in the renderer; empty if nothing helps.
     reason : str
         Why nothing helps.
     told : str
-        The sentence among the notes that says so; empty for none.
+        The note about the lack; empty for none.
     """
 
     role: str
@@ -108,7 +108,7 @@ OIDN_FIELDS = {
     "albedo": {"diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"},
     "normal": {"normal", "mean_normal"},
 }
-"""Images of a frame that Open Image Denoise is handed, by what they are to it."""
+"""Images of a frame, by the guide of Open Image Denoise that they serve as."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Frames as OpenEXR files: read, write, and write back into a copy of the input; every write is all or nothing."""
+"""Read and write frames as OpenEXR files. Every file is written whole or not at all."""
 
 from __future__ import annotations
 
@@ -29,31 +29,32 @@ from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_to_json
 from lobewise.lobe_table import LobeTable
 
-# Below this a half loses relative precision.
 MIN_NORMAL_HALF = 2.0**-14
+"""Smallest normal number of a 16-bit float: smaller numbers have less relative precision."""
 
 
 def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
     """Return the frame of an EXR file in lobewise's own channel names (``docs/conventions.md``).
 
-    Pixels that are NaN, infinite or negative come through as they are. Of a multi-part file the first part with
-    channels R, G and B is the image; further channels may stand in it or in other parts with the same data window.
+    Pixels that are NaN, infinite or negative stay as they are. The image of a multi-part file is the first part with
+    channels R, G and B. Its other channels may be in this part or in other parts with an equal data window.
 
     Parameters
     ----------
     path : path
         The file.
     lobe_tables : sequence of LobeTable, optional
-        What the channel ``material.I`` counts, in place of the tables in the file's header.
+        The tables that the channel ``material.I`` numbers, in place of the tables in the file's header.
 
     Raises
     ------
     FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is none.
+        If the file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is
+        invalid.
     MissingChannelError
         If there is no R, G and B, or an image has only some of its channels.
     InputError
-        If the camera in the header makes no sense, or a pixel names a lobe table that is not there.
+        If the camera in the header is invalid, or a pixel names a lobe table that does not exist.
     """
     container = read_container(path)
     require_shaded(container)
@@ -107,7 +108,7 @@ def write_frame(
         value beyond 65504, and for variance none between 0 and 6.1e-5. Geometry is always stored as 32-bit floats. With
         False the file holds the frame exactly.
     compression : str
-        One of ``none, rle, zips, zip, piz, zstd``: those that lose nothing.
+        One of the lossless compressions ``none, rle, zips, zip, piz, zstd``.
     attributes : mapping of str to str, optional
         Further header attributes.
 
@@ -159,5 +160,5 @@ def _fits_half(image: NDArray[Any], kind: str) -> bool:
     finite = np.abs(image[np.isfinite(image)])
     if finite.size and finite.max() > MAX_HALF:
         return False
-    # A variance is used as a ratio: its small values need their relative precision.
+    # Ratios of variances are taken, so small variances need full relative precision.
     return kind != "variance" or not np.any((finite > 0.0) & (finite < MIN_NORMAL_HALF))

@@ -1,4 +1,4 @@
-"""What lobewise keeps in the header of a file: camera, sample count, lobe tables, settings."""
+"""Read and write lobewise's attributes in headers: camera, sample count, lobe tables, settings."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from lobewise.io.materials import lobe_table_from_json
 from lobewise.lobe_table import LobeTable
 
 MAX_PIXEL_ASPECT = 100.0
-"""Width over height of pixels, or height over width, beyond which no camera has them."""
+"""Largest plausible ratio of the sides of a pixel."""
 REPLACED = "replaced"
-"""Beside the settings: the channels that are denoised, by the name of their part."""
+"""Key, beside the settings, of the denoised channels by the name of their part."""
 
 
 def make_headers(
     container: Container, beauty: Part, settings: Mapping[str, Any], replaced: Mapping[int, Iterable[str]]
 ) -> list[list[Attribute]]:
-    """Return the attributes of every part of a denoised copy: as they were, the settings, and which channels are new.
+    """Return the attributes of every part of a denoised copy: the old ones, the settings and the denoised channels.
 
-    ``replaced`` names, by the index of a part, the channels whose values are denoised. Those that were so before stay
-    in the list.
+    ``replaced`` names the denoised channels by the index of their part. Channels that were denoised before are listed
+    too.
     """
     headers = [list(part.attributes) for part in container.parts]
     before = read_replaced(container) or {}
@@ -42,9 +42,9 @@ def make_headers(
 
 
 def read_replaced(container: Container) -> dict[int, frozenset[str]] | None:
-    """Return by the index of a part the channels that lobewise denoised; None for a file without its mark.
+    """Return the channels that lobewise denoised, by the index of their part; None for a file without its attribute.
 
-    A mark without a list, as of earlier versions, stands for all channels: any of them may be.
+    Earlier versions wrote the attribute without a list: then every channel counts as denoised.
     """
     marks = [item for part in container.parts if (item := part.get(DENOISED)) is not None]
     if not marks:
@@ -70,7 +70,7 @@ def read_replaced(container: Container) -> dict[int, frozenset[str]] | None:
 def read_camera(part: Part) -> Camera | None:
     """Return the camera of a part's header, or None.
 
-    Raises InputError if some of its attributes are missing, or make no sense.
+    Raises InputError if some of its attributes are missing or invalid.
     """
     found = {item.name[len(CAMERA) :]: item for item in part.attributes if item.name.startswith(CAMERA)}
     if not found:
@@ -92,7 +92,7 @@ def read_camera(part: Part) -> Camera | None:
 
 
 def read_pixel_aspect(part: Part) -> float | None:
-    """Return the width of a part's pixels over their height; None where the header says what no pixels have."""
+    """Return the width of a part's pixels over their height; None if the header has an implausible ratio."""
     item = part.get("pixelAspectRatio")
     aspect = 1.0 if item is None else float(struct.unpack("<f", item.value)[0])
     return aspect if 1.0 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT else None
@@ -107,7 +107,7 @@ def read_spp(part: Part) -> int | None:
 def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
     """Return the lobe tables of a part's header, in the order of their numbers.
 
-    Raises FileError if one is missing before the last, or is no lobe table.
+    Raises FileError if a number is missing or a table is invalid.
     """
     found = [item for item in part.attributes if item.name.startswith(LOBES)]
     tables = []
@@ -143,6 +143,7 @@ def _read_numbers(item: Attribute | None, size: int) -> tuple[float, ...] | None
 
 
 def describe_camera(camera: Camera) -> dict[str, Any]:
+    """Return the header attributes of a camera."""
     out: dict[str, Any] = {
         CAMERA + name: np.array(getattr(camera, name), dtype=np.float64) for name in ("position", "forward", "up")
     }

@@ -1,8 +1,8 @@
-"""The structure of an OpenEXR file: headers, attributes and where the chunks lie; no pixel is decoded here.
+"""Parse the structure of an OpenEXR file: headers, attributes and offsets of chunks. No pixel is decoded here.
 
-Reading the structure first, in Python, has three uses. A damaged or truncated file is told in one sentence before a
-codec sees it. Attributes travel as the bytes they are, so that none is lost or changed, whatever its type. Parts that
-nobody touches are copied without being decoded.
+Parsing the structure first, in Python, has three uses. A damaged or truncated file gives a clear error before a codec
+sees it. Attributes are copied as bytes, so that none is lost or changed, whatever its type. Unchanged parts are copied
+without decoding.
 
 Source: "OpenEXR File Layout" and "Technical Introduction to OpenEXR", openexr.com.
 """
@@ -39,17 +39,18 @@ from lobewise.io.exr.container import (
 )
 from lobewise.io.files import PathLike, require_readable
 
-# A window beyond this is taken for damage: 2^28 pixels are 16384 x 16384.
 MAX_PIXELS = 2**28
-# Larger tiles are believed only where the image is large too.
-MAX_TILE = 2**22
-# No renderer comes near; a damaged length must not make the reader walk through gigabytes.
+"""Most pixels of a data window, 16384 x 16384. A larger window counts as damage."""
+MAX_TILE_PIXELS = 2**22
+"""Most pixels of a tile, unless the image is large too."""
 MAX_ATTRIBUTES = 65536
-MAX_NAME = 255
+"""Most attributes of a header. With a damaged length the parser must not read gigabytes."""
+MAX_NAME_BYTES = 255
+"""Longest name of an attribute, type or channel."""
 
 
 class _Damaged(Exception):
-    """Inner, short: what is wrong. The public edge adds the file's name."""
+    """The reason why a file counts as damaged. The public functions add its name."""
 
 
 def read_container(path: PathLike) -> Container:
@@ -86,7 +87,7 @@ def parse_bytes(data: bytes) -> Container:
 
 
 class _Reader:
-    """A file that is read front to back and says where it ends too soon."""
+    """Reads a file from front to back, and tells what is missing if the file ends too soon."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self.stream = stream
@@ -102,8 +103,8 @@ class _Reader:
         name = bytearray()
         while byte := self.take(1, what)[0]:
             name.append(byte)
-            if len(name) > MAX_NAME:
-                raise _Damaged(f"{what} longer than {MAX_NAME} bytes")
+            if len(name) > MAX_NAME_BYTES:
+                raise _Damaged(f"{what} longer than {MAX_NAME_BYTES} bytes")
         return name.decode("utf-8", "surrogateescape")
 
 
@@ -157,7 +158,7 @@ def _parse_header(reader: _Reader) -> tuple[Attribute, ...]:
 
 
 def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: int) -> tuple[Part, int]:
-    """Return the part without chunks, and how many chunks it has."""
+    """Return the part without its chunks, and the number of its chunks."""
     found = {item.name: item for item in attributes}
 
     def value(name: str, kind: str, size: int | None) -> bytes:
@@ -194,9 +195,11 @@ def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: in
     levels = 1
     if tiled:
         width, height, mode = struct.unpack("<IIB", value("tiles", "tiledesc", 9))
-        # The codecs set aside memory for a whole tile before they look at its bytes.
+        # The codecs allocate memory for a whole tile before they read its bytes.
         if not (
-            0 < width * height <= max(MAX_TILE, 4 * data.width * data.height) and mode & 0xF <= 2 and mode >> 4 <= 1
+            0 < width * height <= max(MAX_TILE_PIXELS, 4 * data.width * data.height)
+            and mode & 0xF <= 2
+            and mode >> 4 <= 1
         ):
             raise _Damaged("a damaged attribute 'tiles'")
         _, grid = list_levels(data, mode)
@@ -219,7 +222,7 @@ def _parse_channels(data: bytes) -> tuple[Channel, ...]:
     position = 0
     while position < len(data) and data[position]:
         end = data.find(b"\0", position)
-        if not 0 <= end - position <= MAX_NAME or end + 17 > len(data):
+        if not 0 <= end - position <= MAX_NAME_BYTES or end + 17 > len(data):
             raise _Damaged("a damaged list of channels")
         try:
             name = data[position:end].decode("utf-8")
@@ -259,7 +262,7 @@ def _locate_chunks(reader: _Reader, part: Part, table: tuple[int, ...], *, multi
             raise _Damaged(f"a truncated file of {reader.size} bytes: {which} is cut off")
         if struct.unpack_from(coordinates, head, start - offset) != place.coordinates:
             raise _Damaged(f"a damaged {which}: it is that of another place in the image")
-        # The codecs set aside memory for all pixels before they look at the bytes.
+        # The codecs allocate memory for all pixels before they read the bytes.
         least = 0 if part.deep else place.count_bytes(part.channels)
         if least > size * MAX_EXPANSION.get(part.compression, math.inf):
             raise _Damaged(f"a damaged {which}: {size} bytes where its pixels take {least} and compress to more")
@@ -275,7 +278,7 @@ def _list_places(part: Part) -> Iterator[Place]:
 
 
 def _require_apart(parts: tuple[Part, ...], first: int, *, multipart: bool) -> None:
-    """Refuse chunks that lie over each other, or over what ends at ``first``: the headers and the tables."""
+    """Raise `_Damaged` for chunks that overlap each other, or the headers and tables, which end at ``first``."""
     leader = 4 if multipart else 0
     end, before = first, "the header or the table of chunks"
     for offset, size, what in sorted(

@@ -1,4 +1,4 @@
-"""Pixels of one part through the OpenEXR library, the only place that calls it."""
+"""Decode and encode the pixels of one part. No other module calls the OpenEXR library."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ DTYPES: dict[str, np.dtype[Any]] = {
 
 
 MAX_SLAB_BYTES = 2**28
-"""Bytes of pixels that are decoded or encoded at once, if more than one row of chunks fits."""
+"""Most bytes of pixels that are decoded or encoded at once, unless a single row of chunks has more."""
 
 
 def count_fitting_rows(part: Part) -> int:
-    """Return how many rows of a part fit `MAX_SLAB_BYTES`: whole rows of chunks, at least one."""
+    """Return how many rows of a part fit into `MAX_SLAB_BYTES`: whole rows of chunks, at least one."""
     rows = part.rows_per_chunk
     size = part.data_window.width * sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels)
     return rows * max(MAX_SLAB_BYTES // (size * rows), 1)
@@ -43,7 +43,7 @@ def count_fitting_rows(part: Part) -> int:
 def decode_part(container: Container, part: Part, names: Collection[str] | None = None) -> dict[str, Pixels]:
     """Return channels of a part, each (height, width) in its own type: uint32, float16 or float32.
 
-    ``names`` are those that are wanted, by default all. Only some rows of the others are in memory at a time, unless
+    ``names`` are the wanted channels, by default all. Other channels take memory only for some rows at a time, unless
     the part has subsampled channels.
 
     Raises FileError if the pixels are damaged, or the part holds deep samples.
@@ -83,7 +83,7 @@ def _refuse_pixels(container: Container, got: str) -> FileError:
 
 
 def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
-    """Return every channel of a part that is decoded at once."""
+    """Return every channel of a part, decoded at once."""
     try:
         with container.path.open("rb") as stream:
             data = pack_part(container, part, stream)
@@ -106,17 +106,17 @@ def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
 
 
 def decode_bytes(data: bytes) -> dict[str, Pixels]:
-    """Return every channel of a file with one part; those that cannot be decoded are left out, or raise anything."""
+    """Return every channel of a file with one part. A damaged channel is left out, or raises an error of any kind."""
     import OpenEXR
 
     with _enter_library():
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
-        # The library leaves the pixels out, with a printed warning, where it cannot decode them.
+        # The library prints a warning and leaves out pixels that it cannot decode.
         return {key: np.asarray(channel.pixels) for key, channel in channels.items()}
 
 
 def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) -> list[tuple[int, bytes]]:
-    """Return the chunks of ``part`` with new pixels, as (index in the chunk table, bytes without part number).
+    """Return the chunks of ``part`` with new pixels, as (index in the chunk table, bytes without the part number).
 
     Raises FileError as `require_encodable`.
     """
@@ -126,20 +126,20 @@ def encode_part(container: Container, part: Part, pixels: Mapping[str, Pixels]) 
 
 
 def encode_whole(part: Part, pixels: Mapping[str, Pixels]) -> bytes:
-    """Return a file of ``part`` alone with new pixels, without the users' attributes."""
+    """Return a file that holds only ``part`` with new pixels, without attributes of users."""
     header: dict[str, Any] = {"dataWindow": _pair(part.data_window), "displayWindow": _pair(part.display_window)}
     header["lineOrder"] = part.line_order
     return encode_file(header, pixels, part=part)
 
 
 def list_chunks(part: Part, data: bytes) -> list[tuple[int, bytes]]:
-    """Return the chunks of the only part of a file, as they lie in it."""
+    """Return the chunks of the only part of a file, in the order of the file."""
     ordered = sorted(part.chunks, key=lambda chunk: chunk.offset)
     return [(chunk.index, data[chunk.offset : chunk.offset + chunk.size]) for chunk in ordered]
 
 
 def require_encodable(container: Container, part: Part) -> None:
-    """Raise FileError if a part is of a kind that cannot be written: with resolution levels or subsampled channels."""
+    """Raise FileError if a part has resolution levels or subsampled channels, which cannot be written."""
     odd = [show_name(channel.name) for channel in part.channels if (channel.x_sampling, channel.y_sampling) != (1, 1)]
     if part.levels > 1 or odd:
         raise FileError(
@@ -153,7 +153,7 @@ def require_encodable(container: Container, part: Part) -> None:
 def encode_file(
     header: Mapping[str, Any], pixels: Mapping[str, Pixels], *, compression: str = "zip", part: Part | None = None
 ) -> bytes:
-    """Return a single-part file; types, tiles and compression follow ``part`` where it is given.
+    """Return a single-part file, with the types, tiles and compression of ``part`` if it is given.
 
     Raises FileError if the library cannot encode the pixels.
     """
@@ -170,7 +170,7 @@ def encode_file(
         full["tiles"].xSize, full["tiles"].ySize = part.tile_size
     linear = {channel.name: channel.linear for channel in part.channels} if part else {}
     channels = {
-        # The library reads past strides: an array that is not contiguous would be written scrambled.
+        # The library ignores strides: an array that is not contiguous would be scrambled.
         name: OpenEXR.Channel(name, np.ascontiguousarray(values), 1, 1, linear.get(name, False))
         for name, values in pixels.items()
     }
@@ -186,18 +186,18 @@ def encode_file(
 
 
 class _Threads:
-    """The library's threads, one for every core: by itself it uses one, and older releases know no other way."""
+    """The library's threads, one for every core. Without this the library uses a single thread."""
 
     def __init__(self) -> None:
         self._count = 0
 
     def start(self) -> None:
-        """Have a thread for every core, where there is more than one."""
+        """Start a thread for every core, if there is more than one."""
         cores = count_cores()
         self._set(cores if cores > 1 else 0)
 
     def end(self) -> None:
-        """Wait for all threads to end; the library then does its work in the thread that calls it."""
+        """End all threads; then the library works in the thread that calls it."""
         self._set(0)
 
     def _set(self, count: int) -> None:
@@ -221,7 +221,7 @@ def _pair(window: Window) -> tuple[Pixels, Pixels]:
 
 @contextmanager
 def _enter_library() -> Iterator[None]:
-    """Let one thread at a time call the library, with its threads started and its own lines off the terminal."""
+    """Let one thread at a time call the library, with its threads started and its messages hidden."""
     with _gate.enter(), _quiet:
         _threads.start()
         with _hush_library():
@@ -230,15 +230,15 @@ def _enter_library() -> Iterator[None]:
 
 @contextmanager
 def _hush_library() -> Iterator[None]:
-    """Keep the library's own lines about damaged files off the terminal; other output is passed on afterwards.
+    """Hide the library's messages about damaged files. Other output is printed afterwards.
 
-    Its C core writes to file descriptor 2 and leaves no way to ask for silence.
+    The library's C core writes to file descriptor 2, and cannot be told to be silent.
     """
     with tempfile.TemporaryFile() as caught:
         try:
             saved = os.dup(2)
         except OSError:
-            # A process without a standard error has nothing to keep clean.
+            # The process has no standard error.
             yield
             return
         if sys.stderr is not None:

@@ -1,4 +1,4 @@
-"""Copies of files in which some channels have other values, or further ones: all else is kept bit for bit."""
+"""Copy files with new values in some channels, or with new channels. Everything else keeps its bits."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from lobewise.io.exr.spool import ChunkSpool
 from lobewise.io.files import PathLike, open_atomic, open_spool, require_writable
 
 LOSSLESS = ("none", "rle", "zips", "zip", "piz", "zstd", "htj2k256", "htj2k32")
-"""Compressions that give back what they took, of every type."""
-SHORT_NAME = 31
+"""Compressions that lose nothing, for every pixel type."""
+MAX_SHORT_NAME_BYTES = 31
+"""Longest name of a channel in a file without the flag `LONG_NAMES`."""
 
 Planes = Mapping[str, FloatArray]
 
@@ -36,28 +37,28 @@ def write_copy(
     added: Mapping[int, Planes] | None = None,
     only: bool = False,
 ) -> tuple[str, ...]:
-    """Write a copy of a file with other values in some channels; return what could not stay as it was, in sentences.
+    """Write a copy of a file with other values in some channels; return sentences about what had to change otherwise.
 
     Parameters
     ----------
     path : path
-        The copy, which appears whole or not at all.
+        The copy. It is written whole or not at all.
     container : Container
         The file.
     changed, added : mapping of int to mapping of str to array, shape (height, width)
-        By the index of a part and the name of a channel: values that replace those of the file, in the type that the
-        channel is stored in; and channels that it does not have, of 32 bits.
+        By the index of a part and the name of a channel: new values for channels of the file, stored in the channel's
+        type, and new channels, stored as 32-bit floats.
     settings : mapping
-        Goes into the header of ``beauty``, with the names of the channels that are ``changed``.
+        Written into the header of ``beauty`` with the names of the ``changed`` channels.
     only : bool
-        Whether the copy shall have these channels alone, and no part without any.
+        Whether the copy has only the changed and added channels, and only the parts that have any.
 
     Raises
     ------
     FileError
         If the file cannot be read or the copy cannot be written.
     InputError
-        If a channel that is added is there already, or a plane has another size.
+        If an added channel exists already, or a plane has another size than its part.
     """
     require_writable(path)
     more = added or {}
@@ -75,7 +76,7 @@ def write_copy(
             headers[index] = [_take_over(item, spools[index]) for item in headers[index]]
             parts[index] = replace(part, chunks=spools[index].chunks)
             names = [channel.name for channel in planes.part.channels]
-            version |= LONG_NAMES if any(len(name.encode()) > SHORT_NAME for name in names) else 0
+            version |= LONG_NAMES if any(len(name.encode()) > MAX_SHORT_NAME_BYTES for name in names) else 0
         whole = replace(container, version=version, parts=tuple(parts))
         chunks = {index: spool.read() for index, spool in spools.items()}
         if only:
@@ -89,10 +90,10 @@ def write_copy(
 
 
 class _Planes:
-    """The channels of a part as they shall be.
+    """The channels of a part of the copy.
 
-    ``changed`` replace channels that the part has, ``added`` are more; ``only`` leaves out all others. ``part`` is the
-    part with exactly these channels, ``kept`` are the names of those that stay as they are.
+    ``changed`` replaces channels of the part, ``added`` are new channels, and ``only`` leaves out all others. ``part``
+    has the channels of the copy; ``kept`` names the unchanged ones.
     """
 
     def __init__(self, part: Part, changed: Planes, added: Planes, *, only: bool) -> None:
@@ -103,7 +104,7 @@ class _Planes:
         self.kept = [channel.name for channel in kept if channel.name not in changed]
 
     def check(self, container: Container) -> None:
-        """Raise InputError if a plane has another size than the part, or a channel that is added is there."""
+        """Raise InputError if a plane has another size than the part, or an added channel exists already."""
         _check_planes(container, self._before, self._changed, self._added)
 
     def read(self, container: Container, first: int, stop: int) -> dict[str, Pixels]:
@@ -139,7 +140,7 @@ def _check_planes(container: Container, part: Part, changed: Planes, added: Plan
 
 
 def _encode(container: Container, planes: _Planes, stream: BinaryIO) -> tuple[ChunkSpool, str]:
-    """Return the chunks, and what had to change: never the values of an untouched channel."""
+    """Return the chunks and a sentence about a changed compression. Untouched channels keep their values."""
     part = planes.part
     lossy = part.compression not in LOSSLESS and bool(planes.kept)
     spool = ChunkSpool(container, part, stream)
@@ -154,7 +155,7 @@ def _encode(container: Container, planes: _Planes, stream: BinaryIO) -> tuple[Ch
 
 
 def _fill(spool: ChunkSpool, container: Container, planes: _Planes, *, checked: bool) -> bool:
-    """Encode all rows, and return whether untouched channels came through; only ``checked`` ones may not."""
+    """Encode all rows; return whether untouched channels kept their values, which is tested only if ``checked``."""
     height, step = planes.part.data_window.height, count_fitting_rows(planes.part)
     for first in range(0, height, step):
         stop = min(first + step, height)
@@ -171,7 +172,7 @@ def _keeps(data: bytes, pixels: Mapping[str, Pixels], names: list[str]) -> bool:
 
 
 def _take_over(item: Attribute, spool: ChunkSpool) -> Attribute:
-    """Return an attribute as it was, but channels, compression and the count of chunks as they were written."""
+    """Return an attribute for the copy: channels, compression and chunk count are new, all others stay."""
     if item.name == "chunkCount":
         return replace(item, value=struct.pack("<i", len(spool.chunks)))
     written = spool.find_made(item.name) if item.name in ("channels", "compression") else None

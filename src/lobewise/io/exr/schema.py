@@ -9,28 +9,29 @@ SCHEMA_VERSION = 1
 SCHEMA = "lobewise/schema"
 SPP = "lobewise/spp"
 SPARSE = "lobewise/sparse"
-"""Text, "scale row column": radiance stands at that pixel of every block of scale times scale."""
+"""Attribute with the text "scale row column": the shaded pixel in every block of scale x scale pixels."""
 CAMERA = "lobewise/camera/"
 DENOISED = "lobewise/denoised"
 LOBES = "lobewise/lobes/"
-"""Followed by the number of the material, from 1."""
+"""Prefix of the attributes of lobe tables; the number of the material follows, from 1."""
 
 
 @dataclass(frozen=True)
 class Slot:
     """One image of a frame and the channels that hold it."""
 
-    # Where it lives: `Frame` attribute and the attribute of that.
     owner: str
+    """Attribute of `Frame`, such as ``gbuffer``."""
     field: str
+    """Attribute of the owner."""
     channels: tuple[str, ...]
     """Full channel names, in the order of the image's last axis."""
     kind: str
-    """``radiance``, ``variance``, ``share`` or ``geometry``; decides the pixel type."""
+    """``radiance``, ``variance``, ``share`` or ``geometry``; it decides the pixel type."""
     meaning: str
-    """What the values are: unit, space, range."""
+    """Meaning of the values, with unit, space and range."""
     missing: str
-    """What follows when the channels are not there."""
+    """Consequence of missing channels."""
 
     @property
     def label(self) -> str:

@@ -14,7 +14,7 @@ from lobewise.io.files import PathLike
 from lobewise.sparse_frame import SparseFrame, make_sparse
 
 MAX_DIGITS = 9
-"""Of a row or column: no image is as large."""
+"""Most digits of a scale, row or column in the header: no image is that large."""
 
 
 def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[int, int] | None = None) -> SparseFrame:
@@ -25,15 +25,15 @@ def read_sparse_frame(path: PathLike, *, scale: int | None = None, place: tuple[
     path : path
         The file.
     scale, place : int and (int, int), optional
-        Which pixels were shaded, in place of what the header says; then any frame will do, and what it holds at other
-        pixels is not looked at.
+        The shaded pixels, in place of those in the header. Then the file may hold any frame, and its radiance at other
+        pixels is ignored.
 
     Raises
     ------
     FileError, MissingChannelError
         As `read_frame`.
     InputError
-        As `read_frame`, or if nothing says which pixels were shaded.
+        As `read_frame`, or if neither the header nor ``scale`` tells which pixels were shaded.
     """
     container = read_container(path)
     item = require_beauty(container).get(SPARSE)

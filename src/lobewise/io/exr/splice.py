@@ -1,4 +1,4 @@
-"""Cut parts out of OpenEXR files and put files together from old and new chunks, without decoding what stays."""
+"""Cut parts out of OpenEXR files, and assemble files from old and new chunks without decoding old ones."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from lobewise.io.exr.container import LONG_NAMES, MAGIC, TILED, Attribute, Chunk
 
 
 def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
-    """Return one part as a file of its own with only the attributes that decoding needs.
+    """Return one part as a file of its own, with only the attributes that decoding needs.
 
-    ``stream`` is the open file. A codec that is given this never sees the other parts or the users' attributes.
+    ``stream`` is the open file. The codec never sees other parts or attributes of users.
     """
     needed = {
         "channels", "compression", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio",
@@ -32,7 +32,7 @@ def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
     for index, data in chunks:
         table[index] = position
         position += len(data)
-    # Put together once: every copy of a large file takes as long as reading it.
+    # Join once: every copy of a large file takes as long as reading it.
     return b"".join([header, struct.pack(f"<{len(table)}Q", *table), *(data for _, data in chunks)])
 
 
@@ -51,7 +51,7 @@ def read_chunk(stream: BinaryIO, chunk: Chunk) -> bytes:
 
 
 def shift_tiles(chunk: bytes, rows: int) -> bytes:
-    """Return the bytes of a tile's chunk ``rows`` of tiles further down; with 0 of any chunk."""
+    """Return the chunk of a tile, moved down by ``rows`` rows of tiles. With 0 rows any chunk is returned as it is."""
     return (
         chunk if rows == 0 else chunk[:4] + struct.pack("<i", struct.unpack_from("<i", chunk, 4)[0] + rows) + chunk[8:]
     )
@@ -64,10 +64,10 @@ def write_container(
     headers: list[list[Attribute]],
     new: Mapping[int, Iterable[tuple[int, bytes]]],
 ) -> None:
-    """Write a file with the given headers; parts in ``new`` get these chunks, the others keep theirs, byte for byte.
+    """Write a file with the given headers, new chunks for the parts in ``new``, and unchanged chunks for the others.
 
-    ``new`` maps a part's index to (index in its chunk table, bytes without part number). The other parts' chunks are
-    copied one by one, so that memory does not grow with them.
+    ``new`` maps a part's index to pairs of (index in the chunk table, bytes without the part number). Unchanged chunks
+    are copied one by one, so that memory does not grow with their number.
     """
     packed = [b"".join(item.pack() for item in header) + b"\0" for header in headers]
     head = MAGIC + struct.pack("<I", container.version) + b"".join(packed) + (b"\0" if container.multipart else b"")

@@ -1,4 +1,4 @@
-"""Chunks of a part that is written some rows at a time: they wait in a file until all are there."""
+"""Collect the chunks of a part that is written some rows at a time in a temporary file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lobewise.io.exr.pixels import Pixels, encode_whole, list_chunks, require_en
 from lobewise.io.exr.splice import shift_tiles
 
 DECREASING = 1
-"""Line order of a file whose chunks lie from the bottom of the image to its top."""
+"""Value of the attribute ``lineOrder`` of a file whose chunks go from the bottom of the image to its top."""
 
 
 class ChunkSpool:
@@ -29,11 +29,11 @@ class ChunkSpool:
 
     @property
     def chunks(self) -> tuple[Chunk, ...]:
-        """Every chunk by its index in the table of the whole part; offsets are those in the stream."""
+        """Every chunk, in the order of the chunk table of the whole part, with its offset in the stream."""
         return tuple(sorted((chunk for batch in self._batches for chunk in batch), key=lambda chunk: chunk.index))
 
     def find_made(self, name: str) -> Attribute | None:
-        """Return an attribute as the library wrote it."""
+        """Return an attribute as the library wrote it, or None."""
         return None if self.made is None else self.made.get(name)
 
     def add(self, first: int, stop: int, pixels: Mapping[str, Pixels]) -> bytes:

@@ -1,1 +1,1 @@
-"""The door of the page: who may come in, and what a browser that is in may send."""
+"""Protection of the page: who may open it, and which messages a browser may send."""

@@ -1,7 +1,7 @@
-"""Who may see the page and speak to it: a secret token, the names of this server, the page's own origin.
+"""Access to the page by a secret token, the names of this server and the page's own origin.
 
-Browsers let every page open a connection to this machine. They tell only where that page is from (`Origin`), by which
-name it reached the server (`Host`), and which cookies belong to that name.
+Browsers let every page open a connection to this machine. They tell the server only where the page is from (`Origin`),
+by which name it reached the server (`Host`), and the cookies of that name.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from urllib.parse import parse_qs
 from lobewise.errors import InputError
 
 MIN_TOKEN_CHARACTERS = 16
-"""Of a token that the user chooses. Shorter ones can be guessed by trying."""
+"""Shortest token that a user may choose, characters. A shorter token can be guessed by trying."""
 _TOKEN_BYTES = 32
 _TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[^\[\]:/@\s]+)(?::(\d{1,5}))?")
@@ -28,14 +28,14 @@ _OPEN = "open the URL that lobewise printed."
 
 @dataclass(frozen=True)
 class Visit:
-    """One HTTP request, as far as it tells who asks.
+    """The parts of an HTTP request that tell who asks.
 
     Parameters
     ----------
     target : str
         Path and query.
     hosts, origins, cookies : sequence of str
-        Values of the headers of that name, as often as they came.
+        Values of the headers ``Host``, ``Origin`` and ``Cookie``, one for each header.
     is_socket : bool
         Whether the request opens a WebSocket.
     """
@@ -50,12 +50,13 @@ class Visit:
 class Access:
     """Decides on every request before anything is answered.
 
-    A request must name a host of this server, so that no other name can be made to point here (DNS rebinding). It must
-    carry the token: in the URL, or in a cookie that the first visit with the token leaves. A request from a page must
-    be from the server's own page. A WebSocket without an origin, which no browser opens, needs the token in its URL.
+    A request must name a host of this server; this prevents DNS rebinding, where another name points to this server. A
+    request must have the token in the URL, or in the cookie that the first visit with the token sets. A request from a
+    page must come from the server's own page. Browsers send an origin with every WebSocket: a WebSocket without an
+    origin needs the token in its URL.
 
-    The port of ``Host`` is free, so that a forwarded port works (``ssh -L 9000:localhost:8080``); the origin must have
-    the same one.
+    ``Host`` may have any port, so that a forwarded port works (``ssh -L 9000:localhost:8080``). The origin must have
+    the port of ``Host``.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ class Access:
     Raises
     ------
     InputError
-        If the token is short, or has characters that a URL would have to quote.
+        If the token is too short, or has characters that must be quoted in a URL.
     """
 
     def __init__(self, host: str, token: str | None = None) -> None:
@@ -78,7 +79,7 @@ class Access:
             self._names |= list_machine_names()
 
     def refuse(self, visit: Visit) -> str:
-        """Return in one sentence why a request gets nothing; empty where it is welcome."""
+        """Return a sentence that says why a request is refused; empty if it is allowed."""
         if len(visit.hosts) != 1 or not self._is_ours(visit.hosts[0]):
             named = ", ".join(visit.hosts)[:80] or "no name"
             return f"This viewer is not reached by {named!r}: {_OPEN}"
@@ -98,9 +99,9 @@ class Access:
         return any(self._is_token(word) for word in parse_qs(visit.target.partition("?")[2]).get("token", ()))
 
     def make_cookie(self, visit: Visit) -> str:
-        """Return the value of ``Set-Cookie`` that lets the page's own requests in.
+        """Return the value of ``Set-Cookie`` by which the page's own requests are allowed.
 
-        Browsers share cookies between the ports of a host; the name has the port, so that viewers keep apart.
+        Browsers share cookies between the ports of a host, so the cookie's name has the port of its viewer.
         """
         return f"{_name_cookie(visit.hosts[0])}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
@@ -116,17 +117,17 @@ class Access:
         return any(self._is_token(value) for key, _, value in pairs if key == name)
 
     def _is_token(self, word: str) -> bool:
-        # In constant time: how long a refusal takes must not tell how much of a guess is right.
+        # Compare in constant time: the time of a refusal must not tell how much of a guess is right.
         return hmac.compare_digest(word.encode("utf-8", "replace"), self.token.encode())
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine reaches an address or name."""
+    """Return whether an address or name can be reached from this machine only."""
     return host in ("localhost", "::1") or host.startswith("127.")
 
 
 def list_machine_names() -> set[str]:
-    """Return the names of this machine that need no question to a name server."""
+    """Return the names of this machine that are known without asking a name server."""
     name = socket.gethostname().lower()
     short = name.partition(".")[0]
     return {name, short, f"{short}.local"}
@@ -144,12 +145,12 @@ def _check_token(token: str) -> str:
 
 
 def _write_name(host: str) -> str:
-    """Return an address or name as `Host` has it."""
+    """Return an address or name as the header `Host` writes it."""
     return f"[{host.lower()}]" if ":" in host else host.lower()
 
 
 def _is_address(name: str) -> bool:
-    """Return whether the name of a `Host` is an address, which no name server can change."""
+    """Return whether the name in a `Host` is an address. DNS rebinding cannot use addresses."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -158,7 +159,7 @@ def _is_address(name: str) -> bool:
 
 
 def _strip_scheme(origin: str) -> str:
-    """Return host and port of an origin; empty where it has none, as "null" of a sandbox or a file."""
+    """Return host and port of an origin; empty for an origin without a host, such as "null" of a file or sandbox."""
     scheme, separator, host = origin.lower().partition("://")
     return host if separator and scheme in ("http", "https") else ""
 

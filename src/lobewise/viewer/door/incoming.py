@@ -1,4 +1,4 @@
-"""What a browser sends, checked before anything acts on it: its camera and window, and changes of controls."""
+"""Checks of the messages of a browser: its camera and window, and changes of controls."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any
 from lobewise.errors import LobewiseError
 
 MAX_MESSAGE_BYTES = 1 << 16
-"""Of one message. A page sends about 300 bytes at a time."""
+"""Largest message. A page sends about 300 bytes at a time."""
 MAX_WINDOW_SIDE_PIXELS = 16384
-"""Of the picture area, columns and rows; the largest texture of most browsers."""
+"""Largest side of the picture area: the largest texture of most browsers."""
 MAX_WINDOW_PIXELS = 1 << 25
-"""Of the picture area; a screen of 7680x4320 has fewer."""
+"""Most pixels of the picture area. A screen of 7680x4320 has fewer."""
 MAX_WINDOW_ASPECT = 16.0
-"""Of the picture area, long side over short side."""
+"""Largest ratio of the sides of the picture area, long over short."""
 MAX_COORDINATE = 1e9
-"""Size of a camera's coordinate, in the browser's unit. Larger ones overflow in single precision when squared twice."""
+"""Largest coordinate of a camera, in the browser's unit. The fourth power of a larger one overflows in float32."""
 MIN_FOV, MAX_FOV = 1e-3, math.pi - 1e-3
-"""Of a camera's vertical angle of view, radians."""
+"""Range of a camera's vertical angle of view, radians."""
 CAMERA, UPDATE = "ViewerCameraMessage", "GuiUpdateMessage"
 _VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
 _NUMBERS = ("fov", "near", "far", "image_height", "image_width")
@@ -28,12 +28,12 @@ _MAX_NAME = 100
 
 
 class MessageError(LobewiseError):
-    """A message that no page sends: whoever sent it is let go."""
+    """A message that no page sends. Its sender is disconnected."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """What a control of the page can be set to: one of ``choices``, a number from ``low`` to ``high``, or a tick."""
+    """The values that a control takes: one of ``choices``, a number from ``low`` to ``high``, or True and False."""
 
     choices: tuple[str, ...] = ()
     low: float | None = None
@@ -42,14 +42,14 @@ class Control:
 
 @dataclass(frozen=True)
 class Checked:
-    """A message that may be acted on, or None; and in a sentence why it may not, where that is worth one."""
+    """A message that is safe to use, or None with a remark that says why it is ignored; the remark may be empty."""
 
     message: dict[str, Any] | None = None
     remark: str = ""
 
 
 def read_message(data: bytes | str, controls: Mapping[str, Control]) -> tuple[bytes | None, str]:
-    """Return the bytes of a message that may be acted on, None for nothing, and a remark as of `check_message`.
+    """Return the bytes of a message that is safe to use, or None, and the remark of `check_message`.
 
     Raises
     ------
@@ -73,22 +73,22 @@ def read_message(data: bytes | str, controls: Mapping[str, Control]) -> tuple[by
 
 
 def check_message(message: object, controls: Mapping[str, Control]) -> Checked:
-    """Return what may be acted on of a decoded message.
+    """Return a decoded message in a form that is safe to use.
 
-    Window sizes and the numbers of sliders are moved into their ranges. A camera that is not finite, a word that a list
-    does not offer, a control that is gone, and kinds of messages that this page has no use for are ignored.
+    Window sizes and numbers of sliders are moved into their ranges. These are ignored: cameras that are not finite,
+    words that a list does not offer, controls that no longer exist, and kinds of messages that the page does not use.
 
     Parameters
     ----------
     message : object
-        What came, decoded from msgpack.
+        Decoded from msgpack.
     controls : mapping of str to Control
-        The controls that there are, by viser's identities of them.
+        The existing controls, by viser's identities.
 
     Raises
     ------
     MessageError
-        If fields are missing or of other types than a page sends.
+        If fields are missing or have types that a page does not send.
     """
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
         raise MessageError("a message without a type")
@@ -107,7 +107,7 @@ def _check_camera(message: dict[str, Any]) -> Checked:
         vector = message[name]
         if not isinstance(vector, (list, tuple)) or len(vector) != length or not all(map(_is_number, vector)):
             raise MessageError(f"a camera whose {name} is not {length} numbers")
-        # Written so that NaN fails.
+        # The comparison fails for NaN.
         if not all(abs(number) <= MAX_COORDINATE for number in vector):
             return Checked(None, f"a camera whose {name} is not finite or too large")
     for name in _NUMBERS:
@@ -125,12 +125,12 @@ def _check_update(message: dict[str, Any], controls: Mapping[str, Control]) -> C
     updates = message.get("updates")
     if set(message) != {"type", "uuid", "updates"} or not isinstance(message["uuid"], str):
         raise MessageError("a change of a control with other fields")
-    # A control's other properties are the server's to set.
+    # Only the server may set other properties of a control.
     if not isinstance(updates, dict) or set(updates) != {"value"}:
         raise MessageError("a change of something else than a control's value")
     control, value = controls.get(message["uuid"]), updates["value"]
     if control is None:
-        # A page that has just come back may still show controls of before.
+        # A page that has just reconnected may still show its old controls.
         return Checked()
     if control.choices:
         if not isinstance(value, str):
@@ -148,7 +148,7 @@ def _check_update(message: dict[str, Any], controls: Mapping[str, Control]) -> C
 
 
 def clamp_window(width: float, height: float) -> tuple[int, int]:
-    """Return columns and rows of a picture area, moved into the range of windows that there are.
+    """Return columns and rows of a picture area, moved into the range of real windows.
 
     >>> clamp_window(1e9, 400), clamp_window(1e9, 1e9), clamp_window(0, 0), clamp_window(1280, 720)
     ((6400, 400), (5792, 5792), (1, 1), (1280, 720))

@@ -1,9 +1,9 @@
-"""viser's server with a guard before it: the one place that reaches into how viser serves.
+"""Guard viser's server. No other module depends on the internals of viser.
 
-viser 1.x has no option for it. It serves page and WebSocket by one call of ``websockets.asyncio.server.serve``, public
-API of `websockets` that has all a guard needs: `process_request` is asked before anything is answered, and
-`create_connection` makes the object that viser reads messages from. A front server that relays to viser's own would
-guard nothing: any page could connect to viser's port behind it.
+viser 1.x has no option for a guard. It serves page and WebSocket by one call of ``websockets.asyncio.server.serve``.
+This public function of `websockets` has the hooks of a guard: it calls `process_request` before it answers anything,
+and `create_connection` makes the object from which viser reads messages. A proxy before viser's server would guard
+nothing: any page could connect to viser's own port.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REFUSED = 403
 _POLICY_VIOLATION = 1008
 _PATIENCE = 20.0
 _HEADERS = {
-    # The URL has the token: it goes to no other server, into no cache, and the page into no frame of another page.
+    # The URL holds the token: keep it from other servers and caches, and the page out of frames of other pages.
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -38,10 +38,10 @@ _starting = threading.Lock()
 
 @contextmanager
 def guard_serving(access: Access, controls: Mapping[str, Control], tell: Tell) -> Iterator[None]:
-    """Let every server that viser starts meanwhile answer only whom ``access`` welcomes.
+    """Guard every server that viser starts in the ``with`` block: it answers only requests that ``access`` allows.
 
-    Messages of browsers reach viser only as `read_message` passes them. ``tell`` gets a sentence for a browser that was
-    let go, and for what could not be done.
+    Only messages that `read_message` has checked reach viser. ``tell`` is called with a sentence when a browser was
+    disconnected or the server failed at something.
     """
     import websockets.asyncio.server as library
 
@@ -66,7 +66,7 @@ def guard_serving(access: Access, controls: Mapping[str, Control], tell: Tell) -
 
 
 def require_guard(host: str, port: int) -> None:
-    """Raise MissingDependencyError unless a server refuses whoever comes without the token."""
+    """Raise MissingDependencyError unless the server refuses a request without the token."""
     connection = http.client.HTTPConnection({"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host), port, _PATIENCE)
     try:
         connection.request("GET", "/")
@@ -88,7 +88,7 @@ def require_guard(host: str, port: int) -> None:
 
 
 async def _process_request(access: Access, pages: Any, connection: Any, request: Any) -> Any:
-    """Answer a request that is not welcome; otherwise let viser answer, and leave the cookie."""
+    """Refuse a request that is not allowed; otherwise let viser answer, and set the cookie."""
     headers = request.headers
     visit = Visit(
         request.path,
@@ -114,11 +114,11 @@ async def _process_request(access: Access, pages: Any, connection: Any, request:
 
 @cache
 def _make_connection_class() -> Any:
-    """Return the class of connections whose `recv` gives checked messages only."""
+    """Return the class of connections whose `recv` returns only checked messages."""
     from websockets.asyncio.server import ServerConnection
 
     class Connection(ServerConnection):
-        """One browser's; the first message that no page sends ends it."""
+        """The connection of one browser. It ends with the first message that no page sends."""
 
         def __init__(self, controls: Mapping[str, Control], tell: Tell, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
@@ -127,7 +127,7 @@ def _make_connection_class() -> Any:
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:
-                # Raises what viser expects as soon as the browser has gone, or was let go.
+                # When the browser has gone or was disconnected, this raises the error that viser expects.
                 data = await super().recv(decode)
                 if self._refused:
                     continue
@@ -148,14 +148,14 @@ def _make_connection_class() -> Any:
 
 
 def _tell_failure(tell: Tell, loop: Any, context: dict[str, Any]) -> None:
-    """Say in one line what failed in the server's thread; the others go on."""
+    """Tell in one line what failed in the server's thread. Other connections go on."""
     problem = context.get("exception")
     logging.getLogger(__name__).debug("in the server of the page", exc_info=problem)
     tell(f"The page could not do something: {_shorten(problem or context.get('message', ''))}")
 
 
 def _make_logger(tell: Tell) -> logging.Logger:
-    """Return the log of a server of `websockets`: of what failed one line, of who knocked in vain none."""
+    """Return the log of a server of `websockets`: one line for a failure, none for a refused connection."""
     logger = logging.Logger("lobewise.viewer.door", logging.WARNING)
 
     class Lines(logging.Handler):
