@@ -1,4 +1,4 @@
-"""The figures of docs/quality.md and docs/research/quality_trials.md."""
+"""The figures of docs/research/mixing_networks.md and docs/research/quality_trials.md."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def rename(ratios: dict[str, dict[str, float]], sets: Mapping[str, str]) -> dict
     return named
 
 
-def make_figures(share: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/quality.md by place."""
+def make_share_figures(share: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/research/mixing_networks.md by place."""
     detail, peer = (share[name]["kept aside"] for name in ("noisy", "peer"))
     return {
         "training": list_facts({"Random scenes": share["scenes"], "Frames of drawn textures": share["drawn_frames"]}),

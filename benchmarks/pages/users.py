@@ -44,10 +44,8 @@ README_SETS = {"all": "all guides", "plain": "albedo, normal, depth alone"}
 README_COLUMNS = (
     ("all", NOISY),
     ("all", PEER),
-    ("all", "balanced"),
     ("all", "high"),
     ("all", "auto"),
-    ("plain", "high"),
     ("plain", "auto"),
 )
 """Guides and method of each column of the README's table."""
