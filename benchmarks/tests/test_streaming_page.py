@@ -12,7 +12,7 @@ import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH
-from lobewise.streaming.plan import FEWEST_ROWS, WHOLE, find_band_reach
+from lobewise.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, find_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT
 
@@ -39,8 +39,8 @@ def test_the_page_knows_how_far_filters_reach() -> None:
     assert "{} to each side for `fast` at radius 8, {} for `balanced`, {} for `high`".format(*numbers) in text
     assert f"; {numbers[3]} for the form `atrous`" in text
     assert f"from up to {REFILL_REACH} pixels away" in text
-    assert f"bands then have {FEWEST_ROWS} rows" in text
-    assert f"more than {WHOLE:g} GiB" in text
+    assert f"bands then have {MIN_ROWS} rows" in text
+    assert f"more than {MAX_WHOLE_GIB:g} GiB" in text
 
 
 @pytest.mark.slow
