@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from lobewise.settings import choices
+
 SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
 ROOMS = [
     "errors",
@@ -208,3 +210,28 @@ def test_files_are_short_and_say_what_they_are(path: Path) -> None:
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             assert count_code_lines(node, text.splitlines()) <= MAX_CODE_LINES_OF_FUNCTION, node.name
+
+
+def list_compared_names(tree: ast.AST, names: set[str]) -> list[str]:
+    """Return the comparisons of a tree whose one side speaks of a similarity or quality and whose other is a name."""
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Compare):
+            continue
+        sides = [node.left, *node.comparators]
+        speaks = any("similarity" in ast.unparse(side) or "quality" in ast.unparse(side) for side in sides)
+        constants = {each.value for side in sides for each in ast.walk(side) if isinstance(each, ast.Constant)}
+        if speaks and constants & names:
+            found.append(ast.unparse(node))
+    return found
+
+
+def test_no_name_of_a_similarity_or_quality_is_compared() -> None:
+    """Code asks the record of a similarity or quality (`lobewise.settings.choices`), and does not compare its name."""
+    names = {*choices.SIMILARITIES, *choices.QUALITIES}
+    assert list_compared_names(ast.parse('a.similarity == "sg" and quality in ("high", "x")'), names) == [
+        "a.similarity == 'sg'",
+        "quality in ('high', 'x')",
+    ]
+    compared = {str(path): list_compared_names(ast.parse(path.read_text()), names) for path in list_modules()}
+    assert {path: found for path, found in compared.items() if found} == {}

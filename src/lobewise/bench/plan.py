@@ -16,6 +16,7 @@ from lobewise.denoising import denoise
 from lobewise.frame import Frame, Radiance
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.settings import FORMS
+from lobewise.settings.choices import get_quality, get_similarity
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 
@@ -217,10 +218,12 @@ def _plan_denoising(device: str, extent: Extent, peers: tuple[str, ...]) -> Job:
         frame = add_halves(fetch_frame(extent.recipe_size))
         run = partial(denoise, frame, radius=RADIUS, device=device)
         calls: Calls = {}
-        for similarity in (name for name in extent.core if name != "normal"):
+        for similarity in (name for name in extent.core if get_similarity(name).has_lobes):
             for form in ("separable", "full"):
                 calls[f"fast, {similarity}, {form}"] = partial(run, quality="fast", similarity=similarity, form=form)
-        calls |= {quality: partial(run, quality=quality) for quality in extent.qualities if quality != "fast"}
+        calls |= {
+            quality: partial(run, quality=quality) for quality in extent.qualities if get_quality(quality).reads_halves
+        }
         return {**calls, **_make_peer_calls(frame, peers)}
 
     facts = {"device": device, **describe_size(extent.recipe_size), "radius": RADIUS}

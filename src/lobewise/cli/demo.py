@@ -23,6 +23,7 @@ from lobewise.io.files import PathLike, make_folder, write_text
 from lobewise.metrics import find_specular_pixels
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.reporting.report import Picture, Report, make_page
+from lobewise.settings.choices import get_similarity
 
 Progress = Callable[[str, int, int], None]
 
@@ -189,9 +190,8 @@ def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], li
 def _list_used_settings(settings: dict[str, Any]) -> list[str]:
     """Return the names of the settings that a similarity uses."""
     names = ["quality", "form", "radius", "screen_sigma", "position_sigma"]
-    if settings["similarity"] == "normal":
-        return [*names, "normal_exponent", "band_limit"]
-    return [*names, "beta", "diffuse_beta", "tau"]
+    has_lobes = get_similarity(settings["similarity"]).has_lobes
+    return [*names, *(("beta", "diffuse_beta", "tau") if has_lobes else ("normal_exponent", "band_limit"))]
 
 
 def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) -> tuple[Frame, FloatArray, int]:

@@ -24,7 +24,7 @@ def choose_bound(plan: FilterPlan, target: str) -> float:
         return MAX_DEVICE_DIFFERENCE
     words = target.split("-")
     fused = words[0] == "arm" or "fma" in words
-    is_long = plan.similarity == "asg" and plan.form == "atrous"
+    is_long = plan.record is not None and plan.record.fits_gaussian and plan.form == "atrous"
     return MAX_DIFFERENCE if fused and not is_long else MAX_PLAIN_DIFFERENCE
 
 

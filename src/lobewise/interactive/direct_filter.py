@@ -13,6 +13,7 @@ from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame, Radiance
 from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.settings import DenoiseSettings, Similarity
+from lobewise.settings.choices import get_similarity
 
 RADIUS = 2
 """Kernel radius, pixels: with 2 the kernel covers a stratified block. A radius of 3 has no lower error."""
@@ -29,7 +30,8 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     ``settings`` decide whether normals or lobes are compared, and nothing else. Each pixel's light is the mean of
     ``samples`` samples, >= 1. The share of the unfiltered light in the result is ``1 - 1 / samples``.
     """
-    similarity: Similarity = "normal" if settings.similarity == "normal" else SIMILARITY
+    has_lobes = settings.similarity == "auto" or get_similarity(settings.similarity).has_lobes
+    similarity = SIMILARITY if has_lobes else settings.similarity
     asked = replace(settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
     radiance = Radiance(light.diffuse, diffuse=light.diffuse, specular=light.specular)
     frame = Frame(radiance, hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)

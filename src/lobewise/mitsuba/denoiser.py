@@ -27,6 +27,7 @@ from lobewise.mitsuba.tensors import (
     take_matrix,
 )
 from lobewise.settings import DenoiseSettings
+from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -196,7 +197,7 @@ class Denoiser:
             If it is none.
         """
         settings = ask(self._settings, {})
-        if self._history is not None or settings.quality != "fast" or settings.form != "full":
+        if self._history is not None or get_quality(settings.quality).reads_halves or settings.form != "full":
             whose = "a history" if self._history is not None else f"quality {settings.quality!r}"
             whose += f" and form {settings.form!r}" if settings.form != "full" else ""
             raise InputError(

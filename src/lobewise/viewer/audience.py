@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import LobewiseError
+from lobewise.interactive.settings import UNFILTERED, Unfiltered
+from lobewise.settings import Similarity
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.guest import Guest, has_moved
@@ -297,12 +299,15 @@ class Audience:
                     self._tell(slow, f"{doing}: {busy:.0f} s \u2026")
 
 
+BASELINE: Similarity = "normal"
+"""Similarity that the right of the wipe shows at first."""
+
+
 def choose_other(found: Description, look: Look) -> Look:
     """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
-    names = found.similarities
-    if "normal" in names and look.similarity != "normal":
-        return replace(look, similarity="normal")
-    return replace(look, similarity="none")
+    has_baseline = BASELINE in found.similarities and look.similarity != BASELINE
+    plain: Similarity | Unfiltered = BASELINE if has_baseline else UNFILTERED
+    return replace(look, similarity=plain)
 
 
 def _make_blank() -> Any:

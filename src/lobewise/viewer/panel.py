@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.settings import Knob
-from lobewise.settings.choices import SIMILARITIES
+from lobewise.settings.choices import QUALITIES, SIMILARITIES
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.looks import KNOBS, FrameLook, Look, list_controls
 from lobewise.viewer.messages import Description
@@ -113,7 +113,7 @@ class LookPanel:
             return FrameLook(similarity="none")
         return replace(
             look,
-            form=look.form if look.quality == "fast" else "full",
+            form=look.form if _has_forms(look.quality) else "full",
             hit_distance=look.hit_distance and _takes_hits(look.similarity),
         )
 
@@ -130,8 +130,7 @@ class LookPanel:
         handles = self._handles
         similarity = self._get("similarity")
         filtered, compares_normals = similarity != "none", _compares_normals(similarity)
-        # Only the quality "fast" has other kernels than the full one.
-        plain = "quality" not in handles or self._get("quality") == "fast"
+        plain = "quality" not in handles or _has_forms(self._get("quality"))
         shown = {
             "radius": filtered,
             "quality": filtered,
@@ -172,6 +171,11 @@ class LookPanel:
             self._changed()
 
         handle.on_update(react)
+
+
+def _has_forms(quality: str) -> bool:
+    """Return whether a quality is known to have other kernels than the full one; "auto" is not."""
+    return quality in QUALITIES and len(QUALITIES[quality].forms) > 1
 
 
 def _takes_hits(similarity: str) -> bool:
