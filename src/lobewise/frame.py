@@ -27,9 +27,9 @@ def require_spp(spp: Any) -> None:
 
 
 class LobeKind(IntEnum):
-    """Which specular reflection lobe a pixel has; the value is what the channel ``lobe_kind.I`` holds.
+    """Kind of the specular lobe of a pixel; the channel ``lobe_kind.I`` holds its value.
 
-    A pixel of any kind may carry a diffuse lobe as well: that is told by its diffuse albedo.
+    A pixel of any kind may have a diffuse lobe as well, which its diffuse albedo tells.
     """
 
     NONE = 0
@@ -44,7 +44,7 @@ class LobeKind(IntEnum):
 
 @dataclass(frozen=True, repr=False)
 class GBuffer(Images):
-    """The first surface that every pixel sees. World space, row 0 on top; a missing surface has depth 0.
+    """The first surface of every pixel, in world space, row 0 on top. Depth 0 means no surface.
 
     Parameters
     ----------
@@ -65,38 +65,39 @@ class GBuffer(Images):
     specular_albedo : array_like, shape (height, width, 3), optional
         Directional albedo of the specular lobe, tinted by its reflectance at normal incidence, in [0, 1].
     hit_distance : array_like, shape (height, width), optional
-        Distance from the first surface to what its specular lobe sees, world units; 0 where unknown,
-        inf where it sees no surface.
+        Distance from the first surface to the surface that its specular lobe hits, world units; 0 where unknown, inf
+        where the lobe hits no surface.
     hit_position : array_like, shape (height, width, 3), optional
-        World position of that hit.
+        World position of the hit.
     hit_normal : array_like, shape (height, width, 3), optional
-        Mean over the specular reflections of the shading normal, facing the ray, of the surface that each sees (0 for
-        none): the shorter, the more mixed.
+        Mean shading normal of the surfaces that the specular reflections hit, facing the ray; 0 where a reflection hits
+        none. The shorter it is, the more different surfaces were hit.
     hit_albedo : array_like, shape (height, width, 3), optional
-        Mean likewise of the albedo, diffuse + specular, of that surface, in [0, 1]: 1 for a light source, 0 for none.
+        Mean albedo, diffuse + specular, of these surfaces, in [0, 1]: 1 for a light source, 0 for no surface.
     mean_normal : array_like, shape (height, width, 3), optional
-        Mean of the shading normal over the pixel's area (0 for no surface), where ``normal`` is that of its centre.
+        Mean of the shading normal over the pixel's area, 0 where there is no surface. ``normal`` is the normal at the
+        centre of the pixel.
     mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
         Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
     denoiser_albedo : array_like, shape (height, width, 3), optional
-        Albedo that a renderer made for denoisers, as its file has it. Open Image Denoise is handed it in place of the
-        sum of the others; nothing else reads it.
+        Albedo that a renderer made for denoisers, unchanged. Open Image Denoise gets it instead of the sum of the other
+        albedos; nothing else reads it.
     denoiser_normal : array_like, shape (height, width, 3), optional
-        Normal of another renderer's file, as the file has it, in any space and of any length: the one that was made
-        for denoisers where there is one. Open Image Denoise is handed it in place of the others; nothing else reads it.
+        Normal of another renderer's file, unchanged, in any space and of any length; the normal for denoisers where the
+        file has one. Open Image Denoise gets it instead of the other normals; nothing else reads it.
     mean_emission : array_like, shape (height, width, 3), optional
         Mean over the pixel's area of the light that reaches the camera unscattered, from lamps and the background,
         >= 0, without the noise of samples.
     coverage : array_like, shape (height, width, 9), optional
-        Which shares of the pixel's area the surfaces at the centres of its 3x3 neighbours stand for best, row by row:
-        in [0, 1], sum 1, that of the pixel itself at index 4, 0 for neighbours outside the image.
+        Shares of the pixel's area, row by row, that belong to the surfaces at the centres of its 3x3 neighbours: in
+        [0, 1], sum 1; the pixel itself has index 4; 0 for neighbours outside the image.
     object_share : array_like, shape (height, width), optional
-        Largest share of the pixel's area that one object, or the background, has, in (0, 1]: below 1 at silhouettes,
-        and over wide areas where depth of field or motion blurs them.
+        Largest share of the pixel's area that shows one object or the background, in (0, 1]. It is below 1 at
+        silhouettes, and in wide areas where depth of field or motion blurs them.
     motion : array_like, shape (height, width, 2), optional
-        Pixels from here to where the surface point was in the previous frame, x right and y down.
+        Place of the surface point in the previous frame minus its place in this frame, pixels, x right and y down.
     material : array_like, shape (height, width), optional
-        Which of the frame's lobe tables holds the pixel's lobes, counted from 1; 0 where the alphas tell all.
+        Number of the frame's lobe table with the pixel's lobes, counted from 1; 0 where the alphas describe the lobe.
 
     Raises
     ------
@@ -135,7 +136,7 @@ class GBuffer(Images):
 
     @property
     def is_placed(self) -> bool:
-        """Whether a camera tells the surface point of every pixel: there is its position or its depth."""
+        """Whether the surface points are known, given a camera: there is a position or a depth."""
         return self.position is not None or self.depth is not None
 
     def require(self, name: str, whose: str) -> FloatArray:
@@ -158,7 +159,7 @@ class GBuffer(Images):
 
 
 class Guided(ABC):
-    """What frames share that have guides of some size and perhaps a camera, whatever pixels were shaded."""
+    """The base of full and sparse frames: guides of some size, and perhaps a camera."""
 
     gbuffer: GBuffer
     camera: Camera | None
@@ -180,7 +181,7 @@ class Guided(ABC):
 
     @property
     def is_placed(self) -> bool:
-        """Whether every pixel's surface point is known: there is a camera, and position or depth."""
+        """Whether the surface points are known: there is a camera, and a position or a depth."""
         return self.camera is not None and self.gbuffer.is_placed
 
     def require_camera(self, whose: str) -> Camera:
@@ -203,18 +204,18 @@ class Guided(ABC):
 
 @dataclass(frozen=True, repr=False)
 class Frame(Guided):
-    """A noisy frame and what is known of it.
+    """A noisy frame with its guides.
 
     Parameters
     ----------
     radiance : Radiance
-        The noisy radiance, in total and where known by part.
+        The noisy radiance: the total, and its parts where they are known.
     gbuffer : GBuffer
         The first surface of every pixel.
     camera : Camera, optional
-        Needed by every similarity that looks at reflection lobes.
+        Every similarity of lobes needs it.
     half_a, half_b : Radiance, optional
-        The same image from one half of the samples each.
+        The images of the two halves of the samples.
     variance : Radiance, optional
         Per-pixel variance of the mean (of ``radiance``, not of one sample).
     spp : int, optional
@@ -222,18 +223,19 @@ class Frame(Guided):
     lobe_tables : tuple of LobeTable
         Fitted lobes of the materials that ``gbuffer.material`` names.
     layers : tuple of RadianceLayer
-        The light by the lobe that scattered it first, where it is known finer than by ``radiance.diffuse`` and
-        ``radiance.specular``, which then are the sums of the layers. What they leave of the total (emission,
-        background) passes as it is.
+        The light by the lobe that scattered it first, in more layers than ``radiance.diffuse`` and
+        ``radiance.specular``, which are then the sums of the layers. The rest of the total (emission, background) is
+        not filtered.
     unscattered : mapping of str to array_like, shape (height, width, 3)
-        Light of the total that no surface scattered, by name, beside the layers: emission, background. It passes as it
-        is; but where ``gbuffer.object_share`` tells that objects are blurred, single bright pixels are shared out among
-        their neighbours.
+        Light of the total that no surface scattered, by name: emission, background. It is not filtered, but where
+        ``gbuffer.object_share`` tells that objects are blurred, single bright pixels are shared out among their
+        neighbours.
     also : mapping of str to array_like, shape (height, width, 3)
-        Noisy images that belong to the total, such as the light of every lamp; what sums to it before does so after.
+        Noisy images that belong to the total, such as the light of every lamp. Images that sum to the total before
+        denoising do so after it.
     noise_is_shared : bool
-        Whether neighbouring pixels share samples, as with a pixel filter that spreads them: then their noise is no
-        longer independent, and that of a frame without halves is judged two pixels apart.
+        Whether neighbouring pixels share samples, as with a pixel filter that spreads samples. The noise of neighbours
+        is then not independent, and without halves it is estimated from pixels that are two apart.
 
     Raises
     ------
@@ -313,7 +315,7 @@ class Frame(Guided):
 
 
 def describe_content(frame: Any) -> str:
-    """Return in one line what a whole or sparse frame holds."""
+    """Return the contents of a full or sparse frame in one line."""
     told = [f"{name} ({', '.join(getattr(frame, name).names)})" for name in ("radiance", "gbuffer")]
     told += [name for name in ("half_a", "half_b", "variance", "camera") if getattr(frame, name, None) is not None]
     told += [f"{frame.spp} spp"] if frame.spp else []
@@ -335,32 +337,33 @@ class Result:
     diffuse, specular : (height, width, 3) or None
         The two filtered parts, with their albedo, where the frame gave them apart.
     weight_sum : (height, width)
-        Sum of the filter weights, of diffuse and specular the smaller where the pixel reflects both; a tap that
-        matches fully counts 1.
+        Sum of the filter weights; the smaller of the diffuse and the specular sum where the pixel reflects both. A tap
+        that matches fully has weight 1.
     effective_samples : (height, width)
-        ``(sum w)^2 / sum w^2``: how many equal neighbours the estimate is worth, >= 1 where anything was gathered.
+        ``(sum w)^2 / sum w^2``: number of equally weighted neighbours with the same variance, >= 1 where the filter
+        gathered anything.
     bad_pixels : (height, width), bool
         Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
     variance : (height, width) or None
-        Estimated variance of the image's luminance, where a history tells it.
+        Estimated variance of the image's luminance, where the image has a history.
     energy_lost : float
-        Share of the light of the filtered layers that the result lacks, in [0, 1]. What a filter takes from fireflies
-        is shared out over their layer, but for pixels that hold so much of its light that they tell nothing of its
-        mean. 0 with the quality "fast", which is not measured.
+        Share of the light of the filtered layers that the result lacks, in [0, 1]. The light that bounding takes from
+        fireflies is shared out over their layer, except the light of a few pixels that hold most of the layer's light.
+        0 with the quality "fast", which does not measure it.
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
     also : mapping of str to (height, width, 3)
-        The filtered images of ``Frame.also``; those of ``Frame.unscattered`` where they changed; and under
-        ``layer/part`` the parts of its layers.
+        The filtered images of ``Frame.also``; the images of ``Frame.unscattered`` that changed; and the parts of the
+        layers, named ``layer/part``.
     settings : dict
-        Every parameter that was used, defaults resolved.
+        Every parameter that was used, with every "auto" replaced.
     seconds : float
         Wall time of the call.
     method : str
-        In one sentence, without its stop, which filters and networks the image is of, and by which guides.
+        The filters and networks that made the image, and their guides: one sentence without its full stop.
     notes : tuple of str
-        One sentence each: what is wrong with the guides (values that no surface can have, and what became of them), and
-        that much light was taken from fireflies and shared out, where the noise does not explain how much.
+        Notes to the user, one sentence each: guides with values that no surface can have, and their replacement; light
+        of fireflies that was shared out, where the noise does not explain how much.
     unused : tuple of str
         Images of the frame that change nothing with these settings.
     """

@@ -39,9 +39,9 @@ def upsample(
 ) -> Result:
     """Bring sparsely shaded radiance to every pixel, by averaging the samples whose pixels reflect like it.
 
-    The weight of a sample is the similarity between the pixel and the pixel *that was shaded*: both have guides, so an
-    edge between two materials stays where the guides have it. Diffuse and specular radiance are treated apart where
-    the frame has both. Source: Tokuyoshi 2015, slide "Spatio-Temporal Upsampling", its spatial part.
+    The weight of a sample is the similarity between the pixel and the *shaded* pixel. Both have guides, so an edge
+    between two materials stays where the guides show it. Diffuse and specular radiance are upsampled apart where the
+    frame has both. Source: Tokuyoshi 2015, slide "Spatio-Temporal Upsampling", its spatial part.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def upsample(
     settings : DenoiseSettings, optional
         As `lobewise.denoise`, with two differences: ``radius`` counts samples, 5 by default, and ``form`` is "full".
     bilinear : bool
-        Interpolate on the screen alone instead; the baseline that looks at nothing.
+        Interpolate on the screen alone instead: the baseline without guides.
     features : sequence of Feature
         More distributions that pixel and sample must share.
     **changes
@@ -59,7 +59,8 @@ def upsample(
     Returns
     -------
     Result
-        Of the full size. Where no sample has any weight, the weight sum is 0 and the pixel is filled from the screen.
+        A result of the full size. Where no sample has any weight, the weight sum is 0 and the pixel is filled from its
+        neighbours on the screen.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def upsample(
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
     apart = not bilinear and frame.radiance.parts is not None
-    # The rest, emission and background, is compared by place alone: what it lacks is no lack of a lobe.
+    # The rest, emission and background, is compared by place alone, so its support says nothing about lobes.
     lobes = 2 if apart else 1
     weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])

@@ -1,4 +1,4 @@
-"""Which images of a frame a recipe looks at, by its quality and what it compares."""
+"""The images of a frame that a recipe reads, by its quality and its similarity."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality, get_similarity
 
 Images = frozenset[tuple[str, str]]
-"""Owner and field of images of a frame."""
+"""Images of a frame: names of the record that holds an image, and of its field."""
 
 _PARTS = ("color", "diffuse", "specular")
 _SURFACE = (
@@ -22,7 +22,7 @@ _LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
 
 
 def list_images(settings: DenoiseSettings) -> Images:
-    """Return which images of any frame `denoise` may look at; ``settings`` have their quality chosen."""
+    """Return the images that `denoise` may read of any frame; the quality of ``settings`` is chosen."""
     found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
     if settings.hit_distance is not False:
         found.add(("gbuffer", "hit_distance"))
@@ -35,7 +35,7 @@ def list_images(settings: DenoiseSettings) -> Images:
 
 
 def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
-    """Return which images of a frame change nothing with these settings, by the names that users gave them.
+    """Return the images of a frame that change nothing with these settings, by their names.
 
     Motion is used by `lobewise.TemporalFilter` alone; the direct and the indirect part of the light only tell what the
     total holds.

@@ -89,7 +89,7 @@ def _name_similarity(settings: ResolvedSettings) -> str:
 
 
 def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[Feature]:
-    """Return what compares places: on the screen, and in the scene where the frame tells."""
+    """Return the features that compare places: on the screen, and in the scene where the frame tells them."""
     features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
     if frame.camera is not None and frame.gbuffer.is_placed:
         place, depth = find_places(frame.gbuffer, frame.camera)
@@ -119,7 +119,7 @@ def _make_sg_lobes(frame: AnyFrame, settings: ResolvedSettings) -> SgField:
 
 
 def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
-    """Return the hits, no nearer than `MIN_HIT_DISTANCE` footprints, so that contacts do not close the kernel."""
+    """Return the hits, at least `MIN_HIT_DISTANCE` footprints away: nearer hits would leave no neighbours."""
     if not settings.hit_distance:
         return None
     camera = frame.require_camera(_name_similarity(settings))
@@ -132,7 +132,7 @@ def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
 def make_specular_features(
     frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool, *, spread: bool = False
 ) -> tuple[list[Feature], Mask]:
-    """Return what compares specular radiance (or all of it, where it is not apart), and the pixels that have it.
+    """Return the features that compare specular radiance, or all radiance where it is not split, and its pixels.
 
     With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
     """
@@ -222,7 +222,7 @@ def make_lobe_layers(
 
 
 def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) -> FilterOutput:
-    """Return an image, the layer's or one that belongs to it, after one pass by the layer's features."""
+    """Return an image that belongs to a layer, after one pass by the layer's features."""
     return run_filter(
         image,
         layer.mask,
@@ -235,28 +235,28 @@ def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) ->
 
 
 def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
-    """Return the albedo of all light together, (height, width, 3): the sum of both, or that which is known.
+    """Return the albedo of all light, (height, width, 3): the sum of both albedos, or the one that is known.
 
-    Light also comes from where it is 0 (lamps, the sky, mirrors whose albedo nobody told): nothing is divided by less
-    than `MIN_WHOLE_ALBEDO`, and where no channel has more, by 1.
+    Pixels of albedo 0 may have light, as lamps, skies and mirrors without an albedo do. So no value is below
+    `MIN_WHOLE_ALBEDO`, and a pixel without a larger channel gets 1.
     """
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
     if not known:
         return None
     albedo: FloatArray = np.sum(known, axis=0, dtype=np.float32) if len(known) > 1 else known[0]
-    # Written so that an albedo that is no number counts as none.
+    # The comparison is false for NaN, so an albedo of NaN counts as black.
     black = ~(albedo.max(axis=-1, keepdims=True) > MIN_WHOLE_ALBEDO)
     return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_WHOLE_ALBEDO)))
 
 
 def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:
-    """Return what no lobe scattered, emission and background, as a layer that is compared by place alone."""
+    """Return emission and background, which no lobe scattered, as a layer that is compared by place alone."""
     color, parts = frame.radiance.color, frame.radiance.parts
     if parts is None:
         return []
     with np.errstate(invalid="ignore", over="ignore"):
         rest = color - np.maximum(parts[0], np.float32(0.0)) - np.maximum(parts[1], np.float32(0.0))
-    # Rounding leaves a little of a scattered sample behind.
+    # Drop the remainders of rounding.
     rest = np.where(rest > 1e-4 * color, rest, np.float32(0.0))
     if not (rest > 0.0).any():
         return []

@@ -1,9 +1,9 @@
 """The filter of the quality "fast" as a linear map of the radiance, and its transpose.
 
-Its weights come from the guides alone, so ``out = W in``. With ``w(i,j) = w(j,i)`` the similarity of two pixels, ``s``
-the sums of a row and ``a`` the albedo, ``W(i,j) = a_i w(i,j) / (s_i a_j)``; its transpose is a filter with the same
-similarities, ``(W^T g)_j = (1 / a_j) sum_i w(i,j) a_i g_i / s_i``, which the same kernel computes: it gives sums over
-``w`` divided by ``s``, and ``s`` beside them.
+The weights come from the guides alone, so ``out = W in``. Let ``w(i,j) = w(j,i)`` be the similarity of two pixels,
+``s_i`` the sum of ``w(i,j)`` over j and ``a`` the albedo. Then ``W(i,j) = a_i w(i,j) / (s_i a_j)``. The transpose is a
+filter with the same similarities, ``(W^T g)_j = (1 / a_j) sum_i w(i,j) a_i g_i / s_i``. The same kernel computes it,
+because the kernel returns its weight sums ``s`` as well.
 """
 
 from __future__ import annotations
@@ -25,27 +25,26 @@ from lobewise.settings.choices import get_quality
 
 
 class LinearFilter:
-    """What `lobewise.denoise` with the quality "fast" does to the radiance of one frame, for any other.
+    """The map by which `lobewise.denoise` with the quality "fast" filters one frame, applied to any image.
 
     Parameters
     ----------
     frame : Frame
-        Of one layer. Pixels of its radiance that are NaN, infinite or negative have no weight; where every pixel near
-        by is such a one, nothing linear fills it.
+        A frame of one layer. Pixels of its radiance that are NaN, infinite or negative have no weight.
     settings : DenoiseSettings
-        Of the quality "fast" and the form "full".
+        Settings with the quality "fast" and the form "full".
 
     Raises
     ------
     InputError
-        If the settings are others, or the frame has several layers, or a hole that no pixel near by fills.
+        If the settings have another quality or form, the frame has several layers, or all pixels of a kernel are bad.
     """
 
     def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
         fixed = settings.quality != "auto" and not get_quality(settings.quality).reads_halves
         if not fixed or settings.form != "full":
             got = f"quality {settings.quality!r} and form {settings.form!r}"
-            action = "the weights of others follow the radiance, or are chains of them"
+            action = "other qualities and forms are no symmetric linear filter"
             expected = "quality 'fast' and form 'full', whose weights are fixed and symmetric"
             raise InputError("settings", expected=expected, got=got, action=action)
         self._settings = resolve_settings(frame, settings)
@@ -76,7 +75,7 @@ class LinearFilter:
 
     @staticmethod
     def _split(run: Callable[[FloatArray], FloatArray], image: FloatArray) -> FloatArray:
-        """Return a linear function of an image, of which the kernel takes only what is not negative."""
+        """Return a linear function of an image. The kernel takes no negative values, so both signs run apart."""
         finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
         return run(np.maximum(finite, 0.0)) - run(np.maximum(-finite, 0.0)) if (finite < 0.0).any() else run(finite)
 
@@ -87,7 +86,7 @@ class LinearFilter:
         return run_filter(image, layer.mask, layer.features, albedo=albedo, **options)  # type: ignore[arg-type]
 
     def _mark(self, image: FloatArray) -> FloatArray:
-        """Return an image with NaN, which has no weight, where the frame's radiance has none."""
+        """Return an image with NaN, which gets no weight, where the frame's radiance is bad."""
         return np.where(self._good[..., None], image, np.float32(np.nan))
 
     def _apply(self, image: FloatArray) -> FloatArray:
@@ -99,7 +98,7 @@ class LinearFilter:
         albedo = self._layer.albedo
         shares = np.where(kept, np.float32(0.0), gradient / np.where(kept, np.float32(1.0), self._sums[..., None]))
         shares = shares if albedo is None else shares * albedo
-        # Here every pixel gives, as every pixel took before; those without light gave nothing.
+        # In the transpose every pixel gives to others; bad pixels receive nothing, because they gave nothing.
         filtered = self._run(np.asarray(shares, dtype=np.float32), None)
         gathered = filtered.image * filtered.weight_sum[..., None]
         if albedo is not None:

@@ -1,4 +1,4 @@
-"""The layers of a frame in two halves of their samples: what is filtered, and what is known of its noise."""
+"""The layers of a frame in two halves of their samples, whose difference tells the noise."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from lobewise.settings.choices import get_similarity
 from lobewise.sparse_frame import AnyFrame
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
-"""Kernel over which what reflections see is averaged: radius and sigma in pixels."""
+"""Kernel that averages the guides of reflected surfaces: radius and standard deviation, pixels."""
 SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
-"""Sharpness with which its albedo and its normal are compared."""
+"""Sharpness of the comparison of the albedo and of the normal of reflected surfaces."""
 MAX_MIRROR_ALPHA = 0.01
 """Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface (docs/quality.md)."""
 
@@ -111,16 +111,23 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
 
 
 def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
-    """Return what the rows of a layer add to its level; see `measure_light`."""
+    """Return the light of each row of a layer, from which its level follows; see `measure_light`."""
     return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
 
 
 def make_noisy_layers(
     frame: Frame, settings: ResolvedSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> list[NoisyLayer]:
-    """Return the layers of a frame with what they are compared by; ``extra`` features count like the lobes.
+    """Return the layers of a frame, with the features that compare their pixels.
 
-    ``levels`` are those of the layers of the whole image, where the frame is a part of it.
+    Parameters
+    ----------
+    frame : Frame
+    settings : ResolvedSettings
+    extra : sequence of Feature
+        More features of every layer; they count like the lobes.
+    levels : sequence of float, optional
+        Levels of the layers of the whole image, where the frame is a part of it.
     """
     found = []
     bounded = make_bounded_layers(frame, settings)
@@ -151,7 +158,7 @@ def make_noisy_layers(
 def _split_layer(
     each: BoundedLayer, settings: ResolvedSettings, *, single: bool
 ) -> tuple[BoundedLayer, FloatArray | None]:
-    """Return a layer without the light of highlights, and that light; None for none."""
+    """Return a layer without the light of highlights, and the light of highlights; None where there is none."""
     layer = each.layer
     found = split_highlights(
         each.halves,
@@ -184,16 +191,16 @@ def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
 
 
 def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
-    """Return the feature of what lobes see; nothing where the frame does not tell.
+    """Return the feature that compares the surfaces that reflections show; nothing where the frame does not tell them.
 
-    What few samples hit is noise like radiance, so it is first averaged over near pixels. Mirrors keep their own
-    values: all samples of a mirror's pixel hit one surface, and an average would mix a window that the mirror shows
-    with the wall beside the window.
+    The surfaces that few samples hit are as noisy as the radiance, so their guides are averaged over near pixels.
+    Mirrors keep their own values: all samples of a mirror's pixel hit one surface, and an average would mix a window
+    that the mirror shows with the wall beside the window.
     """
     albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
     if albedo is None or normal is None:
         return ()
-    # A pass takes what is not negative: normals are moved there and back.
+    # A pass takes no negative values: shift the normals, and shift them back below.
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
     near = [Exponents(1.0, 1.0)]
@@ -221,7 +228,10 @@ def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
 
 
 def make_pass_features(frame: AnyFrame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
-    """Return the features of place of a pass whose standard deviation, pixels and footprints, is that at radius 8."""
+    """Return the features of place of a pass.
+
+    ``sigma`` is the standard deviation of the distance at radius 8 of the settings, pixels and footprints.
+    """
     screen = max(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
     position = screen * settings.position_sigma / DenoiseSettings.position_sigma
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))

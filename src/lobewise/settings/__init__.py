@@ -1,6 +1,6 @@
-"""Every setting, declared once: what it means, which values it takes, and what it is where nobody says.
+"""Every setting, declared once: its meaning, its values and its default.
 
-Validation, docstrings, the options of the program, the controls of the viewer and what can be exported all derive from
+Validation, docstrings, the options of the program, the controls of the viewer and the settings of exports are made from
 these declarations.
 """
 
@@ -28,27 +28,27 @@ OIDN_QUALITY: Quality = "high"
 """The quality of our own image that is mixed with the image of Open Image Denoise."""
 LARGEST_RADIUS = 64
 MAX_LOBES = 4
-"""Spherical Gaussians that a sum of them has at most."""
+"""Largest number of spherical Gaussians in a mixture."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """What a setting means and which values it takes.
+    """The declaration of a setting.
 
     Parameters
     ----------
     text : str
-        What it means; the first sentence alone says enough for a hint.
+        Its meaning. The first sentence alone is the hint of a control.
     low, high : float, optional
-        Ends of the range of a number. With both they belong to it; without ``high`` the number is above ``low``.
+        Ends of the range of a number, both included. Without ``high`` the number is above ``low``.
     usual : str
-        What to do about a value that is none.
+        Advice for a value that is refused.
     label : str
         Its name beside a control.
     unit : str
-        Of a number.
+        Unit of a number.
     opposite : str
-        Of a switch: the name of the option that turns it off.
+        Name of the option that turns a switch off.
     """
 
     text: str
@@ -58,22 +58,22 @@ class Knob:
     label: str = ""
     unit: str = ""
     opposite: str = ""
-    # What the field itself tells.
+    # Read from the annotated field.
     name: str = ""
     default: Any = None
     kind: type = str
     choices: tuple[str, ...] = ()
-    """The words that it can be; of a number or switch "auto", or none."""
+    """Words that the setting takes; for a number or a switch "auto", or none."""
     optional: bool = False
 
     @property
     def hint(self) -> str:
-        """The first sentence, without what it says of details."""
+        """The first sentence of the text."""
         return self.text.replace("`", "").split(". ")[0].removesuffix(".") + "."
 
     @property
     def expected(self) -> str:
-        """Which values it takes, in words."""
+        """The values that it takes, in words."""
         if self.kind is bool:
             words = "True, False" if self.choices else "True or False"
         elif self.high < math.inf:
@@ -115,7 +115,7 @@ def list_knobs(kind: type) -> Mapping[str, Knob]:
     """Return the declarations of a class of settings by the names of its fields."""
     found: dict[str, Knob] = {}
     for owner in reversed(kind.__mro__):
-        # Of a class alone: what narrows a type says nothing else of the setting.
+        # Read the annotations of each class alone: a subclass that narrows a type declares nothing else.
         hints = get_type_hints(owner, include_extras=True) if "__annotations__" in vars(owner) else {}
         for name, hint in hints.items():
             declared = [each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Knob)]
@@ -126,7 +126,7 @@ def list_knobs(kind: type) -> Mapping[str, Knob]:
 
 
 def _read_type(kind: Any) -> dict[str, Any]:
-    """Return what the type of a field tells: the type of values that are no words, the words, whether None is one."""
+    """Return the fields of `Knob` that a type tells: the type of values, the words, and whether None is a value."""
     parts = [kind] if get_origin(kind) is Literal or isinstance(kind, type) else list(get_args(kind))
     words = [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
     kinds = [part for part in parts if part in (bool, int, float)]
@@ -138,7 +138,7 @@ def _read_type(kind: Any) -> dict[str, Any]:
 
 
 class Declared:
-    """What classes of settings share: values are checked, and the docstring lists the fields."""
+    """The base of classes of settings: values are checked, and the docstring lists the fields."""
 
     def __post_init__(self) -> None:
         kind: type = type(self)
@@ -213,7 +213,7 @@ class DenoiseSettings(Declared):
             label="Beta",
         ),
     ] = "auto"
-    diffuse_beta: Annotated[float | Auto, Knob("The same for the overlap of diffuse lobes.")] = "auto"
+    diffuse_beta: Annotated[float | Auto, Knob("Exponent of the similarity of diffuse lobes.")] = "auto"
     device: Annotated[str, Knob('Where the kernels run; see `list_devices`, or "lobewise devices".')] = "auto"
     screen_sigma: Annotated[
         float | Auto,
@@ -295,7 +295,7 @@ class DenoiseSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedSettings(DenoiseSettings):
-    """What `DenoiseSettings` stand for on a frame: every "auto" is chosen. Only `resolve_settings` makes them."""
+    """`DenoiseSettings` with every "auto" replaced for a frame. Only `lobewise.denoising.automatic` makes them."""
 
     quality: Quality
     similarity: Similarity
@@ -315,7 +315,7 @@ class ResolvedSettings(DenoiseSettings):
 
 @dataclass(frozen=True)
 class TemporalSettings(Declared):
-    """Parameters of `TemporalFilter` beside those of the filter itself."""
+    """Parameters of `TemporalFilter` beside `DenoiseSettings`."""
 
     memory: Annotated[
         float,
@@ -356,7 +356,7 @@ for _kind in (DenoiseSettings, TemporalSettings):
 
 
 class DenoiseChanges(TypedDict, total=False):
-    """Single fields of `DenoiseSettings` by name, for type checkers, which cannot derive them."""
+    """Fields of `DenoiseSettings` as keyword arguments, written out for type checkers."""
 
     quality: Quality | Auto
     similarity: Similarity | Auto
@@ -376,7 +376,7 @@ class DenoiseChanges(TypedDict, total=False):
 
 
 class TemporalChanges(DenoiseChanges, total=False):
-    """The same with those of `TemporalSettings`, but for its ``beta``, which is the filter's here."""
+    """Fields of both classes of settings as keyword arguments; ``beta`` is that of `DenoiseSettings`."""
 
     memory: float
     plane_sigma: float

@@ -1,4 +1,4 @@
-"""The recipe over time: every frame is filtered as it comes, and joined with what the frames before it knew."""
+"""The recipe over time: every frame is filtered as it comes, and joined with the history of the frames before it."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ BORROWED_ERROR = 0.005
 
 
 class TemporalFilter:
-    """Denoises or upsamples a sequence frame by frame, and lets every frame know what the ones before it knew.
+    """Denoises or upsamples a sequence frame by frame; every frame uses the history of the frames before it.
 
-    Per pixel the sums of all weights and of all weighted samples are carried along, so that what is well supported
-    weighs more than what is not, whichever frame it came from. A pixel finds its history where its surface point was,
-    and where its reflection was; it takes it as far as surface and lobe are the same ones, and drops it where this
-    frame's samples say otherwise. Memory does not grow with the length of the sequence.
+    Each pixel carries the sum of all weights and the sum of all weighted samples, so that well supported estimates
+    weigh more, whichever frame they came from. A pixel finds its history at the earlier place of its surface point and
+    at the earlier place of its reflection. It takes the history as far as surface and lobe match, and drops it where
+    the samples of this frame contradict it. Memory does not grow with the length of the sequence.
 
     Frames are filtered with the quality "fast" alone, and only in total, diffuse and specular: named layers of a frame
     and their passes are not. Where the noise is moderate `lobewise.denoise`, frame by frame, has less error.
@@ -56,7 +56,7 @@ class TemporalFilter:
     settings : DenoiseSettings, optional
         As for `lobewise.denoise` and `lobewise.upsample`.
     temporal : TemporalSettings, optional
-        What concerns the history.
+        Settings of the history.
     **changes
         Single parameters of either, by name.
 
@@ -95,23 +95,23 @@ class TemporalFilter:
         self._past = None
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Return all that is remembered, as arrays by name."""
+        """Return the history as arrays by name."""
         return {} if self._past is None else pack_past(self._past)
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Remember what `get_state` gave; every further result has the same bits as without the interruption.
+        """Take the history that `get_state` returned; every further result then has the same bits as without a break.
 
         Raises
         ------
         InputError
-            If ``state`` is not what `get_state` gives.
+            If `get_state` did not return ``state``.
         """
         require_kind("state", state, Mapping)
         self._past = unpack_past(state) if state else None
 
     @property
     def history_length(self) -> FloatArray | None:
-        """How many frames each pixel's history stands for, (height, width), that of its longest layer; None before."""
+        """Frames in the longest history of each pixel's layers, (height, width); None before the first frame."""
         if self._past is None:
             return None
         frames = [split_sums(sums).frames for sums in self._past.sums.values()]
@@ -123,12 +123,12 @@ class TemporalFilter:
         Parameters
         ----------
         frame : Frame or SparseFrame
-            The next frame of the sequence. Motion vectors tell where things were; without them they stood still and the
-            camera moved; without a camera too nothing is carried over. A frame of another size starts anew.
+            The next frame of the sequence. Motion vectors tell the earlier places. Without motion vectors, only the
+            camera is taken to move; without a camera as well there is no history. A frame of another size starts anew.
         features : sequence of Feature
             As for `lobewise.denoise`; of this frame.
         cut : bool
-            Whether the frame does not continue the one before. A cut is also noticed by itself.
+            Whether the frame begins another shot. The filter also detects cuts itself.
 
         Returns
         -------
