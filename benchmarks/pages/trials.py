@@ -38,7 +38,7 @@ SETS = {
 }
 
 
-HALVES = {"all": "all guides and halves", "less": "fewer, no halves", "drawn": "drawn textures"}
+HALVES = {"all": "all guides and halves", "less": "fewer, no halves", "color": "light alone", "drawn": "drawn textures"}
 RESULTS_NAMED = {"balanced": "`balanced`", "high": "`high`", "peer": "Open Image Denoise"}
 
 
