@@ -1,4 +1,4 @@
-"""What a depth measures: along the ray or the camera's axis, stretched, inverted; by positions, else by normals."""
+"""Checks of the meaning of a depth, by positions or normals: along the ray or the axis, stretched or inverted."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
 
-TOLERATED, DIFFERENT = 0.005, 0.02
-"""Median shares of the distance by which depth may differ from the positions, and from which on it surely does: near
-planes are left out by some, and the place of a camera that was found is not known exactly."""
-BETTER = 0.25
-"""How much smaller the error of another meaning must be."""
-TOLERATED_SLOPE = 0.02
-"""Median sine of the angle between normals and surfaces, up to which depth is what it was taken for."""
-WORST_SLOPE = 0.05
-"""That up to which another meaning is."""
-SAME_SURFACE = 0.999
-"""Cosine between the normals of neighbours on one flat surface."""
+MAX_ERROR_OF_RIGHT_DEPTH, MIN_ERROR_OF_WRONG_DEPTH = 0.005, 0.02
+"""Median differences between depth and positions, as shares of the distance: up to the first the depth is right, from
+the second on it is wrong. Some renderers measure from the near plane, and a camera's place may be an estimate."""
+MAX_ERROR_RATIO = 0.25
+"""Largest error of another meaning, as a share of the error of the assumed meaning."""
+MAX_SLOPE_SINE = 0.02
+"""Median sine of the angle between normals and surfaces up to which the assumed meaning is right."""
+MAX_SLOPE_SINE_OF_OTHER = 0.05
+"""Median sine of the angle between normals and surfaces up to which another meaning is right."""
+MIN_COSINE_ON_SURFACE = 0.999
+"""Cosine between the normals of neighbours above which they lie on one flat surface."""
 ROUNDS = 4
+"""Rounds of a fit; each leaves out the samples that the round before fitted badly."""
 
 Numbers = NDArray[np.float64]
 
 
 class CheckedDepth(NamedTuple):
-    """Distances along the rays, what was found, and whether they are the positions' because the depth was none."""
+    """Distances along the rays, findings, and whether the positions gave the distances because the depth was wrong."""
 
     distance: FloatArray
     findings: Sequence[Finding] = ()
@@ -40,14 +41,14 @@ class CheckedDepth(NamedTuple):
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a depth ``d`` may be: ``a + b d`` or ``1 / (a + b d)``, along the ray or the camera's axis.
+    """A meaning of a depth ``d``: the distance ``a + b d`` or ``1 / (a + b d)``, along the ray or the camera's axis.
 
     Parameters
     ----------
     planar : bool
-        Whether along the axis.
+        Whether the distance is measured along the axis.
     inverted : bool
-        Whether of its reciprocal.
+        Whether the depth is a reciprocal.
     offset, scale : float
         a and b.
     """
@@ -58,7 +59,7 @@ class Meaning:
     scale: float = 1.0
 
     def apply(self, depth: FloatArray, cosine: FloatArray) -> FloatArray:
-        """Return distances along the rays; ``cosine`` is that of the angle between ray and axis."""
+        """Return distances along the rays; ``cosine`` is the cosine of the angle between ray and axis."""
         with np.errstate(all="ignore"):
             found = self.offset + self.scale * depth
             found = 1.0 / found if self.inverted else found
@@ -66,7 +67,7 @@ class Meaning:
         return np.where(np.isfinite(found) & (found > 0.0), found, np.float32(0.0))
 
     def tell(self) -> str:
-        """Return it in words."""
+        """Return the meaning in words."""
         along = "distance along the camera's axis" if self.planar else "distance along the ray"
         if self.inverted:
             return f"stretched reciprocal of the {along}"
@@ -76,7 +77,7 @@ class Meaning:
 
 
 def list_meanings(assumed: bool) -> list[tuple[bool, bool, bool, bool]]:
-    """Return planar, inverted, whether scaled and whether shifted of every meaning, the simplest first."""
+    """Return the flags planar, inverted, scaled and shifted of every meaning, the simplest meaning first."""
     kinds = ((False, False, False), (False, True, False), (False, True, True), (True, True, True))
     return [(planar, *kind) for kind in kinds for planar in (assumed, not assumed)]
 
@@ -84,20 +85,20 @@ def list_meanings(assumed: bool) -> list[tuple[bool, bool, bool, bool]]:
 def check_depth_by_position(
     depth: FloatArray, position: FloatArray, camera: Camera, label: str, *, planar: bool
 ) -> CheckedDepth:
-    """Return distances along the rays, 0 where there is no surface, and what was found.
+    """Return distances along the rays, 0 where there is no surface, and findings.
 
     Parameters
     ----------
     depth : (height, width)
-        The same if the file is what it was taken for.
+        Distances along the rays, if the assumed meaning is right.
     position : (height, width, 3)
         World positions, 0 where there is no surface.
     camera : Camera
-        It sees them where they are.
+        The camera of the frame.
     label : str
-        The depth's channel.
+        Channel of the depth.
     planar : bool
-        Whether it was taken for a distance along the camera's axis.
+        Whether the assumed meaning is a distance along the camera's axis.
     """
     rows, columns = choose_centers((depth.shape[0], depth.shape[1]), 0)
     points = position[rows, columns].astype(np.float64)
@@ -111,16 +112,21 @@ def check_depth_by_position(
     raw = taken[there] * (cosine if planar else 1.0)
     kinds = list_meanings(planar)
     first = _fit_by_position(raw, away, cosine, kinds[0])[1]
-    if first < TOLERATED:
+    if first < MAX_ERROR_OF_RIGHT_DEPTH:
         return CheckedDepth(depth)
     fits = [_fit_by_position(raw, away, cosine, kind) for kind in kinds[1:]]
-    good = [meaning for meaning, error in fits if error < max(TOLERATED, BETTER * min(first, DIFFERENT))]
-    if first < DIFFERENT and not (good and good[0].scale == 1.0):
+    good = [
+        meaning
+        for meaning, error in fits
+        if error < max(MAX_ERROR_OF_RIGHT_DEPTH, MAX_ERROR_RATIO * min(first, MIN_ERROR_OF_WRONG_DEPTH))
+    ]
+    if first < MIN_ERROR_OF_WRONG_DEPTH and not (good and good[0].scale == 1.0):
         return CheckedDepth(depth)
     surface = (position != 0.0).any(axis=-1)
     if not good:
         told = (
-            f"{label} is no distance to the surfaces that the positions show, so theirs from the camera stand for it."
+            f"{label} is no distance to the surfaces that the positions show; the positions' distances from the camera "
+            "replace it."
         )
         distance = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
         findings = [Finding("depth of something else", told, mended=True)]
@@ -136,7 +142,7 @@ def check_depth_by_position(
 def _fit_by_position(
     raw: Numbers, away: Numbers, cosine: Numbers, kind: tuple[bool, bool, bool, bool]
 ) -> tuple[Meaning, float]:
-    """Return a meaning of given kind that fits best, and its median relative error."""
+    """Return the best fitting meaning of a kind, and its median relative error."""
     planar, inverted, scaled, shifted = kind
     wanted = away * cosine if planar else away
     target = 1.0 / wanted if inverted else wanted
@@ -158,11 +164,11 @@ def _fit_by_position(
 def check_depth_by_normal(
     depth: FloatArray, normal: FloatArray, camera: Camera, label: str, *, planar: bool
 ) -> CheckedDepth:
-    """Return distances along the rays, and what was found; parameters as in `check_depth_by_position`.
+    """Return distances along the rays, and findings; parameters as in `check_depth_by_position`.
 
-    Between neighbours on one surface the step is across its normal: with depths ``d`` and ``e`` and rays ``r`` and
-    ``s``, ``n . (t(e) s - t(d) r) = 0``, which is linear in what stretches and shifts a depth (and its reciprocal). The
-    unit of length is not told by that, and does not matter.
+    The step between neighbours on one surface is perpendicular to its normal. With depths ``d`` and ``e`` and rays
+    ``r`` and ``s`` this says ``n . (t(e) s - t(d) r) = 0``. The equation is linear in the scale and the offset of a
+    depth, and of its reciprocal. It does not tell the unit of length, which does not matter.
     """
     height, width = depth.shape
     rays = camera.make_ray_directions(width, height)
@@ -181,11 +187,11 @@ def check_depth_by_normal(
     ]
     first = fits[0][1]
     least = min(error for _, error in fits)
-    if first < TOLERATED_SLOPE or least > min(WORST_SLOPE, BETTER * first):
+    if first < MAX_SLOPE_SINE or least > min(MAX_SLOPE_SINE_OF_OTHER, MAX_ERROR_RATIO * first):
         return CheckedDepth(depth)
-    meaning = next(meaning for meaning, error in fits if error < max(2.0 * least, TOLERATED_SLOPE))
+    meaning = next(meaning for meaning, error in fits if error < max(2.0 * least, MAX_SLOPE_SINE))
     found = meaning.apply(depth * cosine if planar else depth, cosine)
-    unit = ", whose unit nothing tells" if meaning.offset != 0.0 else ""
+    unit = ", in an unknown unit" if meaning.offset != 0.0 else ""
     told = f"{label} is the {meaning.tell()}, as the normals show{unit}; it was converted."
     findings = [Finding("depth of another meaning", told, mended=True)]
     return CheckedDepth(np.where(depth > 0.0, found, np.float32(0.0)), findings)
@@ -198,12 +204,12 @@ def _take_pairs(
     centers: tuple[NDArray[np.intp], NDArray[np.intp]],
     step: tuple[int, int],
 ) -> Sequence[Numbers]:
-    """Return normals, rays of both and depths of both, for pixels and neighbours on one flat surface."""
+    """Return normals, two rays and two depths of each pair of neighbours on one flat surface."""
     rows, columns = centers
     other = rows + step[0], columns + step[1]
     n, m = normal[rows, columns].astype(np.float64), normal[other].astype(np.float64)
     d, e = depth[rows, columns].astype(np.float64), depth[other].astype(np.float64)
-    flat = ((n * m).sum(axis=-1) > SAME_SURFACE) & (d > 0.0) & (e > 0.0)
+    flat = ((n * m).sum(axis=-1) > MIN_COSINE_ON_SURFACE) & (d > 0.0) & (e > 0.0)
     r, s = rays[rows, columns].astype(np.float64), rays[other].astype(np.float64)
     return tuple(values[flat] for values in (n, r, s, d, e))
 
@@ -211,7 +217,7 @@ def _take_pairs(
 def _fit_by_normal(
     n: Numbers, r: Numbers, s: Numbers, d: Numbers, e: Numbers, axis: Numbers, kind: tuple[bool, bool, bool, bool]
 ) -> tuple[Meaning, float]:
-    """Return a meaning of given kind that fits best, and the median sine between surface and normal."""
+    """Return the best fitting meaning of a kind, and the median sine between surface and normal."""
     planar, inverted, scaled, _ = kind
     if planar:
         r, s = r / (r @ axis)[:, None], s / (s @ axis)[:, None]

@@ -1,4 +1,4 @@
-"""Whether guides lie upside down or mirrored under the image: how well they explain it tells."""
+"""Checks of the orientation of guides: a guide that is upside down or mirrored explains the image worse."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.values import FARTHEST
 
-SIZE = 256
-"""Pixels to which the longer side of the images is thinned out."""
+MAX_SIDE = 256
+"""Longer side of the thinned images, pixels."""
 BLOCK = 8
-"""Width of the blocks, in pixels of the thinned images, in each of which the image is fitted by a guide."""
-LEAST_GAIN = 0.02
-"""Share of the image's variance which a flipped guide must explain beyond what it does as it lies."""
-LEAST_RATIO = 1.25
-"""Factor by which it must explain more."""
-LEAST_SCORE = 4.0
-"""Standard errors, over the blocks, by which it must explain more."""
-LEAST_DOUBT = 1.0
-"""Those by which another way must explain more in which some of the guides lie, where they disagree."""
-SAME = 1e-4
+"""Width of a block, pixels of the thinned images. In each block a guide is fitted to the image."""
+MIN_GAIN = 0.02
+"""Share of the image's variance that a flipped guide must explain beyond the share of the guide as it is."""
+MIN_RATIO = 1.25
+"""Ratio of the variance that a flipped guide must explain to the variance that the guide explains as it is."""
+MIN_SCORE = 4.0
+"""Standard errors, over the blocks, by which a flipped guide must explain more."""
+MIN_SCORE_OF_DISSENT = 1.0
+"""Standard errors by which the orientation of a minority of the guides must explain more, where guides disagree."""
+MIN_DEVIATION = 1e-4
 """Standard deviation within blocks up to which a guide shows nothing."""
 RIDGE = 1e-3
+"""Variance that is added to the components of a guide, so that a fit to few pixels stays finite."""
 ANCHORS = ("normal", "position", "depth")
-"""Guides that the others are held against, the best first: they have no noise."""
+"""Guides that the other guides are compared with, the best first: they have no noise."""
 BACK = slice(None, None, -1)
 FLIPS = {
     "as it lies": (slice(None), slice(None)),
@@ -44,7 +45,7 @@ Numbers = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a guide explains an image.
+    """The variance of an image that a guide explains.
 
     Parameters
     ----------
@@ -62,49 +63,49 @@ class Fit:
         return float(self.fitted[flip].sum()) / self.whole
 
     def get_score(self, flip: str, base: str = LIES) -> float:
-        """Return by how many standard errors the guide explains more if it is flipped than if it lies as ``base``.
+        """Return by how many standard errors the guide explains more in orientation ``flip`` than in ``base``.
 
-        Compared are standard deviations, of which a few strong edges are not all.
+        The score compares standard deviations, so that a few strong edges do not dominate.
         """
         gain = np.sqrt(self.fitted[flip]) - np.sqrt(self.fitted[base])
         return float(gain.sum() / (np.sqrt(len(gain)) * gain.std() + 1e-30))
 
     def find_flip(self, base: str = LIES) -> str:
-        """Return how the guide is surely flipped, else ``base``."""
+        """Return the orientation that explains clearly more than ``base``, else ``base``."""
         best = max(FLIPS, key=self.get_explained)
         better, worse = self.get_explained(best), self.get_explained(base)
-        sure = better > max(worse + LEAST_GAIN, LEAST_RATIO * worse) and self.get_score(best, base) > LEAST_SCORE
+        sure = better > max(worse + MIN_GAIN, MIN_RATIO * worse) and self.get_score(best, base) > MIN_SCORE
         return best if sure else base
 
     def is_bound(self, flip: str) -> bool:
-        """Return whether the guide explains more if flipped so than in any other orientation."""
-        return all(self.get_score(flip, other) > LEAST_SCORE for other in FLIPS if other != flip)
+        """Return whether the guide explains clearly more in this orientation than in any other."""
+        return all(self.get_score(flip, other) > MIN_SCORE for other in FLIPS if other != flip)
 
 
 def check_flips(
     color: FloatArray, images: Mapping[str, FloatArray], labels: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], list[Finding]]:
-    """Return the guides that lie otherwise than the image, turned over, and what was found.
+    """Return the guides that were turned over because their orientation was wrong, and findings.
 
-    In small blocks an image is fitted by a guide, linearly; a guide that lies right explains more of it than one that
-    is flipped, whatever the light is. Guides, which have no noise, are first held against each other, then all against
-    the image.
+    A guide is fitted to the image in small blocks, linearly. In the right orientation it explains more of the image
+    than flipped, whatever the light is. Guides have no noise, so they are first compared with each other, and then
+    together with the image.
 
     Parameters
     ----------
     color : (height, width, 3)
         The image.
     images : mapping of str to array
-        Guides by role, as in the file.
+        Guides of the file by role.
     labels : mapping of str to str
-        Their channels.
+        Channels of the guides by role.
     """
     height, width = color.shape[:2]
     if min(height, width) < 3 * BLOCK or not images:
         return {}, []
-    step = max(1, round(max(height, width) / SIZE))
+    step = max(1, round(max(height, width) / MAX_SIDE))
     whole = {role: _make_feature(role, _thin(image, step)) for role, image in images.items()}
-    whole = {role: feature for role, feature in whole.items() if _cut_blocks(feature).std() > SAME}
+    whole = {role: feature for role, feature in whole.items() if _cut_blocks(feature).std() > MIN_DEVIATION}
     light = _cut_flipped(_compress(color, step))
     if not whole or not light[LIES].std() > 0.0:
         return {}, []
@@ -120,13 +121,13 @@ def check_flips(
 
 
 def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) -> dict[str, str]:
-    """Return how each guide is flipped under the image, whose blocks ``light`` are in every orientation."""
+    """Return the orientation of each guide; ``light`` are the blocks of the image in every orientation."""
     blocks = {role: _cut_blocks(feature) for role, feature in whole.items()}
     alone = {role: _fit(feature, light) for role, feature in blocks.items()}
     anchor = next((role for role in ANCHORS if role in whole), None)
     if anchor is None:
         return {role: fit.find_flip() for role, fit in alone.items()}
-    # How each guide is flipped against the anchor, then how all that are bound to it are against the image.
+    # Compare each guide with the anchor, and then all guides that agree with the anchor with the image.
     target = _cut_flipped(whole[anchor])
     fits = {role: _fit(blocks[role], target) for role in whole if role != anchor}
     turns = {anchor: LIES} | {role: fit.find_flip() for role, fit in fits.items()}
@@ -135,8 +136,8 @@ def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) ->
     together = _fit(joined, light)
     base = max(FLIPS, key=lambda flip: sum(combine(turns[role], flip) == LIES for role in bound))
     for turn in dict.fromkeys(turns[role] for role in bound):
-        # Where guides disagree, one of the ways in which some of them lie is likely to be right.
-        if together.get_score(turn, base) > LEAST_DOUBT:
+        # Where guides disagree, the orientation of some of them is likely to be right.
+        if together.get_score(turn, base) > MIN_SCORE_OF_DISSENT:
             base = turn
     votes = {together.find_flip(base): together.get_score(together.find_flip(base), base)}
     for role in bound:
@@ -150,21 +151,21 @@ def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) ->
 
 
 def combine(first: str, second: str) -> str:
-    """Return the flip that two of them, one after the other, are."""
+    """Return the flip that two flips, one after the other, make."""
     slices = [FLIPS[flip] for flip in (first, second)]
     turned = tuple(BACK if a != b else slice(None) for a, b in zip(*slices, strict=True))
     return next(name for name, flip in FLIPS.items() if flip == turned)
 
 
 def _thin(image: FloatArray, step: int, down: int = 0, right: int = 0) -> FloatArray:
-    """Return the pixels in the middles of squares ``step`` wide, or some pixels off."""
+    """Return the middle pixels of squares that are ``step`` wide, moved by ``down`` and ``right`` pixels."""
     starts = [(size % step + step) // 2 + off for size, off in zip(image.shape[:2], (down, right), strict=True)]
     rows, columns = (size // step for size in image.shape[:2])
     return image[starts[0] :: step, starts[1] :: step][:rows, :columns]
 
 
 def _compress(color: FloatArray, step: int) -> Numbers:
-    """Return brightness in [0, 1), in which fireflies are no brighter than lamps, as means of some pixels."""
+    """Return means of a few pixels of the brightness, compressed to [0, 1) so that fireflies do not dominate."""
     shifts = sorted({-(step // 3), step // 4})
     grays = []
     for down in shifts:
@@ -179,7 +180,7 @@ def _compress(color: FloatArray, step: int) -> Numbers:
 
 
 def _make_feature(role: str, thin: FloatArray) -> Numbers:
-    """Return what an image is fitted by, (height, width, components)."""
+    """Return the components of a guide that are fitted to the image, (height, width, components)."""
     values = thin if thin.ndim == 3 else thin[..., None]
     far = ~(np.abs(values) < FARTHEST).all(axis=-1, keepdims=True)
     if role == "depth":
@@ -192,7 +193,7 @@ def _make_feature(role: str, thin: FloatArray) -> Numbers:
 
 
 def _find_facing(position: Numbers) -> Numbers:
-    """Return which way the surface through positions faces, (height, width, 3): from place to place as normals do."""
+    """Return the normals of the surface through positions, (height, width, 3)."""
     across, down = (np.gradient(position, axis=axis) for axis in (1, 0))
     facing, length = compute_normals(across, down)
     return np.asarray(np.where(length > 0.0, facing, np.float32(0.0)), dtype=np.float32)
@@ -204,7 +205,7 @@ def _cut_flipped(image: Numbers) -> dict[str, Numbers]:
 
 
 def _cut_blocks(image: Numbers) -> Numbers:
-    """Return the blocks of an image less their means, (blocks, pixels, components)."""
+    """Return the blocks of an image minus their means, (blocks, pixels, components)."""
     planes = image if image.ndim == 3 else image[..., None]
     down, across = (size // BLOCK for size in planes.shape[:2])
     top, left = (size % BLOCK // 2 for size in planes.shape[:2])
@@ -214,7 +215,7 @@ def _cut_blocks(image: Numbers) -> Numbers:
 
 
 def _fit(feature: Numbers, images: Mapping[str, Numbers]) -> Fit:
-    """Return how well the components of a guide, by factors for every block, make up an image in each orientation."""
+    """Return the fit of a guide's components to an image in each orientation, with one factor for each block."""
     turned = feature.transpose(0, 2, 1)
     products = turned @ feature
     products += np.float32(RIDGE * feature.shape[1]) * np.eye(feature.shape[2], dtype=np.float32)
