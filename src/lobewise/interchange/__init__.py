@@ -1,4 +1,4 @@
-"""Files of other renderers: what their channels mean, frames made of them, results put back where they came from."""
+"""Read EXR files of other renderers as frames, and write denoised images back into copies of these files."""
 
 from lobewise.interchange.describing import describe_file
 from lobewise.interchange.imported import Imported

@@ -1,8 +1,8 @@
-"""What a file holds, whoever wrote it: every pass with its prefix, its components and the part that it lies in.
+"""List the passes of an EXR file of any renderer.
 
-A pass is a group of channels that differ in their last word alone. One renderer writes all of them in one part
-(``ViewLayer.DiffCol.R``), the next a part for each (a part ``DiffCol`` with channels ``R``, ``G``, ``B``), and the
-words for components are many: all of it comes out the same here.
+A pass is a group of channels whose names differ only in the last word. Some renderers write all passes into one part
+(``ViewLayer.DiffCol.R``). Others write one part per pass (a part ``DiffCol`` with channels ``R``, ``G``, ``B``). They
+also name the components differently. This module gives both kinds of files the same list of `Pass`.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ COMPONENTS = {
     "red": "r", "green": "g", "blue": "b", "alpha": "a",
     **{letter: letter for letter in "rgbaxyzuvwti"},
 }  # fmt: skip
-"""Last words of channel names that are components, in lower case, and what they are called here."""
+"""Component letters by the last word of a channel name, in lower case."""
 COLOR, VECTOR, PLANE = ("rgb", "xyz"), ("xyz", "rgb"), ("xy", "uv", "rg")
-"""Components of an image, in the order in which they are looked for."""
-SINGLE = ("", "z", "v", "x", "t", "i", "u", "r", "y", "a")
-"""The component that holds a pass of one value; the first that is there."""
+"""Component orders of colors, 3D vectors and 2D vectors; the first complete order counts."""
+SINGLE_COMPONENTS = ("", "z", "v", "x", "t", "i", "u", "r", "y", "a")
+"""Components that can hold a pass of one value; the first one present counts."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """Channels that belong together.
+    """A group of channels, such as the components of one image.
 
     Parameters
     ----------
     part : Part
-        Where they lie.
+        The part of the file that holds the channels.
     path : str
-        The pass with whatever stands before it, as in the file: ``ViewLayer.DiffCol``; empty for plain R, G and B.
+        Name of the pass with its prefix, as in the file: ``ViewLayer.DiffCol``; empty for plain R, G and B.
     channels : dict of str to str
-        Names of its channels by component, in lower case; one without a component under the empty text.
+        Channel names by component in lower case. A channel without a component has the empty string as key.
     """
 
     part: Part
@@ -43,32 +43,32 @@ class Pass:
     channels: dict[str, str]
 
     def pick(self, orders: Sequence[str]) -> tuple[str, ...] | None:
-        """Return the channels of the first of some orders of components, such as ``rgb``, that is complete."""
+        """Return the channels of the first order of components, such as ``rgb``, for which no channel is missing."""
         for order in orders:
             if all(letter in self.channels for letter in order):
                 return tuple(self.channels[letter] for letter in order)
         return None
 
     def pick_single(self, component: str | None = None) -> tuple[str, ...] | None:
-        """Return the channel of one value: that of ``component``, else the first of `SINGLE`."""
-        for letter in SINGLE if component is None else (component.lower(),):
+        """Return the channel of ``component``; by default, of the first component in `SINGLE_COMPONENTS`."""
+        for letter in SINGLE_COMPONENTS if component is None else (component.lower(),):
             if letter in self.channels:
                 return (self.channels[letter],)
         return None
 
     @property
     def obstacle(self) -> str:
-        """Why no image can be made of its channels, as what the pass "is"; empty where one can."""
+        """Why the channels cannot form an image, worded to follow "the pass is"; empty if they can."""
         names = set(self.channels.values())
         return next((self.part.find_obstacle(one) for one in self.part.channels if one.name in names), "")
 
     def matches(self, pattern: str) -> bool:
-        """Return whether this is the pass of a pattern, with or without a prefix; * and ? as in file names."""
+        """Return whether the path, with or without its prefix, matches a pattern with the wildcards * and ?."""
         path, wanted = self.path.lower(), pattern.lower()
         return fnmatchcase(path, wanted) or fnmatchcase(path, f"*.{wanted}")
 
     def get_prefix(self, pattern: str) -> str:
-        """Return what stands before the pass in its path, the last dot with it."""
+        """Return the part of the path before the words of ``pattern``, with the last dot."""
         if not self.path:
             return ""
         words = pattern.count(".") + 1
@@ -77,12 +77,12 @@ class Pass:
 
 
 def list_passes(container: Container) -> list[Pass]:
-    """Return the passes that can be read, in the order of the file."""
+    """Return the readable passes in the order of the file."""
     return _group(container, unread=False)
 
 
 def list_unread_passes(container: Container) -> list[Pass]:
-    """Return the passes that cannot: deep ones, and the subsampled channels of others."""
+    """Return the passes that cannot be read, because they are deep or subsampled."""
     return _group(container, unread=True)
 
 
@@ -98,7 +98,7 @@ def _group(container: Container, *, unread: bool) -> list[Pass]:
 
 
 def _join_letters(found: dict[tuple[int, str], Pass]) -> list[Pass]:
-    """Return passes whose channels end in x, y and z without a dot: ``Nsx``, ``Nsy``, ``Nsz`` of older pbrt files."""
+    """Return vector passes whose channel names have no dot, such as ``Nsx``, ``Nsy``, ``Nsz`` of older pbrt files."""
     joined = []
     for (index, path), one in found.items():
         names = {letter: found.get((index, path[:-1] + letter)) for letter in "xyz"}
@@ -112,7 +112,7 @@ def _join_letters(found: dict[tuple[int, str], Pass]) -> list[Pass]:
 
 
 def _split(name: str, part: str) -> tuple[str, str]:
-    """Return the path and the component of a channel."""
+    """Return the path and the component of a channel, given the name of its part."""
     head, _, tail = name.rpartition(".")
     component = COMPONENTS.get(tail.lower())
     if component is None:
@@ -120,13 +120,13 @@ def _split(name: str, part: str) -> tuple[str, str]:
     if not head and part:
         return part, component
     if not head and component not in "rgba":
-        # A lone Z at the root is a pass of its own, not a component of the image.
+        # A channel Z without a path is a separate depth pass, not a component of the image.
         return name, ""
     return head, component
 
 
 def keep_beside(passes: Iterable[Pass], part: Part) -> list[Pass]:
-    """Return the passes that can belong to the image of a part: of the same pixels, and of no other view."""
+    """Return the passes that have the same data window as ``part`` and do not belong to another view."""
     return [
         one
         for one in passes

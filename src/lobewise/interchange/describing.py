@@ -1,4 +1,4 @@
-"""What a file holds and what denoising makes of it, whoever wrote it."""
+"""Describe an EXR file of any renderer: its contents, and how denoising uses them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
 from lobewise.interchange.replacing import require_target
-from lobewise.interchange.siblings import FIRST_INDEX
+from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.describe import (
     FileDescription,
@@ -39,15 +39,14 @@ def describe_file(
     half: PathLike | None = None,
     also: Sequence[str] = (),
 ) -> FileDescription:
-    """Return what an EXR file holds, by whose conventions it is read and why, and what becomes of it.
+    """Return a description of an EXR file: its contents, its preset and the reason for it, and the use of each pass.
 
-    Of files in lobewise's own names no pixel is read; others are read as `import_file` reads them, whose parameters
-    these are.
+    The parameters are those of `import_file`. Pixels are read only if the file does not use lobewise's channel names.
 
     Raises
     ------
     FileError, MissingChannelError, InputError
-        As `import_file`, for a file of another renderer; of one's own what is wrong is among the notes.
+        As `import_file`, for a file of another renderer. Errors in a lobewise file become notes instead.
     """
     container = read_container(path)
     asked = preset is not None or mapping or camera is not None or half is not None or also
@@ -56,7 +55,7 @@ def describe_file(
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
         return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks))
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
-    # Whoever says which image is noisy is believed.
+    # A user who maps the color says that this image is noisy, so the checks must not refuse it.
     marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
     described = describe_import(found)
     try:
@@ -68,12 +67,12 @@ def describe_file(
 
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """Return the sentences of marks for which ``lobewise denoise`` refuses a file."""
+    """Return the messages of the findings because of which ``lobewise denoise`` refuses a file."""
     return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
 
 
 def describe_import(found: Imported) -> FileDescription:
-    """Return the description of a file that was read."""
+    """Return the description of an imported file."""
     container, frame, channels = found.container, found.frame, found.map
     if channels is None:
         return describe_own(container.path)
@@ -84,7 +83,7 @@ def describe_import(found: Imported) -> FileDescription:
         path=str(container.path),
         bytes=container.path.stat().st_size,
         parts=tuple(describe_part(part, used) for part in container.parts),
-        image_part=image_part if image_part < FIRST_INDEX else None,
+        image_part=image_part if image_part < FIRST_SIBLING_INDEX else None,
         images=list_roles(channels, frame),
         camera=frame.camera,
         spp=frame.spp,
@@ -112,7 +111,7 @@ def describe_import(found: Imported) -> FileDescription:
 
 
 def _find_version(preset: Preset, container: Container) -> str:
-    """Return what the header tells of the renderer's version, without what stands in brackets; empty for nothing."""
+    """Return the renderer's version from the header, cut off before any bracket; empty if the header has none."""
     values = {item.name: item.value for part in container.parts for item in part.attributes if item.type == "string"}
     for name in preset.versions:
         if name in values:
@@ -121,13 +120,13 @@ def _find_version(preset: Preset, container: Container) -> str:
 
 
 def list_roles(channels: ChannelMap, frame: Frame) -> tuple[ImageDescription, ...]:
-    """Return every image that a file has, and those that it could have but a normal that one renderer alone makes."""
+    """Return all roles, present or missing; "denoiser_normal" only if present, because one renderer alone writes it."""
     roles = [role for role in ROLES if role != "denoiser_normal" or role in channels.roles]
     return tuple(_describe_role(channels, frame, role) for role in roles)
 
 
 def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescription:
-    """Return whether a file has a role, what it means, and where it is missing how to have it."""
+    """Return whether the file has a role, the meaning of the role, and advice how to get a missing one."""
     found, layers = channels.roles.get(role), "of the layers" if frame.layers else "of albedo"
     advice = channels.preset.advice.get("layers" if role in ("diffuse", "specular") else role, "not needed to denoise")
     missing = advice.removeprefix("none; ")
@@ -142,13 +141,13 @@ def _describe_role(channels: ChannelMap, frame: Frame, role: str) -> ImageDescri
 
 
 def _has_own_albedo(channels: ChannelMap, frame: Frame) -> bool:
-    """Return whether a layer of light has an albedo of its own: one for all light serves only where none has."""
+    """Return whether any layer has its own albedo. The albedo of all light is used only if no layer has one."""
     names = {layer.name for layer in frame.layers}
     return any(layer.albedo for layer in channels.layers if layer.rule.name in names)
 
 
 def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
-    """Return what is taken from a file: roles, passes of the layers that the frame has, Cryptomatte."""
+    """Return the images that are used, each with its purpose: roles, passes of the frame's layers, Cryptomatte."""
     names = {layer.name for layer in imported.frame.layers}
     found = list(channels.roles.items())
     for layer in channels.layers:

@@ -1,4 +1,4 @@
-"""What is made of a file: its frame, what its channels mean, and where results go back to."""
+"""The imported file: its frame, the meaning of its channels, and the channels that receive the results."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import Pixels
 
-OWN = "lobewise"
-"""What is told as the preset of a file in lobewise's own channel names."""
+OWN_PRESET = "lobewise"
+"""Preset name that is reported for a file in lobewise's own channel names."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A frame, and what was made of the file that it comes from.
+    """A frame, and how it was made from its file.
 
     Parameters
     ----------
     frame : Frame
-        Ready to be denoised.
+        The frame, ready to be denoised.
     container : Container
         The file.
     map : ChannelMap or None
-        What its channels mean; None for a file in lobewise's own names.
+        The meaning of the channels; None for a file in lobewise's own names.
     notes : tuple of str
-        What was found, converted, dropped or is missing, one sentence each.
+        One sentence for each image that was found, converted, dropped or is missing.
     outputs : mapping of str to PartOutput
-        Where results go back to: "color", and layers and their parts by the names that `lobewise.Result` has for them.
+        The channels that receive each result. The keys are "color" and the names of layers and their parts in
+        `lobewise.Result`.
     findings : tuple of Finding
-        What was measured to be another convention than the file was taken for; the notes have their sentences.
+        Conventions that the pixels contradict. The notes contain their messages.
     shown : array, shape (height, width, 3), or None
-        The image that viewers show, where the renderer denoised it and kept the noisy one in another pass.
+        The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     lacks : tuple of Lack
-        What the frame lacks of what denoising can use; the notes have the sentences.
+        Missing images that denoising could use. The notes contain their messages.
     """
 
     frame: Frame
@@ -56,23 +57,23 @@ class Imported:
 
     @property
     def preset(self) -> str:
-        """By which names the file was read."""
-        return OWN if self.map is None else self.map.preset.name
+        """Name of the preset by which the file was read."""
+        return OWN_PRESET if self.map is None else self.map.preset.name
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Whose file it was taken for and why, then the notes; nothing of a file in lobewise's own names."""
+        """The preset and the reason for it, then the notes; empty for a file in lobewise's own names."""
         if self.map is None:
             return ()
         return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
 
 
 Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]
-"""Returns some channels of a part, each (height, width), by their names."""
+"""Function that returns the named channels of a part, each of shape (height, width)."""
 
 
 class ImageReader:
-    """Images of a file. The channels that a map names are decoded at once for each part, any other when it is asked."""
+    """Reads and caches images of a file. The expected channels of a part are decoded together, others on request."""
 
     def __init__(self, decode: Decode) -> None:
         self._decode = decode
@@ -81,7 +82,7 @@ class ImageReader:
         self._images: dict[Key, FloatArray] = {}
 
     def expect(self, channels: ChannelMap) -> None:
-        """Take note of the images that will be read, so that each part is decoded once and no other channel stays."""
+        """Register the channels of a map, so that each part is decoded once and no unused channel stays in memory."""
         layers = [one for layer in channels.layers for one in (*layer.light, layer.albedo)]
         mattes = [one for matte in channels.cryptomatte for one in matte]
         for one in (*channels.roles.values(), *layers, *mattes, channels.shown):
@@ -89,20 +90,20 @@ class ImageReader:
                 self._wanted.setdefault(one.source.part.index, set()).update(one.channels)
 
     def __call__(self, found: Found) -> FloatArray:
-        """Return an image (height, width, channels), or (height, width) for one channel, as it is in the file."""
+        """Return an image without conversions: (height, width, channels), or (height, width) for one channel."""
         if found.key not in self._images:
             planes = self.read_planes(found)
             self._images[found.key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[found.key]
 
     def with_images(self, changed: Mapping[Key, FloatArray]) -> ImageReader:
-        """Return a reader that gives other images for some keys."""
+        """Return a reader that returns the images in ``changed`` instead of those of the file."""
         reader = copy(self)
         reader._images = {**self._images, **changed}
         return reader
 
     def read_planes(self, found: Found) -> list[Pixels]:
-        """Return the channels of an image one by one, (height, width) each, in their types."""
+        """Return the channels of an image as separate arrays of shape (height, width), in the types of the file."""
         part = found.source.part
         there = self._pixels.setdefault(part.index, {})
         if not there.keys() >= set(found.channels):

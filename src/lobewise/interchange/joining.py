@@ -1,4 +1,4 @@
-"""What is added to a frame that was read: a second render as other half of the samples, further noisy images."""
+"""Add to an imported frame: further noisy passes, or a second render as the other half of the samples."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from lobewise.interchange.mapping import Found
 
 
 def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
-    """Return a frame with the passes of some patterns beside what they belong to.
+    """Return a frame with the passes that match ``patterns`` added to their layers, or to the image.
 
     Raises
     ------
     InputError
-        If no pass has such a name, or the file is in lobewise's own names, which have no further passes.
+        If no unused pass matches a pattern, or the file uses lobewise's own names, which have no further passes.
     """
     if found.map is None:
         raise InputError(
@@ -64,7 +64,10 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
 
 
 def _find_owner(found: Imported, one: Pass) -> tuple[str | None, Found | None]:
-    """Return the layer that a pass belongs to and the albedo that its light is divided by; None for the image."""
+    """Return the layer of a pass and the albedo that divides its light. The layer is None for a pass of the image.
+
+    The layer is the one with the longest pass name that begins the name of this pass.
+    """
     assert found.map is not None
     names = {layer.name for layer in found.frame.layers}
     last, best = name_pass(one.path), ""
@@ -78,12 +81,12 @@ def _find_owner(found: Imported, one: Pass) -> tuple[str | None, Found | None]:
 
 
 def join_halves(first: Imported, second: Imported) -> Imported:
-    """Return one frame of two renders with different seeds: their mean, with each as a half of its samples.
+    """Return the mean of two renders with different seeds. Each render becomes one half of the samples.
 
     Raises
     ------
     InputError
-        If they differ in size or layers, or are the same image.
+        If the renders differ in size, passes, samples or preset, or are the same image.
     """
     a, b = first.frame, second.frame
     names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])

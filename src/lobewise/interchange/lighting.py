@@ -1,4 +1,4 @@
-"""The light of a foreign frame: layers from passes, what they leave of the image, and albedos."""
+"""Split the light of an imported image into layers and the rest, and find the albedos."""
 
 from __future__ import annotations
 
@@ -13,23 +13,26 @@ from lobewise.guides.lamps import find_lamps
 from lobewise.interchange.mapping import Found, FoundLayer
 from lobewise.radiance import sum_layers
 
-DARKEST_ALBEDO = 0.01
-LARGEST_EXCESS = 0.02
-"""Share of the light by which layers may exceed the image before they are not taken for its parts."""
-SMALLEST_REST = 0.002
-"""Share of the light from which on what no pass accounts for is filtered as a layer of its own."""
+MIN_DIVISOR_ALBEDO = 0.01
+"""Smallest albedo by which light is divided."""
+MAX_EXCESS_SHARE = 0.02
+"""Largest share of the image's light by which the layers may exceed the image. Above it, they are not its parts."""
+MIN_REST_SHARE = 0.002
+"""Share of the image's light. If more than this share is in no pass, the remaining light is examined as a layer."""
 WHITE_SHARE = np.float32(0.1)
-"""Of a lone albedo, what is white: it tells of textures, but light that gloss reflects does not follow it, and that of
-a dark mirror over its albedo would be far brighter than anything beside it. (Mitsuba's Cornell box, ``showroom``,
-``kitchen`` and a scene with fog, 4 to 64 samples: the geometric mean of the error is 0.0194 without, 0.0096 with.)"""
+"""Share of white that is mixed into an albedo of all lobes. Glossy reflection does not follow this albedo: on a dark
+mirror, light divided by the plain albedo would be far brighter than its surroundings. (Mitsuba's Cornell box,
+``showroom``, ``kitchen`` and a scene with fog, 4 to 64 samples: the geometric mean of the error is 0.0194 without this
+share, 0.0096 with it.)"""
 REST = "rest"
+"""Name of the layer of light that is in no pass."""
 
 Read = Callable[[Found], FloatArray]
 
 
 @dataclass(frozen=True)
 class PartOutput:
-    """Where a part of a layer goes back to: its channels, and the albedo that it is divided by there."""
+    """The channels that receive a part of a layer, and the albedo that divides it before writing."""
 
     found: Found
     divided_by: FloatArray | None = None
@@ -37,9 +40,9 @@ class PartOutput:
 
 @dataclass(frozen=True)
 class Light:
-    """Layers of a frame, light that no surface scattered, and where both and the layers' parts are written.
+    """Layers of a frame, light that no surface scattered, and the channels that receive them.
 
-    ``outputs`` has layers, their parts (``layer/part``) and the unscattered light by name.
+    The keys of ``outputs`` are the names of layers, of their parts (``layer/part``) and of the unscattered light.
     """
 
     layers: tuple[RadianceLayer, ...] = ()
@@ -48,7 +51,7 @@ class Light:
 
 
 def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> tuple[Light, list[str]]:
-    """Return the layers that add up to an image, none if they do not, and sentences that say so.
+    """Return the layers if they add up to the image, else none, and notes about light that does not fit.
 
     Parameters
     ----------
@@ -76,8 +79,8 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> t
         image = read(one)
         with np.errstate(invalid="ignore", over="ignore"):
             more = known + np.where(np.isfinite(image), image, np.float32(0.0))
-        # An image with a transparent background does not show the background that a pass may hold.
-        if _measure_excess(color, more) > max(LARGEST_EXCESS, 2.0 * _measure_excess(color, known)):
+        # A pass may hold the background although the image has a transparent one: then it is no part of the image.
+        if _measure_excess(color, more) > max(MAX_EXCESS_SHARE, 2.0 * _measure_excess(color, known)):
             notes.append(f"{one.label} holds more light than the image has beside the layers: it is no part of it.")
             continue
         known = more
@@ -91,7 +94,7 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> t
 
 
 def _take_layer(each: FoundLayer, read: Read, known: FloatArray) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
-    """Return a layer and where it is written, None if it is black; its finite light is added to ``known``."""
+    """Return a layer, None if it is black, and the channels that receive it. Add its finite light to ``known``."""
     albedo = read(each.albedo) if each.albedo else None
     factor = albedo if each.rule.times_albedo else None
     parts, total = _add_passes([read(one) for one in each.light], factor, known)
@@ -109,7 +112,7 @@ def _take_layer(each: FoundLayer, read: Read, known: FloatArray) -> tuple[Radian
 
 @np.errstate(invalid="ignore", over="ignore")
 def _measure_excess(color: FloatArray, known: FloatArray) -> float:
-    """Return how much of ``known`` is above the image, as a share of the image's light."""
+    """Return the light of ``known`` above the image, as a share of the image's light."""
     good = np.isfinite(color) & np.isfinite(known)
     total = float(np.sum(color, where=good, dtype=np.float64))
     excess = float(np.sum(np.maximum(known - color, np.float32(0.0)), where=good, dtype=np.float64))
@@ -124,12 +127,12 @@ def name_pass(path: str) -> str:
 def _add_passes(
     passes: Sequence[FloatArray], factor: FloatArray | None, known: FloatArray
 ) -> tuple[list[FloatArray], FloatArray]:
-    """Return passes times their factor, and their sum; what of it is finite is added to ``known``."""
+    """Return the passes times ``factor``, and their sum. Add the finite values of the sum to ``known``."""
     parts = list(passes) if factor is None else [np.empty_like(known) for _ in passes]
     total = parts[0] if len(parts) == 1 else np.empty_like(known)
 
     def add(chunk: Chunk) -> None:
-        # Settings of NumPy are a thread's own.
+        # Set this inside the worker: NumPy keeps error settings per thread.
         with np.errstate(invalid="ignore", over="ignore"):
             if factor is not None:
                 for part, one in zip(parts, passes, strict=True):
@@ -142,29 +145,29 @@ def _add_passes(
     return parts, total
 
 
-# Pixels that are not finite are left out, but NumPy looks at them all the same.
+# NumPy warns about non-finite pixels although the sums leave them out.
 @np.errstate(invalid="ignore", over="ignore")
 def _check_sum(
     layers: Sequence[RadianceLayer], color: FloatArray, known: FloatArray
 ) -> tuple[list[RadianceLayer], list[str], bool]:
-    """Return a layer for noisy light that no pass accounts for, what is told, and whether layers make up the image."""
+    """Return a layer of the noisy light that is in no pass, notes, and whether the layers add up to the image."""
     good = np.isfinite(color) & np.isfinite(known)
     total = float(np.sum(color, where=good, dtype=np.float64))
     if not total > 0.0:
         return [], ["The image holds no light."], False
     apart = np.where(good, color - known, np.float32(0.0))
     excess = _measure_excess(color, known)
-    if excess > LARGEST_EXCESS:
+    if excess > MAX_EXCESS_SHARE:
         names = ", ".join(layer.name for layer in layers)
         told = (
             f"The layers ({names}) hold {100.0 * excess:.1f} % more light than the image, so they are not its "
             "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
         )
         return [], [told], False
-    # Rounding of 16-bit floats is no light.
+    # Subtract the rounding errors of 16-bit floats, so that they do not count as light.
     rest = np.maximum(apart - np.float32(2e-3) * np.where(good, np.abs(color), np.float32(0.0)), np.float32(0.0))
     share = float(np.sum(rest, dtype=np.float64)) / total
-    if not share > SMALLEST_REST:
+    if not share > MIN_REST_SHARE:
         return [], [], True
     is_exact = is_smooth(rest)
     fate = "without noise, so it passes as it is" if is_exact else "noisy, so it is filtered as one of its own"
@@ -173,7 +176,7 @@ def _check_sum(
 
 
 def is_smooth(image: FloatArray) -> bool:
-    """Return whether an image is free of noise: most of its light differs little from the mean of its neighbours."""
+    """Return whether an image is free of noise: the median lit pixel is within 5 % of the mean of its neighbours."""
     gray = image.mean(axis=-1)
     if min(gray.shape) < 3:
         return True
@@ -187,16 +190,16 @@ def is_smooth(image: FloatArray) -> bool:
 
 
 def lift_albedo(albedo: FloatArray) -> FloatArray:
-    """Return an albedo that no light is lost by, (height, width, 3), where light and albedo come apart.
+    """Return an albedo, shape (height, width, 3), by which light can be divided without loss.
 
-    Nothing is divided by less than `DARKEST_ALBEDO`, and where no channel has more, by 1.
+    Raise each channel to `MIN_DIVISOR_ALBEDO`. Pixels where no channel exceeds this value become 1.
     """
-    black = albedo.max(axis=-1, keepdims=True) <= DARKEST_ALBEDO
-    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(DARKEST_ALBEDO)))
+    black = albedo.max(axis=-1, keepdims=True) <= MIN_DIVISOR_ALBEDO
+    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_DIVISOR_ALBEDO)))
 
 
 def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[RadianceLayer, ...]:
-    """Return layers of which the diffuse ones have the albedo of all light, if no layer has its own."""
+    """Return the layers. If no layer has an albedo, give the albedo of all light to the diffuse layers."""
     if any(layer.albedo is not None for layer in layers):
         return tuple(layers)
     lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
@@ -204,7 +207,7 @@ def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[Ra
 
 
 def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Light) -> Radiance:
-    """Return the light of a frame, told apart by its layers, or by the passes for diffuse and specular light."""
+    """Return the radiance, split into diffuse and specular light by the layers if there are any, else by the passes."""
     if not light.layers:
         return Radiance(color, images.get("diffuse"), images.get("specular"))
     nothing = np.zeros_like(color)
@@ -213,9 +216,9 @@ def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Li
 
 
 def keep_lamps(frame: Frame) -> tuple[Frame, int]:
-    """Return a frame whose lamps are no surfaces, so that filters keep them, and the number of their pixels.
+    """Return a frame with a zero normal at lamps, and the number of lamp pixels.
 
-    Only a frame without layers changes.
+    Filters keep pixels without a surface, so lamps stay sharp. A frame with separate layers does not change.
     """
     guides = frame.gbuffer
     if frame.radiance.parts is not None or guides.normal is None:
@@ -231,7 +234,7 @@ def keep_lamps(frame: Frame) -> tuple[Frame, int]:
 
 
 def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:
-    """Return the albedo of all layers of one kind together, at most 1; None where one does not tell."""
+    """Return the summed albedo of the diffuse or specular layers, at most 1; None if a layer has no albedo."""
     albedos = [layer.albedo for layer in layers if layer.is_diffuse == diffuse and layer.name != REST]
     if not albedos or any(albedo is None for albedo in albedos):
         return None
@@ -241,7 +244,7 @@ def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray
 def take_albedos(
     images: Mapping[str, FloatArray], layers: Sequence[RadianceLayer]
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return diffuse and specular albedo: those of passes, else of the layers, else a lone one for all light."""
+    """Return the diffuse and specular albedo from passes, else from the layers, else from the albedo of all light."""
     diffuse, specular = images.get("diffuse_albedo"), images.get("specular_albedo")
     diffuse = sum_albedos(layers, diffuse=True) if diffuse is None else diffuse
     specular = sum_albedos(layers, diffuse=False) if specular is None else specular

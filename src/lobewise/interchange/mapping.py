@@ -1,4 +1,4 @@
-"""Which preset a file follows and why, and which of its channels are which image of a frame."""
+"""Choose the preset of a file, and map its channels to the images of a frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lobewise.interchange.channels import (
 )
 from lobewise.interchange.preset import (
     ROLES,
-    SINGLES,
+    SINGLE_VALUE_ROLES,
     LayerRule,
     Preset,
     Rule,
@@ -32,9 +32,9 @@ from lobewise.io.exr.layout import find_beauty, refuse_missing_image
 from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
-"""Components of the roles that are no color."""
+"""Component orders by role, for roles that are not colors."""
 Key = tuple[int, tuple[str, ...]]
-"""Index of an image's part, and the names of its channels."""
+"""Identity of an image: the index of its part and the names of its channels."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ class Found:
     Parameters
     ----------
     source : Pass
-        Where it stands.
+        The pass that holds the image.
     channels : tuple of str
-        Its channels in the order of the image's last axis.
+        Channel names in the order of the image's last axis.
     convert : tuple of str
-        What becomes of its values.
+        Names of the conversions of its values, keys of `CONVERSIONS`.
     """
 
     source: Pass
@@ -57,12 +57,12 @@ class Found:
 
     @property
     def key(self) -> Key:
-        """What tells this image from the other images of the file."""
+        """The part and channels that identify this image in its file."""
         return self.source.part.index, self.channels
 
     @property
     def label(self) -> str:
-        """The channels in short: ``ViewLayer.DiffCol.R/G/B``, whether the pass is a part of its own or not."""
+        """Short text for the channels, such as ``ViewLayer.DiffCol.R/G/B``."""
         head = self.channels[0].rpartition(".")[0]
         if all(name.rpartition(".")[0] == head for name in self.channels):
             words = "/".join(name.rpartition(".")[2] for name in self.channels)
@@ -74,7 +74,7 @@ class Found:
 
 @dataclass(frozen=True)
 class FoundLayer:
-    """One layer of light: what is added up, and its albedo."""
+    """One layer of light: the images that add up to it, and its albedo."""
 
     rule: LayerRule
     light: tuple[Found, ...]
@@ -83,29 +83,28 @@ class FoundLayer:
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """What a file holds of a frame.
+    """The images of a frame that a file contains.
 
     Parameters
     ----------
     preset : Preset
-        By which it was read.
+        The preset by which the file is read.
     reason : str
-        What told.
+        Why this preset was chosen; follows "because" in a sentence.
     roles : mapping of str to Found
         The images by role.
     layers : tuple of FoundLayer
         Layers of light.
     cryptomatte : tuple of tuple of Found
-        For each Cryptomatte of the file its passes, in the order of their ranks.
+        The passes of each Cryptomatte in the order of their ranks.
     prefix : str
-        What stands before the passes that were taken: the view layer.
+        Prefix of the chosen passes, such as the view layer.
     others : tuple of str
-        Prefixes of further images of the same kind.
+        Prefixes of further color images, which are not used.
     shown : Found or None
-        The image that people look at, where it is another pass than the noisy image: the renderer denoised it.
+        The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     refused : mapping of str to str
-        For roles and layers that are missing although the file has, or the user's preset names, a pass for them: one
-        sentence why that pass is not used.
+        Sentences by missing role or layer. They say why a pass of the file, or of the user's preset, is not used.
     """
 
     preset: Preset
@@ -120,12 +119,12 @@ class ChannelMap:
 
     @property
     def target(self) -> Found:
-        """The image that people look at, into which results are written."""
+        """The image that viewers show. The result replaces it."""
         return self.roles["color"] if self.shown is None else self.shown
 
 
 def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike | None = None) -> tuple[Preset, str]:
-    """Return the preset of a file and what told it: an option, an attribute, the names of its passes, or nothing."""
+    """Return the preset of a file and the reason: an option, a header attribute, pass names, or the generic default."""
     if asked is not None:
         return find_preset(asked), "it was asked for"
     attributes = [item for part in container.parts for item in part.attributes]
@@ -145,16 +144,16 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
 def map_channels(
     container: Container, *, preset: PathLike | None = None, mapping: Mapping[str, str] | None = None
 ) -> ChannelMap:
-    """Return which channels of a file are which image of a frame.
+    """Map the channels of a file to the images of a frame.
 
     Parameters
     ----------
     container : Container
         The file.
     preset : path-like, optional
-        Name of a preset or a file of one; by default that which the file tells.
+        Name of a preset, or path of a preset file; by default, the preset is recognised from the file.
     mapping : mapping of str to str, optional
-        For some roles the channels, as `parse_mapping` takes them; they go before those of the preset.
+        Channels by role, in the syntax of `parse_mapping`. They override the preset.
 
     Raises
     ------
@@ -196,20 +195,20 @@ def map_channels(
 
 
 def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence[Pass] = ()) -> Found:
-    """Return the image that ``channel,channel,...`` or a pass stands for; ``:conversion`` may stand behind.
+    """Return the image for a text ``channel,channel,...`` or ``pass``; either may end in ``:conversion``.
 
     Raises
     ------
     InputError
-        If the role, a channel or a conversion is unknown, the conversion is none for that role, a channel is one of
-        ``unread``, which no image can be made of, or their number is not that of the role.
+        If the role, a channel or a conversion is unknown, the conversion does not fit the role, a channel belongs to
+        the unreadable passes ``unread``, or the number of channels does not fit the role.
     """
     require_choice("--map", role, ROLES)
     given, *convert = text.split(":")
     for word in convert:
         require_conversion(f"--map {role}", role, word)
     names = [name.strip() for name in given.split(",")]
-    count = 1 if role in SINGLES else 2 if role == "motion" else 3
+    count = 1 if role in SINGLE_VALUE_ROLES else 2 if role == "motion" else 3
     known = {channel: one for one in passes for channel in one.channels.values()}
     if len(names) == 1 and (count > 1 or names[0] not in known):
         for one in passes:
@@ -234,7 +233,7 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
 
 
 def _pick(role: str, one: Pass, component: str | None = None) -> tuple[str, ...] | None:
-    if role in SINGLES:
+    if role in SINGLE_VALUE_ROLES:
         return one.pick_single(component)
     return one.pick(ORDERS.get(role, COLOR))
 
@@ -242,7 +241,7 @@ def _pick(role: str, one: Pass, component: str | None = None) -> tuple[str, ...]
 def _find_color(
     container: Container, preset: Preset, passes: Sequence[Pass], own: Found | None
 ) -> tuple[Found, str, tuple[str, ...]]:
-    """Return the image, the prefix of its path and those of others like it."""
+    """Return the color image, its prefix, and the prefixes of further color images."""
     if own is not None:
         return own, own.source.get_prefix(own.source.path.rpartition(".")[2]), ()
     first = find_beauty(container.parts) or container.parts[0]
@@ -255,7 +254,7 @@ def _find_color(
             prefixes = [one.get_prefix(rule.source) for one in alike]
             return Found(alike[0], channels, rule.convert), prefixes[0], tuple(prefixes[1:])
     for one in views:
-        # Whatever the renderer calls it: the image is the first with R, G and B alone at the root, or the only color.
+        # No rule matches: take the first pass with R, G and B that has no path, or whose path is the name of its part.
         if one.path in ("", one.part.name) and (channels := one.pick(COLOR[:1])):
             return Found(one, channels), "", ()
     has_image = any(one.pick(COLOR) for one in passes)
@@ -267,7 +266,7 @@ def _find_color(
 
 
 def _find_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: str) -> Found | None:
-    """Return the image that people look at, if it is another pass than the noisy image."""
+    """Return the image that viewers show, if it is not the noisy image itself."""
     for pattern in preset.shown:
         for one in passes:
             channels = one.pick(COLOR) if one.matches(pattern) and one.get_prefix(pattern) == prefix else None
@@ -277,7 +276,7 @@ def _find_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: st
 
 
 def _find_pass(pattern: str, passes: Sequence[Pass], prefix: str) -> list[Pass]:
-    """Return the passes of a pattern, those with the image's prefix first."""
+    """Return the passes that match a pattern, sorted so that the given prefix comes first."""
     alike = [one for one in passes if one.matches(pattern)]
     return sorted(alike, key=lambda one: one.get_prefix(pattern) != prefix)
 
@@ -302,12 +301,12 @@ def _find_layer(rule: LayerRule, passes: Sequence[Pass], prefix: str) -> FoundLa
 def _list_refused_roles(
     preset: Preset, roles: Mapping[str, Found], color: Found, passes: Sequence[Pass]
 ) -> dict[str, str]:
-    """Return for each role that is missing why a pass of its name is not used, or that the user's preset names none."""
+    """Return by missing role why a pass is not used, or that the file has none of the passes in the user's preset."""
     refused = {}
     for role, rules in preset.roles.items():
         if role in roles or role == "color":
             continue
-        # A rule for one component of the image itself tells of no pass.
+        # A rule without a source, or for one component, refers to the color image and names no separate pass.
         named = [rule for rule in rules if rule.source and rule.component is None]
         near = [one for rule in named for one in passes if one.matches(rule.source)]
         told = next(filter(None, (_explain_refusal(role, one, color) for one in near)), None)
@@ -320,7 +319,7 @@ def _list_refused_roles(
 
 
 def _explain_refusal(role: str, one: Pass, color: Found) -> str | None:
-    """Return why a pass cannot be the image of a role; None where it is but that of another view."""
+    """Return why a pass cannot have a role; None if nothing prevents it, or if it belongs to another view."""
     part, image = one.part, color.source.part
     if part.view and image.view and part.view != image.view:
         return None
@@ -338,7 +337,7 @@ def _explain_refusal(role: str, one: Pass, color: Found) -> str | None:
 
 
 def _compare_pixels(part: Part, image: Part) -> str:
-    """Return what a part has where the image's part has other pixels, as what the part does; empty for the same."""
+    """Return how the pixels of a part differ from those of the image, as a predicate; empty if they are the same."""
     window, whole = part.data_window, image.data_window
     if window == whole:
         return ""
@@ -348,7 +347,7 @@ def _compare_pixels(part: Part, image: Part) -> str:
 
 
 def _list_refused_layers(preset: Preset, layers: Mapping[str, FoundLayer], passes: Sequence[Pass]) -> dict[str, str]:
-    """Return for each layer that is missing which passes it lacks, where the file has some or a user names them."""
+    """Return by missing layer which passes it lacks, if the file has some of them or the user's preset names it."""
     refused: dict[str, str] = {}
     for rule in preset.layers:
         needed = [*rule.light, *([rule.albedo] if rule.albedo and rule.times_albedo else [])]
@@ -361,7 +360,7 @@ def _list_refused_layers(preset: Preset, layers: Mapping[str, FoundLayer], passe
 
 
 def _find_matte(name: str, passes: Sequence[Pass], prefix: str) -> tuple[Found, ...]:
-    """Return the passes of one Cryptomatte, two ranks each: pairs of an id and a share."""
+    """Return the passes of one Cryptomatte. Each pass holds two ranks, each an id and a coverage."""
     ranks: dict[str, Found] = {}
     for number in range(16):
         for one in _find_pass(f"{name}{number:02d}", passes, prefix):

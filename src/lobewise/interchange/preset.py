@@ -1,8 +1,8 @@
-"""Presets: what the channels of one renderer mean, one readable file each (``presets/*.toml``), checked when read.
+"""Presets: the meaning of the channels of one renderer, one file per renderer (``presets/*.toml``), checked when read.
 
-A preset says how its files are recognised, which passes hold which image of a frame and what becomes of their values,
-which passes make up a layer of light, and what to switch on in that renderer for what is missing. The words that it may
-use are those of `ROLES`, `CONVERSIONS` and the fields of `Preset`; any other is refused.
+A preset says how to recognise the renderer's files, which pass holds which image, how to convert the values, and which
+passes add up to a layer of light. It also advises how to switch on missing passes in the renderer. A preset may use the
+words in `ROLES`, `CONVERSIONS` and `ATTRIBUTES`; any other word is an error.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from lobewise.errors import InputError, require_choice
 from lobewise.io.documents import describe_kind, parse_toml, read_document
 from lobewise.io.files import PathLike
 
-MAX_BYTES = 1 << 16
-"""Of a preset's file; the largest of this package has a twentieth of it."""
+MAX_PRESET_BYTES = 1 << 16
+"""Largest size of a preset file, bytes. The largest preset of this package has a twentieth of it."""
 
 ROLES = {
     "color": "total radiance",
@@ -37,8 +37,9 @@ ROLES = {
     "variance": "variance of the mean",
     "alpha": "share of the pixel that shows a surface",
 }
-"""What passes can be, beside layers and Cryptomatte."""
-SINGLES = ("depth", "roughness", "alpha")
+"""Roles of passes, with their meanings. Layers and Cryptomatte have their own rules."""
+SINGLE_VALUE_ROLES = ("depth", "roughness", "alpha")
+"""Roles with one value per pixel."""
 CONVERSIONS = {
     "camera_space": "from camera space (x right, y up, z away from the camera) to the world",
     "camera_space_back": "from camera space (x right, y up, z towards the camera) to the world",
@@ -52,7 +53,7 @@ CONVERSIONS = {
     "of_samples": "from the variance of one sample to that of their mean",
     "cycles_roughness": "from the mean over all closures, diffuse counted as 1, to the specular lobes' own",
 }
-"""What can be done to values on their way, in the order in which they are named."""
+"""Conversions of pixel values, with their meanings. They are applied in the order in which a rule names them."""
 CONVERSIONS_OF = {
     "normal": ("camera_space", "camera_space_back", "encoded", "negate"),
     "position": ("hundredth", "negate"),
@@ -61,19 +62,20 @@ CONVERSIONS_OF = {
     "motion": ("y_up", "negate"),
     "variance": ("of_samples",),
 }
-"""Which of them the images of a role can have; those of other roles have none."""
+"""Conversions that each role allows. Roles that are not listed allow none."""
 LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "exact")
-"""What a layer of light follows: the first three are filtered as diffuse, the next three as specular light; "exact"
-passes as it is."""
+"""Kinds of layers. The first three are filtered as diffuse light, the next three as specular light. "exact" light is
+free of noise and not filtered."""
 ATTRIBUTES = (
     *("name", "title", "attributes", "versions", "passes", "files", "samples", "samples_squared"),
     *("notes", "advice", "layer", "cryptomatte", "shown"),
 )
+"""Keys of a preset file beside the roles."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One way in which a renderer gives an image: a pass, perhaps one component of it, and what becomes of it."""
+    """One way to find an image: the pass, optionally one component of the pass, and the conversions of its values."""
 
     source: str
     component: str | None = None
@@ -82,7 +84,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class LayerRule:
-    """One layer of light: the sum of some passes, times an albedo where the renderer divides them by it."""
+    """One layer of light: the sum of some passes, times an albedo if the renderer divides the passes by it."""
 
     name: str
     lobe: str
@@ -93,35 +95,35 @@ class LayerRule:
 
 @dataclass(frozen=True)
 class Preset:
-    """What the files of one renderer mean.
+    """The meaning of the files of one renderer.
 
     Parameters
     ----------
     name, title : str
-        In options and in sentences.
+        The name in options and the name in messages.
     attributes, passes : tuple of str
-        Patterns of header attributes, any of which tells the renderer, and of passes, all of which do together.
+        Patterns that identify the renderer: any one of the header attributes, or all of the passes together.
     versions : tuple of str
-        Attributes that hold the version of the renderer as text, the best first.
+        Header attributes with the version of the renderer as text, the best first.
     roles : mapping of str to tuple of Rule
-        For each role the ways to find it, the best first.
+        The rules that find each role, the best first.
     shown : tuple of str
-        Passes that people look at where the renderer denoised them and kept the noisy image in another pass, the best
-        first. Results are written there.
+        Passes that viewers show, the best first, if the renderer denoised them and kept the noisy image in another
+        pass. Results are written to these passes.
     layers : tuple of LayerRule
-        Alternatives of one name: the first whose passes are all there.
+        Rules of the layers. Of several rules with one name, the first whose passes are all present counts.
     cryptomatte : tuple of str
-        Names of Cryptomatte's passes, without their numbers, the finest first.
+        Names of Cryptomatte passes without their numbers, the finest first.
     samples, samples_squared : tuple of str
         Attributes that hold the samples per pixel, or their square root.
     files : tuple of str
-        Where every pass is a file of its own: what stands in the name of the image's.
+        Words in the name of the image file, if the renderer writes one file per pass.
     notes : tuple of str
-        What a user should know of any such file, one sentence each.
+        Sentences for the user about every file of this renderer.
     advice : mapping of str to str
-        For each role, what to switch on in that renderer.
+        What to switch on in the renderer, by missing role.
     is_users : bool
-        Whether it is from a file of the user's, who names passes that are there.
+        Whether the preset comes from a file of the user. Then a pass that it names should be present.
     """
 
     name: str
@@ -143,7 +145,7 @@ class Preset:
 
 @cache
 def load_presets() -> dict[str, Preset]:
-    """Return the presets of this package by name; "generic" goes by the usual names alone and comes last."""
+    """Return the presets of this package by name. "generic" knows only common pass names, so it comes last."""
     folder = files("lobewise.interchange").joinpath("presets")
     found = {}
     for item in sorted(folder.iterdir(), key=lambda one: (one.name == "generic.toml", one.name)):
@@ -154,17 +156,17 @@ def load_presets() -> dict[str, Preset]:
 
 
 def find_preset(name: PathLike) -> Preset:
-    """Return the preset of a name, or of a file that ends in ``.toml``.
+    """Return the preset of this name, or the preset in a file whose name ends in ``.toml``.
 
     Raises
     ------
     InputError
-        If there is none of that name, or the file says what no preset can.
+        If no preset has this name, or the file is not a valid preset.
     FileError
         If the file cannot be read.
     """
     if str(name).endswith(".toml"):
-        data = read_document(name, MAX_BYTES, what="preset", holds="a preset in TOML")
+        data = read_document(name, MAX_PRESET_BYTES, what="preset", holds="a preset in TOML")
         found = replace(_parse(data, str(name)), is_users=True)
         if not (found.roles or found.layers):
             raise InputError(
@@ -213,7 +215,7 @@ def _parse(data: bytes, where: str) -> Preset:
 
 
 def require_conversion(what: str, role: str, word: str) -> None:
-    """Raise InputError unless a conversion is known, and one that images of a role can have."""
+    """Raise InputError unless the conversion exists and the role allows it."""
     require_choice(f"{what}, conversion", word, CONVERSIONS)
     fitting = CONVERSIONS_OF.get(role, ())
     if word not in fitting:

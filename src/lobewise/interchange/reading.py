@@ -1,4 +1,4 @@
-"""Files of any renderer become frames: what is there is found, converted, and told."""
+"""Read EXR files of any renderer as frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ from lobewise.radiance import RadianceLayer
 
 
 def is_own(container: Container) -> bool:
-    """Return whether a file is in lobewise's own channel names: it says so, or has guides by them and no renderer's."""
+    """Return whether a file uses lobewise's own channel names.
+
+    It does if its header says so, or if it has lobewise's guides and no known renderer is recognised.
+    """
     if any(item.name == SCHEMA for part in container.parts for item in part.attributes):
         return True
     beauty = find_beauty(container.parts)
@@ -48,46 +51,44 @@ def read_frame(
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
-    Files in lobewise's own channel names (``docs/conventions.md``) come as they are; those of other renderers are
-    recognised by their attributes and names, and converted (``docs/renderers.md``); `import_file` also says how. Pixels
-    that are NaN, infinite or negative come through as they are, but for light that compression with loss left just
-    below 0: it becomes 0.
+    Files in lobewise's own channel names (``docs/conventions.md``) are not converted. Files of other renderers are
+    recognised by their attributes and channel names, and converted (``docs/renderers.md``). Pixels that are NaN,
+    infinite or negative stay so, with one exception: light that lossy compression left just below 0 becomes 0.
 
-    With `lobewise.denoise` and `lobewise.write_result` it does what the command ``lobewise denoise`` does, to the byte:
-    the passes of light are filtered as well. Two things the command alone does: it prints what was found, and it
-    filters large files in bands, `lobewise.denoise_file`, which gives the same bytes and takes lobewise's own files
-    only; those have no passes of light.
+    `read_frame`, `lobewise.denoise` and `lobewise.write_result` together write the same bytes as the command ``lobewise
+    denoise``, the passes of light included. The command also prints notes about the file. It filters large files in
+    lobewise's own names in bands (`lobewise.denoise_file`), with the same result.
 
     Parameters
     ----------
     path : path
         The file.
     preset : str or path, optional
-        Name of the renderer whose conventions the file follows, or a file of them; by default what the file tells.
+        Name of the renderer, or path of a preset file; by default, the renderer is recognised from the file.
     mapping : mapping of str to str, optional
-        Which channels are which image, such as ``{"normal": "N.X,N.Y,N.Z"}``, before what the preset says; behind a
-        colon a conversion, such as ``"rough.R:square"``.
+        Channels by role, such as ``{"normal": "N.X,N.Y,N.Z"}``. They override the preset. A conversion may follow
+        after a colon: ``"rough.R:square"``.
     camera : Camera, optional
-        In place of what the file tells.
+        Replaces the camera of the file.
     half : path, optional
-        The same frame rendered again with another seed: then both are halves of the samples.
+        The same frame rendered again with another seed. Each render becomes one half of the samples.
     lobe_tables : sequence of LobeTable, optional
-        What the channel ``material.I`` of a file in lobewise's names counts, in place of the tables in its header.
+        Tables that the channel ``material.I`` of a file in lobewise's names indexes. They replace those in its header.
     light_passes : bool
-        Whether the passes that make up the layers (direct and indirect light of each) stay in the frame, as parts of
-        its layers, so that `lobewise.denoise` filters them and `lobewise.write_result` writes them back. Without them
-        the frame takes less memory, filtering is quicker, the image is the same to the bit, and the passes in the
-        written file stay noisy.
+        Whether the passes that make up the layers (direct and indirect light of each) stay in the frame as parts of
+        its layers. Then `lobewise.denoise` filters them and `lobewise.write_result` writes them back. Without them, the
+        frame takes less memory and filtering is faster. The image is the same to the bit, but the passes in the written
+        file stay noisy.
 
     Raises
     ------
     FileError
-        If a file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is none.
+        If a file is missing, unreadable, damaged, truncated or of zero size, or a lobe table in the header is invalid.
     MissingChannelError
         If there is no image, or an image has only some of its channels.
     InputError
-        If a preset, role, conversion or channel is unknown, the camera in the header makes no sense, a pixel names a
-        lobe table that is not there, the frame was shaded sparsely, or the halves do not fit each other.
+        If a preset, role, conversion or channel is unknown, the camera in the header is invalid, a pixel names a
+        missing lobe table, the frame was shaded sparsely, or the halves do not fit each other.
     """
     return import_file(
         path,
@@ -111,22 +112,22 @@ def import_file(
     also: Sequence[str] = (),
     light_passes: bool = False,
 ) -> Imported:
-    """Return the frame of an EXR file and what was made of it.
+    """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
     Parameters
     ----------
     path, preset, mapping, camera, half, lobe_tables
         As in `read_frame`.
     also : sequence of str
-        Patterns of passes, with * and ?, that are filtered like what they belong to: the layer whose pass their name
-        begins with (``DiffDir_key``), else the image.
+        Patterns, with the wildcards * and ?, of further passes to filter. A pass is filtered like the layer whose pass
+        name begins its own (``DiffDir_key``), else like the image.
     light_passes : bool
-        Whether the passes that make up a layer (direct, indirect) are filtered each, so that they can be written back.
+        Whether each pass of a layer (direct, indirect) is filtered too, so that it can be written back.
 
     Raises
     ------
     FileError, MissingChannelError, InputError
-        As `read_frame`; or if no pass has a name of ``also``.
+        As `read_frame`; also if no pass matches a pattern of ``also``.
     """
     container = read_container(path)
     family = find_family(container)
@@ -167,12 +168,12 @@ def import_planes(
     mapping: Mapping[str, str] | None = None,
     camera: Camera | None = None,
 ) -> Imported:
-    """Return the frame of channels in memory and what was made of them, as `import_file` does of a file's.
+    """Return the frame of channels in memory, as `import_file` does for a file.
 
     Parameters
     ----------
     planes : mapping of str to array, shape (height, width)
-        The channels by the names that a file would have for them.
+        The channels by the names that they would have in a file.
     preset, mapping, camera
         As in `read_frame`.
 
@@ -191,7 +192,7 @@ def import_planes(
 
 
 def _leave_passes(found: Imported) -> Imported:
-    """Return a frame whose layers have no parts but those that were asked for."""
+    """Return the import without the layer parts that come from the preset; passes added by ``also`` stay."""
     rules = found.map.layers if found.map else ()
     passes = {(each.rule.name, name_pass(one.source.path)) for each in rules for one in each.light}
 

@@ -1,4 +1,4 @@
-"""Results go back into the file that they come from: into the image and its layers, or beside them."""
+"""Write denoised images into a copy of their file: in place of the image and its layers, or beside them."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from lobewise.interchange.channels import list_passes
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
-from lobewise.interchange.siblings import FIRST_INDEX
+from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import show_name
 from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
 
-CONFIDENCE = "lobewise."
-"""Before the names of the channels that tell how far to trust the result."""
-BEFORE = "_before"
-"""Behind the name of a pass: the image that the renderer had denoised, which the result replaced."""
-SMALLEST_FACTOR = 1e-6
+CONFIDENCE_PREFIX = "lobewise."
+"""Prefix of the channels that say how reliable the result is."""
+KEPT_SUFFIX = "_before"
+"""Suffix of the pass that keeps the renderer's own denoised image, which the result replaced."""
+MIN_DIVISOR_ALBEDO = 1e-6
+"""Albedo up to which a layer is written as 0 instead of divided by the albedo."""
 
 Planes = dict[int, dict[str, FloatArray]]
+"""Channel values by index of the part and name of the channel."""
 
 
 def write_result(
@@ -40,37 +42,37 @@ def write_result(
 ) -> tuple[str, ...]:
     """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
 
-    The image is replaced where it came from, whatever it is called there. Where the renderer denoised its image and
-    kept the noisy one in another pass, the result replaces the image that viewers show; the renderer's image is kept
-    in a pass whose name ends in ``_before``, and the noisy pass stays. Layers of light are replaced, each in its own
-    channels, where both the file and the result have them. Everything else stays: the other parts byte for byte, the
-    other channels in their pixel types, every attribute, the windows and the compression (but a lossy one, where it
-    would change channels that are not touched). A channel stored as 16-bit float stays one, and values beyond its range
-    become 65504. One attribute is added, ``lobewise/denoised``, with the settings and the channels that
-    were replaced as JSON: `import_file` finds by it that an image is a result already.
+    The result replaces the channels that the image was read from. If the renderer denoised its image and kept the noisy
+    one in another pass, the result replaces the image that viewers show. A pass whose name ends in ``_before`` then
+    keeps the renderer's image, and the noisy pass stays. Layers of light are replaced in their own channels, if both
+    the file and the result have them. Everything else stays: the other parts byte for byte, the other channels in their
+    pixel types, every attribute, the windows and the compression. Lossy compression is replaced if it would change
+    other channels. A channel stored as 16-bit float stays one, and values beyond its range become 65504. The attribute
+    ``lobewise/denoised`` is added. It holds the settings and the replaced channels as JSON, so that `import_file`
+    recognises a denoised image.
 
     Parameters
     ----------
     path : path
-        The output; replaced in one step, or left as it was on failure.
+        The output file. It is replaced in one step, and unchanged on failure.
     result : Result
-        What `lobewise.denoise` made of the frame.
+        The result of `lobewise.denoise` for the frame.
     source : path or Imported
-        The file, or what `import_file` made of it: needed where that took options.
+        The file, or the return value of `import_file`. Pass the latter if the import used options.
     suffix : str
-        If given, the results stand beside what they came from, in passes whose names end in it, and that stays.
+        If given, the results go to new passes whose names end in this suffix, and the original passes stay.
     only : bool
         Whether to leave out every other channel.
     confidence : bool
         Whether to add ``lobewise.weight_sum``, ``lobewise.effective_samples``, ``lobewise.bad_pixel`` (1 where the
         pixel was refilled) and, where it is given, ``lobewise.rerender``.
     rerender : array, shape (height, width), optional
-        1 where a pixel is worth rendering again; see `lobewise.find_unsupported`.
+        1 where a pixel should be rendered again; see `lobewise.find_unsupported`.
 
     Returns
     -------
     tuple of str
-        What could not stay as it was or was not written, one sentence each.
+        One sentence for each thing that had to change or was not written.
 
     Raises
     ------
@@ -110,13 +112,13 @@ def write_result(
         if rerender is not None:
             own["rerender"] = np.asarray(rerender, np.float32)
         more = added.setdefault(beauty.index, {})
-        more |= {f"{CONFIDENCE}{name}": image for name, image in own.items()}
+        more |= {f"{CONFIDENCE_PREFIX}{name}": image for name, image in own.items()}
     return (*notes, *write_copy(path, container, changed, result.settings, beauty, added=added, only=only))
 
 
 def require_target(found: Imported) -> None:
-    """Raise InputError if the image that a result replaces lies in a file beside the one of which a copy is written."""
-    if found.map is None or found.map.target.source.part.index < FIRST_INDEX:
+    """Raise InputError if the image to replace is in a neighbouring file, not in the file that is copied."""
+    if found.map is None or found.map.target.source.part.index < FIRST_SIBLING_INDEX:
         return
     name = found.container.path.name
     raise InputError(
@@ -128,7 +130,7 @@ def require_target(found: Imported) -> None:
 
 
 def _plan_own(found: Imported, result: Result) -> Planes:
-    """Return which channels of a file in lobewise's names get which values."""
+    """Return the new channel values for a file in lobewise's names."""
     given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
     images = {field: image for field, image in given.items() if image is not None}
     container = found.container
@@ -139,17 +141,17 @@ def _plan_own(found: Imported, result: Result) -> Planes:
 
 
 def _plan_foreign(found: Imported, result: Result) -> Planes:
-    """Return which channels of another renderer's file get which values."""
+    """Return the new channel values for a file of another renderer."""
     images = _list_images(result)
     planes: Planes = {}
-    # What is scaled of exact light makes up the image with filtered passes: where these stay noisy it stays as well.
+    # Rescaled exact light adds up to the image only with the filtered passes, so keep it if any pass stays noisy.
     kept = set(found.frame.unscattered) if _list_left(found, images) else set()
     for name, output in found.outputs.items():
         if name not in images or name in kept:
             continue
         image = images[name]
         if output.divided_by is not None:
-            known = output.divided_by > SMALLEST_FACTOR
+            known = output.divided_by > MIN_DIVISOR_ALBEDO
             image = np.divide(image, output.divided_by, out=np.zeros_like(image), where=known)
         mine = planes.setdefault(output.found.source.part.index, {})
         mine |= {channel: image[..., k] for k, channel in enumerate(output.found.channels)}
@@ -157,27 +159,27 @@ def _plan_foreign(found: Imported, result: Result) -> Planes:
 
 
 def _list_left(found: Imported, images: Mapping[str, FloatArray]) -> list[str]:
-    """Return the passes of scattered light that a result has no image for; exact light has no noise to leave."""
+    """Return the noisy passes for which the result has no image. Exact light does not count: it has no noise."""
     exact = found.frame.unscattered
     return [output.found.label for name, output in found.outputs.items() if name not in images and name not in exact]
 
 
 def _list_images(result: Result) -> Mapping[str, FloatArray]:
-    """Return every image of a result by the name that outputs have."""
+    """Return the images of a result, by the keys of `Imported.outputs`."""
     images: dict[str, Any] = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
     whole = {name: image for name, image in images.items() if image is not None}
     return {**whole, **result.layers, **result.also}
 
 
 def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
-    """Return the channels that keep the image which the renderer denoised, and a sentence that names them.
+    """Return channels that keep the renderer's denoised image, and a note about them.
 
-    A file that lobewise wrote has them already: they stay as they are.
+    A file that lobewise wrote before has these channels already. They stay unchanged.
     """
     shown = None if found.map is None else found.map.shown
     if shown is None or found.shown is None:
         return {}, []
-    names = [_add_suffix(name, BEFORE) for name in shown.channels]
+    names = [_add_suffix(name, KEPT_SUFFIX) for name in shown.channels]
     label = Found(shown.source, tuple(names)).label
     if found.container.multipart and shown.source.part.name:
         label += f" of the part {show_name(shown.source.part.name)!r}"
@@ -189,13 +191,13 @@ def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
 
 
 def _note_noisy(found: Imported, result: Result) -> list[str]:
-    """Say which passes of the layers stay noisy, because the result does not have them."""
+    """Return a note that lists the noisy passes for which the result has no image."""
     left = _list_left(found, _list_images(result))
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 
 def _add_suffix(name: str, suffix: str) -> str:
-    """Return a channel's name with a suffix to its pass: ``ViewLayer.Combined_clean.R``; of plain R ``clean.R``.
+    """Return a channel name with a suffix after the pass: ``ViewLayer.Combined_clean.R``, or ``clean.R`` for plain R.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The image of a file as viewers show it, and the noisy one that a renderer which denoised it kept beside it."""
+"""Read the image that viewers show, and find the noisy image that a denoising renderer kept in another pass."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lobewise.io.files import PathLike
 
 
 def read_image(path: PathLike) -> FloatArray:
-    """Return only the image of any EXR file, as viewers show it: float32, shape (height, width, 3).
+    """Return the image of any EXR file that viewers show: float32, shape (height, width, 3).
 
-    Where the renderer denoised its image and kept the noisy one in another pass, the denoised image is returned;
-    `find_noisy_pass` names the other.
+    If the renderer denoised its image and kept the noisy one in another pass, this is the denoised image.
+    `find_noisy_pass` names the noisy one.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def read_image(path: PathLike) -> FloatArray:
 
 
 def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
-    """Return the labels of the image that viewers show and of the noisy pass beside it; None where there is one image.
+    """Return the labels of the shown image and of the noisy pass; None if the shown image is the noisy one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Renderers that write a file for every pass: those that lie beside the image are read as if they were its parts."""
+"""Read the files of renderers that write one file per pass as if they were the parts of one file."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part
 
-FIRST_INDEX = 1 << 16
-"""Index of the first part that lies in another file."""
+FIRST_SIBLING_INDEX = 1 << 16
+"""Smallest part index that stands for a part of another file."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """A file and those that hold its other passes.
+    """An image file and the files of its other passes.
 
     Parameters
     ----------
     container : Container
-        The parts of all of them, each named by its pass.
+        The parts of all files, each named by its pass.
     homes : mapping of int to (Container, Part)
-        By index, parts that lie in other files, and where.
+        File and original part by part index, for the parts of other files.
     """
 
     container: Container
     homes: Mapping[int, tuple[Container, Part]] = field(default_factory=dict)
 
     def decode(self, part: Part, names: frozenset[str]) -> dict[str, Pixels]:
-        """Return some channels of a part, wherever it lies; see `lobewise.io.exr.pixels.decode_part`."""
+        """Return channels of a part from the file that holds it; see `lobewise.io.exr.pixels.decode_part`."""
         return decode_part(*self.homes.get(part.index, (self.container, part)), names)
 
 
 def find_family(container: Container) -> Family:
-    """Return a file with what lies beside it: ``beach_RGB.exr`` with ``beach_ALBEDO.exr`` and others of its size.
+    """Return a file with the files of its other passes: ``beach_RGB.exr`` with ``beach_ALBEDO.exr`` and so on.
 
-    Only files of one plain image have others beside them, and only where the passes that tell a renderer are there.
+    Neighbouring files are used only if the file holds one plain RGB(A) image, they have its data window, and they
+    include all passes that identify a preset.
     """
     if len(container.parts) != 1 or {channel.name for channel in container.parts[0].channels} - set("RGBA"):
         return Family(container)
@@ -49,7 +50,7 @@ def find_family(container: Container) -> Family:
             found = _find_parts(container, preset, word) if word in container.path.stem else {}
             if found and all(any(fnmatchcase(name, wanted) for name in found) for wanted in preset.passes):
                 main = _name_part(container.parts[0], 0, word)
-                homes = {FIRST_INDEX + number: home for number, home in enumerate(found.values())}
+                homes = {FIRST_SIBLING_INDEX + number: home for number, home in enumerate(found.values())}
                 parts = [
                     _name_part(home[1], index, name) for (index, home), name in zip(homes.items(), found, strict=True)
                 ]
@@ -59,14 +60,14 @@ def find_family(container: Container) -> Family:
 
 
 def list_family(path: Path) -> list[Path]:
-    """Return a file and those beside it that are read with it; the file alone where it cannot be read."""
+    """Return the paths of a file and of the files read with it; the file alone if it cannot be read."""
     container = _read(path)
     homes = () if container is None else find_family(container).homes.values()
     return [path, *(other.path for other, _ in homes)]
 
 
 def _find_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
-    """Return the passes of a preset that lie beside a file named by ``word``."""
+    """Return the neighbouring files of a preset's passes. Their names have the pass in place of ``word``."""
     found = {}
     head, _, tail = container.path.stem.rpartition(word)
     for name in dict.fromkeys(_list_passes(preset)):

@@ -1,4 +1,4 @@
-"""Which surfaces share a pixel, where a foreign file tells: by Cryptomatte, or by how much of it is background."""
+"""Find the pixels that several surfaces share, from Cryptomatte or from alpha."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from lobewise.guides.cryptomatte import find_coverage, find_object_share
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import ChannelMap, Found
 
-FEWEST_EDGES = 1e-4
-"""Share of the pixels that alpha must find between 0 and 1 before it tells of silhouettes."""
+MIN_EDGE_SHARE = 1e-4
+"""Share of all pixels. Alpha shows silhouettes only if more pixels than this are partly covered."""
 
 
 class Silhouettes(NamedTuple):
-    """What a file tells of silhouettes: `lobewise.GBuffer.coverage` and `object_share`; None for nothing."""
+    """Values of `lobewise.GBuffer.coverage` and `object_share`; None if the file does not show silhouettes."""
 
     coverage: FloatArray | None = None
     object_share: FloatArray | None = None
 
 
 def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
-    """Return what a file tells of silhouettes, and sentences that say by what.
+    """Return the silhouettes of a file, and notes that name their source.
 
-    Of several Cryptomattes the first counts, which is the finest. Without any there may be alpha: it tells surfaces
-    from the background, not from each other.
+    The first usable Cryptomatte counts; it is the finest. Without Cryptomatte, alpha serves. Alpha separates surfaces
+    from the background, but not from each other.
     """
     notes = []
     for passes in channels.cryptomatte:
@@ -34,7 +34,7 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouett
             channel.pixel_type for one in passes for channel in one.source.part.channels if channel.name in one.channels
         }
         if kinds != {"float"}:
-            notes.append(f"{passes[0].label} has ids of 16 bits, which are none, so it is not used.")
+            notes.append(f"{passes[0].label} does not store its ids as 32-bit floats, so it is not used.")
             continue
         planes = [plane for one in passes for plane in read.read_planes(one)]
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
@@ -54,8 +54,8 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Si
     (plane,) = read.read_planes(found)
     alpha = plane.astype(np.float32)
     edges = (alpha > 0.01) & (alpha < 0.99)
-    # Where all is between, it is no share of the area: glass, volumes, a fade.
-    if not FEWEST_EDGES < edges.mean() < 0.5 or not (alpha >= 0.99).any():
+    # If most alpha values are partial, alpha is not coverage: it shows glass, volumes or a fade.
+    if not MIN_EDGE_SHARE < edges.mean() < 0.5 or not (alpha >= 0.99).any():
         return Silhouettes(), []
     told = f"Silhouettes against the background are told by {found.label}; no Cryptomatte tells the others."
     ids, shares = [np.ones(alpha.shape, np.uint32)], [alpha]

@@ -1,4 +1,4 @@
-"""What becomes of a pass's values on their way into a frame: spaces, units, signs; each conversion by its name."""
+"""Convert the values of passes to the conventions of a frame: spaces, units and signs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 
 FARTHEST = 1e9
-"""Distances from here on stand for nothing: renderers write 1e10, 1e30 or infinity for the background."""
-SMALLEST_SHARE = 0.02
-"""Of the albedo that reflects or transmits, below which Cycles' mean roughness tells nothing of it."""
+"""Scene units. Distances from this value on mean no surface: renderers write 1e10, 1e30 or infinity there."""
+MIN_SPECULAR_SHARE = 0.02
+"""Share of the total albedo. Below this specular share, Cycles' mean roughness does not give the specular one."""
 
 
 def convert_plain(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Return values after those conversions that need no camera, in their order."""
+    """Return the values after the conversions that need no camera, applied in the order of ``names``."""
     for name in names:
         if name == "encoded":
             values = np.float32(2.0) * values - np.float32(1.0)
@@ -33,7 +33,7 @@ def convert_plain(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
 
 
 def convert_space(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray:
-    """Return vectors in world space; without a camera they stay as they are, alike in what their angles are."""
+    """Return vectors in world space. Without a camera they stay in camera space, with the same angles."""
     sign = 1.0 if "camera_space" in names else -1.0 if "camera_space_back" in names else 0.0
     if camera is None or sign == 0.0:
         return values
@@ -42,7 +42,7 @@ def convert_space(values: FloatArray, names: tuple[str, ...], camera: Camera | N
 
 
 def convert_depth(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray | None:
-    """Return distances along the rays, 0 for none; None for distances along the axis of a camera that is not known."""
+    """Return distances along the rays, 0 for no surface. Return None if planar depth has no camera to convert it."""
     found = np.where(np.isfinite(values) & (values > 0.0) & (values < FARTHEST), values, np.float32(0.0))
     if "planar" not in names:
         return found
@@ -55,22 +55,22 @@ def convert_depth(values: FloatArray, names: tuple[str, ...], camera: Camera | N
 def undo_mean_roughness(
     mean: FloatArray, diffuse: FloatArray | None, specular: FloatArray | None
 ) -> tuple[FloatArray, NDArray[np.bool_]] | None:
-    """Return the roughness of the lobes that reflect and transmit, and where it is known.
+    """Return the perceptual roughness of the specular lobes, and a mask of the pixels where it is known.
 
-    Cycles' pass is the mean over all closures, each with its albedo for weight and diffuse ones counted as 1: of
-    albedos D and S, ``mean = (D + r S) / (D + S)``. Source: Cycles' src/kernel/film/denoising_passes.h. Ill-conditioned
-    where S is small: there the surface counts as diffuse.
+    Cycles' pass is the mean roughness of all closures, weighted by albedo. Diffuse closures have roughness 1. With the
+    diffuse albedo D and the specular albedo S, ``mean = (D + r S) / (D + S)``. Source: Cycles'
+    src/kernel/film/denoising_passes.h. The inverse is ill-conditioned for small S: there the surface counts as diffuse.
 
     Parameters
     ----------
     mean : (height, width)
         The pass, perceptual roughness.
     diffuse, specular : (height, width, 3), optional
-        Both albedos; None where one is not known.
+        The albedos; None if unknown.
     """
     if diffuse is None or specular is None:
         return None
     d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
-    known = s > SMALLEST_SHARE * np.maximum(d + s, np.float32(1e-6))
+    known = s > MIN_SPECULAR_SHARE * np.maximum(d + s, np.float32(1e-6))
     found = (mean * (d + s) - d) / np.where(known, s, np.float32(1.0))
     return np.clip(np.where(known, found, np.float32(1.0)), 0.0, 1.0), known

@@ -20,7 +20,7 @@ from lobewise.interchange.lighting import (
     take_albedos,
     take_layers,
 )
-from lobewise.interchange.siblings import FIRST_INDEX
+from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.interchange.silhouettes import take_silhouettes
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 
@@ -173,6 +173,6 @@ def list_outputs(draft: Draft) -> Outcome:
     roles = draft.channels.roles
     outputs = {"color": PartOutput(draft.channels.target), **draft.light.outputs}
     outputs |= {name: PartOutput(roles[name]) for name in ("diffuse", "specular") if name in roles}
-    inside = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_INDEX}
+    inside = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_SIBLING_INDEX}
     told = "Passes in files of their own stay as they are there: only the image is written."
     return Outcome(replace(draft, outputs=inside), notes=[told] if len(inside) < len(outputs) else [])
