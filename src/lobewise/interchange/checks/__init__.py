@@ -1,4 +1,4 @@
-"""Conventions of foreign frames are checked: what guides are is measured, mended where it is sure, else told."""
+"""Checks of the conventions of foreign frames. Sure errors are corrected, doubtful ones are reported."""
 
 from lobewise.interchange.checks.denoised import MARKED, check_own_mark
 from lobewise.interchange.checks.finding import Finding

@@ -1,4 +1,4 @@
-"""What compression with loss did to a foreign frame: light below 0, surfaces that are moved."""
+"""Check of the damage by lossy compression in a foreign frame: light below 0, and moved surfaces."""
 
 from __future__ import annotations
 
@@ -11,32 +11,35 @@ from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Channel, Part
 
-DWA_NAMES = ("R", "G", "B", "Y", "RY", "BY")
-"""Last words of the channels that DWAA and DWAB compress with loss, in this case of letters: of positions and normals
-it is y. All others they keep. Source: OpenEXR's src/lib/OpenEXRCore/internal_dwa_classifier.h."""
-MAX_DIP = 0.01
-"""How far below 0 light may be by compression: DWA rounds the 2.2th root of dark values to some hundredths."""
+LOSSY_DWA_NAMES = ("R", "G", "B", "Y", "RY", "BY")
+"""Last words of the channels that DWAA and DWAB compress with loss. They store all other channels exactly. The case of
+letters counts. Of positions and normals only the y component is among them. Source: OpenEXR's
+src/lib/OpenEXRCore/internal_dwa_classifier.h."""
+MAX_UNDERSHOOT = 0.01
+"""Largest distance of light below 0 that compression explains: DWA rounds the 2.2th root of dark values to some
+hundredths."""
 LIGHT = ("color", "diffuse", "specular", "albedo", "diffuse_albedo", "specular_albedo")
-"""Roles that are never below 0."""
+"""Roles whose values are never below 0."""
 SURFACES = ("normal", "position", "depth", "roughness")
+"""Roles that describe surfaces. Their errors by compression are reported, not corrected."""
 
 
 def is_lossy(part: Part, channel: Channel) -> bool:
-    """Return whether the compression of a part changes a channel; PXR24, which keeps 15 bits of mantissa, does not."""
+    """Return whether the compression of a part damages a channel. PXR24 does not: it keeps 15 bits of mantissa."""
     if part.compression in ("dwaa", "dwab"):
-        return channel.pixel_type != "uint" and channel.name.rpartition(".")[2] in DWA_NAMES
+        return channel.pixel_type != "uint" and channel.name.rpartition(".")[2] in LOSSY_DWA_NAMES
     return part.compression in ("b44", "b44a") and channel.pixel_type == "half"
 
 
 def check_compression(
     channels: ChannelMap, read: Callable[[Found], FloatArray]
 ) -> tuple[dict[Key, FloatArray], list[Finding]]:
-    """Return images of light in which values just below 0 are set to 0, and what compression with loss did.
+    """Return images of light whose values just below 0 were set to 0, and findings on lossy compression.
 
     Parameters
     ----------
     channels : ChannelMap
-        What the file holds.
+        The images of the file.
     read : callable
         Returns an image of the file.
     """
@@ -71,11 +74,11 @@ def check_compression(
     dark, lowest = np.zeros((1, 1), np.bool_), 0.0
     for found in filter(is_changed, light):
         image = changed[found.key] if found.key in changed else read(found)
-        dips = (image < 0.0) & (image > -MAX_DIP)
-        if dips.any():
-            lowest = min(lowest, float(image.min(where=dips, initial=0.0)))
-            changed[found.key] = np.where(dips, np.float32(0.0), image)
-            dark = np.asarray(dark | dips.any(axis=-1))
+        below_zero = (image < 0.0) & (image > -MAX_UNDERSHOOT)
+        if below_zero.any():
+            lowest = min(lowest, float(image.min(where=below_zero, initial=0.0)))
+            changed[found.key] = np.where(below_zero, np.float32(0.0), image)
+            dark = np.asarray(dark | below_zero.any(axis=-1))
     if dark.any():
         told = (
             f"Compression with loss ({kinds}) left light or albedos below 0 (down to {lowest:.2g}) at "

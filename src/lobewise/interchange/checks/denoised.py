@@ -1,4 +1,4 @@
-"""Whether a file carries lobewise's own mark: what would be filtered is a result already."""
+"""Check of lobewise's own mark in a file: an image with it was denoised already."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from lobewise.io.exr.layout import require_beauty
 from lobewise.io.exr.schema import BEAUTY, DENOISED
 
 MARKED = "denoised by lobewise"
-"""What is found where the image, or the light that makes it up, is a result of lobewise."""
+"""Name of the finding that the image, or the passes of light that add up to it, are results of lobewise."""
 LIGHT = ("diffuse", "specular")
-BEGINS = f"Lobewise has denoised this file (attribute {DENOISED!r})"
+"""Roles of the passes of light that add up to the image."""
+SAYS_MARK = f"Lobewise has denoised this file (attribute {DENOISED!r})"
 
 
 def leave_out_denoised_light(container: Container, channels: ChannelMap) -> ChannelMap:
-    """Return the channels without the passes of light, if lobewise has denoised those but not the image.
+    """Return the channels without the passes of light, if lobewise has denoised the passes but not the image.
 
-    Where the renderer had denoised its image, the noisy one is still there after lobewise. It is filtered as a whole,
-    because the light that made it up is not there noisy.
+    If the renderer had denoised its image, lobewise wrote its result there, and the file still has the noisy image.
+    The noisy image is then filtered as a whole, because no noisy passes of light are left.
     """
     is_image_denoised, is_light_denoised = _find_denoised(container, channels)
     if is_image_denoised or not is_light_denoised:
@@ -30,16 +31,16 @@ def leave_out_denoised_light(container: Container, channels: ChannelMap) -> Chan
 
 
 def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
-    """Return whether lobewise has denoised the image of another renderer's file, or the light that makes it up."""
+    """Return a finding if lobewise has denoised the image of another renderer's file, or its passes of light."""
     is_image_denoised, is_light_denoised = _find_denoised(container, channels)
     if is_image_denoised:
-        told = f"{BEGINS}: give the noisy render, or say by --map color=... which image is noisy."
+        told = f"{SAYS_MARK}: give the noisy render, or say by --map color=... which image is noisy."
         return [Finding(MARKED, told, mended=False)]
     if not is_light_denoised:
         return []
     told = (
-        f"{BEGINS}, but not {channels.roles['color'].label}: that is filtered as a whole, as the light that makes it "
-        "up is denoised; the noisy render gives a better result."
+        f"{SAYS_MARK}, but not {channels.roles['color'].label}: that is filtered as a whole, as the light that makes "
+        "it up is denoised; the noisy render gives a better result."
     )
     return [Finding(MARKED, told, mended=True)]
 
@@ -57,7 +58,7 @@ def _find_denoised(container: Container, channels: ChannelMap) -> tuple[bool, bo
 
 
 def check_own_mark(container: Container) -> tuple[Finding, ...]:
-    """Return what was found of a file in lobewise's own names: that its image is a result."""
+    """Return a finding if the image of a file with lobewise's own channel names is a result of lobewise."""
     replaced = (read_replaced(container) or {}).get(require_beauty(container).index, frozenset())
-    told = f"{BEGINS}: give the noisy render."
+    told = f"{SAYS_MARK}: give the noisy render."
     return (Finding(MARKED, told, mended=False),) if replaced.intersection(BEAUTY.channels) else ()

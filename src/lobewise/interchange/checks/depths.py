@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
+from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 
 MAX_ERROR_OF_RIGHT_DEPTH, MIN_ERROR_OF_WRONG_DEPTH = 0.005, 0.02
 """Median differences between depth and positions, as shares of the distance: up to the first the depth is right, from
@@ -104,7 +104,7 @@ def check_depth_by_position(
     points = position[rows, columns].astype(np.float64)
     taken = depth[rows, columns].astype(np.float64)
     there = (points != 0.0).any(axis=-1) & np.isfinite(points).all(axis=-1) & (taken > 0.0)
-    if there.sum() < FEWEST_SAMPLES:
+    if there.sum() < MIN_PIXELS:
         return CheckedDepth(depth)
     steps = points[there] - camera.position
     away = np.linalg.norm(steps, axis=-1)
@@ -177,7 +177,7 @@ def check_depth_by_normal(
     rows, columns = choose_centers((height, width), reach)
     pairs = [_take_pairs(depth, normal, rays, (rows, columns), step) for step in ((0, reach), (reach, 0))]
     n, r, s, d, e = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-    if len(n) < FEWEST_SAMPLES:
+    if len(n) < MIN_PIXELS:
         return CheckedDepth(depth)
     axis = camera.forward
     if planar:

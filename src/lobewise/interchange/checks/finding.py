@@ -1,4 +1,4 @@
-"""What was measured in a frame and is not what it was taken for."""
+"""Findings of the checks of foreign frames."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """One convention of a file that is another than it was taken for.
+    """One property of a file that differs from what was assumed.
 
     Parameters
     ----------
     what : str
-        Its name, one of those in the table "What is checked" of ``docs/renderers.md``.
+        Name of the finding, from the table "What is checked" of ``docs/renderers.md``.
     told : str
-        One sentence for the user: what was seen, and what becomes of it.
+        One sentence for the user: what was measured, and what is done about it.
     mended : bool
-        Whether the frame was changed for it; else it is a warning.
+        Whether the frame was corrected. If not, the finding is a warning.
     """
 
     what: str
@@ -26,5 +26,5 @@ class Finding:
 
 
 def list_names(names: Sequence[str]) -> str:
-    """Return names as a sentence has them: ``a, b and c``."""
+    """Return names joined for a sentence: ``a, b and c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

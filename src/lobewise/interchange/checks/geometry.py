@@ -1,4 +1,4 @@
-"""The surfaces that positions show, measured at some pixels: what other guides are held against."""
+"""Surfaces measured from positions at some pixels. Other guides are compared with them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 
-MOST_SAMPLES = 12000
-"""Pixels that are looked at."""
-FEWEST_SAMPLES = 60
-"""Pixels below which nothing is told."""
-BENT = 0.1
-"""Distance from the plane through its neighbours, over that between them, from which on a surface counts as bent."""
+MAX_PIXELS = 12000
+"""Largest number of pixels that are measured."""
+MIN_PIXELS = 60
+"""Smallest number of measured pixels from which a check draws conclusions."""
+MAX_PLANE_DISTANCE = 0.1
+"""Largest distance of a flat surface's points from the plane through them, over the distance between the points."""
 
 Indices = NDArray[np.intp]
 
@@ -27,7 +27,7 @@ class Patches:
     Parameters
     ----------
     rows, columns : (n,)
-        Where they are.
+        Pixel coordinates.
     normal : (n, 3)
         Unit normal of the plane through the points of the neighbours, on the camera's side.
     view : (n, 3)
@@ -43,21 +43,21 @@ class Patches:
         return len(self.rows)
 
     def take(self, image: FloatArray) -> FloatArray:
-        """Return an image's values at the pixels."""
+        """Return the values of an image at these pixels."""
         return np.asarray(image[self.rows, self.columns])
 
-    def thin_out(self, most: int) -> Patches:
-        """Return at most so many of the pixels, evenly spread."""
-        step = slice(None, None, -(-len(self) // most) or 1)
+    def thin_out(self, max_count: int) -> Patches:
+        """Return at most ``max_count`` of the pixels, evenly spread."""
+        step = slice(None, None, -(-len(self) // max_count) or 1)
         return Patches(self.rows[step], self.columns[step], self.normal[step], self.view[step])
 
 
-def choose_centers(shape: tuple[int, int], reach: int, most: int = MOST_SAMPLES) -> tuple[Indices, Indices]:
-    """Return rows and columns of a regular grid over an image, ``reach`` pixels from its edges."""
+def choose_centers(shape: tuple[int, int], reach: int, max_count: int = MAX_PIXELS) -> tuple[Indices, Indices]:
+    """Return rows and columns of a regular grid over an image that keeps ``reach`` pixels away from the edges."""
     height, width = shape
-    step = max(1, int(np.ceil(np.sqrt(height * width / most))))
+    step = max(1, int(np.ceil(np.sqrt(height * width / max_count))))
     rows, columns = np.arange(reach, height - reach, step), np.arange(reach, width - reach, step)
-    # Every second row starts half a step later, so that nothing that repeats with the columns is missed.
+    # Shift every second row by half a step, so that the grid does not miss patterns that repeat with its columns.
     grid_rows, grid_columns = np.meshgrid(rows, columns, indexing="ij")
     grid_columns = grid_columns + (np.arange(len(rows)) % 2)[:, None] * (step // 2)
     inside = grid_columns < width - reach
@@ -81,14 +81,14 @@ def compute_normals(
 
 
 def find_patches(position: FloatArray, camera: Camera) -> Patches:
-    """Return where the positions of a frame show flat surfaces, and which way those face.
+    """Return the pixels whose positions lie on flat surfaces, and the normals of these surfaces.
 
     Parameters
     ----------
     position : (height, width, 3)
-        World positions; 0 or not finite where there is no surface.
+        World positions. They are 0 or not finite where there is no surface.
     camera : Camera
-        It tells the side.
+        The camera towards which the normals are turned.
     """
     height, width = position.shape[:2]
     reach = 1 if height * width < 250_000 else 2
@@ -105,5 +105,9 @@ def find_patches(position: FloatArray, camera: Camera) -> Patches:
     with np.errstate(invalid="ignore", divide="ignore"):
         view = to_camera / np.linalg.norm(to_camera, axis=-1, keepdims=True)
         apart = np.abs(((points[1:] - center) * normal).sum(axis=-1)).max(axis=0)
-        flat = (length[:, 0] > 1e-3 * scale * scale) & (apart < BENT * scale) & np.isfinite(view).all(axis=-1)
+        flat = (
+            (length[:, 0] > 1e-3 * scale * scale)
+            & (apart < MAX_PLANE_DISTANCE * scale)
+            & np.isfinite(view).all(axis=-1)
+        )
     return Patches(rows[flat], columns[flat], normal[flat].astype(np.float32), view[flat].astype(np.float32))

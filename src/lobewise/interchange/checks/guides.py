@@ -1,4 +1,4 @@
-"""Guides as they stand in a file: values that are none, normals stored as colors, albedos out of range."""
+"""Checks of guides as a file stores them: NaN and infinity, normals encoded as colors, albedos out of range."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
+from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.values import FARTHEST
 
-ROUNDING = 1e-3
-"""How far beyond [0, 1] an albedo may be by the rounding of 16-bit floats."""
-NOT_ALBEDO = 0.2
-"""Share of the pixels above 1 from which on an image is hardly an albedo."""
-UNIT = 0.1
-"""How far the length of most normals may be from 1: means of bumps are shorter."""
-LONGEST = 1.05
-FEW = 0.01
+MAX_ROUNDING_ERROR = 1e-3
+"""Largest distance of an albedo from [0, 1] that the rounding of 16-bit floats explains."""
+MAX_SHARE_ABOVE_ONE = 0.2
+"""Largest share of pixels above 1 in an albedo. An image with more of them is probably light."""
+MAX_LENGTH_ERROR = 0.1
+"""Largest difference from 1 of the lengths of three quarters of the normals. Averaged bumps have shorter normals."""
+MAX_NORMAL_LENGTH = 1.05
+"""Length above which a normal is too long to be a mean of unit normals."""
+MAX_SHARE_OF_EXCEPTIONS = 0.01
+"""Largest share of the pixels that may contradict an encoding of normals."""
 
 Mask = NDArray[np.bool_]
 
@@ -27,9 +29,9 @@ Mask = NDArray[np.bool_]
 def check_values(
     images: Mapping[str, FloatArray], labels: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], list[Finding]]:
-    """Return the guides that had values that are none, those filled from their neighbours, and what was found.
+    """Return guides whose NaN and infinite values were filled from neighbouring pixels, and findings.
 
-    Infinite depths and positions stand for no surface and are none of them.
+    Infinite depths and positions are left alone: they mean that there is no surface.
     """
     changed, findings = {}, []
     for role, image in images.items():
@@ -45,9 +47,9 @@ def check_values(
 
 
 def _find_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
-    """Return which pixels are NaN (or infinite), None where none is; most images need but one fast sum."""
+    """Return which pixels are NaN, or with ``infinite`` also infinite. Return None if no pixel is."""
     with np.errstate(all="ignore"):
-        # Not so for NaN.
+        # One fast sum is enough for most images. A comparison with NaN is false.
         if np.vdot(image, image) < FARTHEST:
             return None
         bad = ~(np.abs(image) < FARTHEST) if infinite else np.isnan(image)
@@ -56,10 +58,10 @@ def _find_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
 
 
 def fill_bad(image: FloatArray, bad: Mask) -> tuple[FloatArray, int]:
-    """Return an image whose bad pixels are the mean of their neighbours, and how many are; the others become 0.
+    """Return an image whose bad pixels are the mean of their good neighbours, and the number of pixels filled.
 
-    A pixel is filled if at least five of its eight neighbours are good: at the border of a region that has no
-    values at all it is left alone.
+    A pixel is filled if at least five of its eight neighbours are good. Other bad pixels become 0, as those at the
+    border of a region without any values.
     """
     height, width = bad.shape
     filled = image.copy()
@@ -82,15 +84,15 @@ def fill_bad(image: FloatArray, bad: Mask) -> tuple[FloatArray, int]:
 
 
 def check_albedos(images: Mapping[str, FloatArray]) -> list[Finding]:
-    """Return what was found of albedos, by their channels: reading clamps them to [0, 1] whatever they are."""
+    """Return findings on albedos outside [0, 1], which reading clamps. ``images`` has them by their channels."""
     findings = []
     for label, image in images.items():
         high, low = float(image.max()), float(image.min())
-        if high <= 1.0 + ROUNDING and low >= -ROUNDING:
+        if high <= 1.0 + MAX_ROUNDING_ERROR and low >= -MAX_ROUNDING_ERROR:
             continue
-        above = int((image > 1.0 + ROUNDING).any(axis=-1).sum())
-        below = int((image < -ROUNDING).any(axis=-1).sum())
-        if above > NOT_ALBEDO * image.shape[0] * image.shape[1]:
+        above = int((image > 1.0 + MAX_ROUNDING_ERROR).any(axis=-1).sum())
+        below = int((image < -MAX_ROUNDING_ERROR).any(axis=-1).sum())
+        if above > MAX_SHARE_ABOVE_ONE * image.shape[0] * image.shape[1]:
             told = (
                 f"{label} is above 1 at {above} pixels (up to {high:.3g}), too many for an albedo: is it light? "
                 "It was clamped; another pass is chosen by --map."
@@ -104,43 +106,48 @@ def check_albedos(images: Mapping[str, FloatArray]) -> list[Finding]:
 
 
 def check_encoding(normal: FloatArray, label: str, *, encoded: bool) -> tuple[FloatArray | None, list[Finding]]:
-    """Return normals decoded, or None where they stand as they are, and what was found.
+    """Return normals as [-1, 1], or None if they need no change of encoding, and findings.
 
     Parameters
     ----------
     normal : (height, width, 3)
-        As in the file.
+        Normals as the file stores them.
     label : str
-        Its channels.
+        Channels of the normals.
     encoded : bool
-        Whether they were taken to lie in [0, 1].
+        Whether the preset or the user says that they are stored in [0, 1].
     """
     sample = normal[choose_centers((normal.shape[0], normal.shape[1]), 0)].astype(np.float64)
-    # Nothing is stored as black, or as the gray that stands for 0.
+    # Pixels without a surface are black, or the gray that encodes 0.
     gray = (np.abs(2.0 * sample - 1.0) < 0.02).all(axis=-1)
     sample = sample[np.isfinite(sample).all(axis=-1) & (sample != 0.0).any(axis=-1) & ~gray]
-    if len(sample) < FEWEST_SAMPLES:
+    if len(sample) < MIN_PIXELS:
         return (_decode(normal) if encoded else None), []
     plain, decoded = np.linalg.norm(sample, axis=-1), np.linalg.norm(2.0 * sample - 1.0, axis=-1)
-    if not encoded and (sample >= -ROUNDING).all() and _is_unit(decoded) and not _is_unit(plain):
+    if not encoded and (sample >= -MAX_ROUNDING_ERROR).all() and _is_unit(decoded) and not _is_unit(plain):
         told = f"{label} is stored in [0, 1], so it was decoded to [-1, 1]."
         return _decode(normal), [Finding("normals encoded", told, mended=True)]
-    if encoded and (sample < -0.05).any(axis=-1).mean() > FEW and _is_unit(plain) and not _is_unit(decoded):
+    if (
+        encoded
+        and (sample < -0.05).any(axis=-1).mean() > MAX_SHARE_OF_EXCEPTIONS
+        and _is_unit(plain)
+        and not _is_unit(decoded)
+    ):
         told = f"{label} was taken to be stored in [0, 1] but is not, so it was not decoded."
         return normal, [Finding("normals not encoded", told, mended=True)]
     lengths = decoded if encoded else plain
-    if (lengths > LONGEST).mean() > FEW and not encoded:
+    if (lengths > MAX_NORMAL_LENGTH).mean() > MAX_SHARE_OF_EXCEPTIONS and not encoded:
         told = f"{label} has lengths up to {np.quantile(lengths, 0.99):.3g}, so it was normalised."
         return None, [Finding("normals not of unit length", told, mended=True)]
     return (_decode(normal) if encoded else None), []
 
 
 def _decode(normal: FloatArray) -> FloatArray:
-    """Return normals that are stored in [0, 1], and black where there is none."""
+    """Return normals in [-1, 1] from normals stored in [0, 1]. Black means that there is no surface."""
     nothing = ~(normal != 0.0).any(axis=-1, keepdims=True)
     return np.asarray(np.where(nothing, np.float32(0.0), np.float32(2.0) * normal - np.float32(1.0)))
 
 
 def _is_unit(lengths: NDArray[np.float64]) -> bool:
-    """Return whether these are lengths of unit normals, but for those that are means."""
-    return bool(abs(np.median(lengths) - 1.0) < 0.03 and np.quantile(np.abs(lengths - 1.0), 0.75) < UNIT)
+    """Return whether most lengths are those of unit normals. Some may be shorter, because they are means."""
+    return bool(abs(np.median(lengths) - 1.0) < 0.03 and np.quantile(np.abs(lengths - 1.0), 0.75) < MAX_LENGTH_ERROR)

@@ -1,4 +1,4 @@
-"""What a foreign frame has of what denoising can use, what it lacks, what follows, and what to switch on."""
+"""Inputs of denoising that a foreign frame has or lacks, the cost of each, and the renderer's switch for it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from lobewise.frame import Frame
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.describe import COSTS, USES, Lack
 
-SWITCHES = ("normal", "position", "layers", "albedo", "roughness")
-"""Roles whose passes are worth naming, in the order of what they bring."""
+ADVISED_ROLES = ("normal", "position", "layers", "albedo", "roughness")
+"""Roles whose passes the advice names, the most useful one first."""
 
 
 def list_uses(channels: ChannelMap, frame: Frame) -> tuple[str, ...]:
-    """Return what denoising uses of a frame, of `lobewise.io.exr.describe.USES`."""
+    """Return the entries of `lobewise.io.exr.describe.USES` that a frame has."""
     guides = frame.gbuffer
     there = {
         "normal": "normal" in channels.roles,
@@ -26,10 +26,10 @@ def list_uses(channels: ChannelMap, frame: Frame) -> tuple[str, ...]:
 
 
 def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -> list[Lack]:
-    """Return what a frame lacks, each with the sentence that says so, unless one sentence says it of an image alone."""
+    """Return the inputs that a frame lacks, each with a sentence. An image alone has one sentence for all of them."""
     advice, lacks, is_alone = channels.preset.advice, [], bool(describe_alone(channels, frame))
     for role in [role for role in COSTS if role not in list_uses(channels, frame)]:
-        # A camera alone places nothing, and positions bring a camera.
+        # A camera alone places no surface. Positions do, and a camera can be fitted to them.
         asked = "position" if role == "camera" and not frame.gbuffer.is_placed and "position" in advice else role
         told = advice.get(asked) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
         if role in channels.roles:
@@ -37,7 +37,7 @@ def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -
         if role == "layers" and is_light_denoised:
             told = "none; the passes of light are denoised by lobewise already"
         remedy, reason = ("", told.removeprefix("none; ")) if told.startswith("none") else (told, "")
-        # A renderer that is not known has no menu.
+        # For an unknown renderer there is no menu to name.
         lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
         more = f"; {lead} {remedy}" if remedy else f" ({reason})" if reason else ""
         name = "positions" if role == "camera" and frame.camera is not None else role
@@ -48,17 +48,19 @@ def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -
 
 
 def describe_alone(channels: ChannelMap, frame: Frame) -> list[str]:
-    """Return what is said, in place of everything that is missing, where there is nothing to denoise by but the image.
+    """Return one sentence in place of a list of what is missing, if a frame has nothing but its color image.
 
-    Measured at 16 samples per pixel, the error over that of Open Image Denoise, which has no guides either: 4, 9, 16
-    and 4 on scenes of Blender, 6 and 4 on those of LuxCore; on two of Mitsuba 0.4, for its pixel filter spreads every
-    sample over several pixels, and Open Image Denoise leaves such noise.
+    The sentence gives the error over that of Open Image Denoise without guides, measured at 16 samples per pixel: 4,
+    9, 16 and 4 on scenes of Blender, 6 and 4 on scenes of LuxCore. On two scenes of Mitsuba the ratio is 0.4: its
+    pixel filter spreads each sample over several pixels, and Open Image Denoise leaves such noise.
     """
     guides, preset = frame.gbuffer, channels.preset
     known = (guides.position, guides.depth, guides.diffuse_albedo, guides.specular_albedo, guides.alpha_u)
     if "normal" in channels.roles or frame.radiance.parts is not None or any(image is not None for image in known):
         return []
-    advice = [text for role in SWITCHES if (text := preset.advice.get(role, "none")) and not text.startswith("none")]
+    advice = [
+        text for role in ADVISED_ROLES if (text := preset.advice.get(role, "none")) and not text.startswith("none")
+    ]
     lead = "render with" if preset.name == "generic" else f"switch on in {preset.title}:"
     return [
         "Of a color image alone lobewise's own filters make a weak result, with 4 to 16 times the error of Open Image "

@@ -1,4 +1,4 @@
-"""Which space normals are in and which way they point, by the surfaces that positions show."""
+"""Check of the space and the side of normals, by comparison with the surfaces that positions show."""
 
 from __future__ import annotations
 
@@ -13,31 +13,32 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.flips import FLIPS, LIES
-from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, Patches
+from lobewise.interchange.checks.geometry import MIN_PIXELS, Patches
 
 Matrix = NDArray[np.float32]
 
-ALIKE = 0.8
-"""Cosine from which on a normal may be that of its surface: bumps and curvature make them differ."""
-CLOSE = 0.97
-"""Cosine from which on it is told to be."""
+MIN_ALIKE_COSINE = 0.8
+"""Cosine between a normal and its surface's, from which on they may be equal but for bumps and curvature."""
+MIN_CLOSE_COSINE = 0.97
+"""Cosine between a normal and its surface's, from which on messages say that they agree."""
 SHARPNESS = 50.0
-"""Of the score, the mean of ``exp(SHARPNESS (cosine - 1))``: 1 for the normals of the surfaces, 0.5 at 10 degrees."""
-SURE = 0.9
-"""Share of the pixels that must be alike, of what is taken for right."""
-FAIR = 0.5
-"""That where it is twice as many as of what the file was taken for: leaves and hair have normals of their own."""
-LEAST_GAIN = 0.03
-"""By how much its score must be higher than that of what the file was taken for."""
-FLIP_GAIN = 0.1
-"""By how much the score of normals that are turned over must be higher."""
-MOST_JUDGED = 2500
-"""Pixels by which normals are judged."""
-DOUBTFUL = 0.4
-"""Share of the pixels below which normals are said to fit nothing."""
+"""Exponent of the score, the mean of ``exp(SHARPNESS (cosine - 1))``: 1 at 0 degrees, 0.5 at 10 degrees."""
+MIN_ALIKE_SHARE = 0.9
+"""Share of alike pixels from which on a guess is right."""
+MIN_ALIKE_SHARE_IF_TWICE = 0.5
+"""Share of alike pixels from which on a guess is right, if it has twice the share of the assumed space. Leaves and hair
+have normals that differ from their surfaces."""
+MIN_SCORE_GAIN = 0.03
+"""Smallest gain in score of a guess over the assumed space."""
+MIN_FLIP_SCORE_GAIN = 0.1
+"""Smallest gain in score of normals that are turned over."""
+MAX_JUDGED_PIXELS = 2500
+"""Largest number of pixels by which normals are judged."""
+MIN_ALIKE_SHARE_OF_KNOWN = 0.4
+"""Share of alike pixels below which a warning says that the normals fit no space."""
 NEGATED_COST, TURNED_COST, EITHER_COST = 0.01, 0.02, 0.015
-"""By how much more the score of a guess must be higher than that of a simpler one: that all normals are negated, that
-they are in another space or have other axes, and that some look away from the camera."""
+"""Deductions from the score of a guess, so that simpler guesses win: if all normals are negated, if they are in another
+space or have other axes, and if some look away from the camera."""
 WORLD, CAMERA, HEADER, RAY = "world", "camera", "header", "ray"
 SPACES = {
     WORLD: "world space",
@@ -58,9 +59,9 @@ class Guess:
     space : str
         A key of `SPACES`.
     axes : (3, 3)
-        Rows of 0, 1 and -1: which component in that space the file's x, y and z are.
+        Rows of 0, 1 and -1: the component in ``space`` that the file's x, y and z are.
     either : bool
-        Whether normals look to the camera or away from it, surface by surface.
+        Whether some normals look to the camera and others away from it.
     """
 
     space: str
@@ -68,7 +69,7 @@ class Guess:
     either: bool = False
 
     def tell(self) -> str:
-        """Return it in words."""
+        """Return the guess in words."""
         if self.space == WORLD and np.array_equal(self.axes, np.eye(3)):
             return SPACES[WORLD]
         if self.space == WORLD and np.array_equal(self.axes, -np.eye(3)):
@@ -82,7 +83,7 @@ class Guess:
 
 
 def list_axes() -> list[Matrix]:
-    """Return the 48 ways to name and turn three axes, those that keep their order first."""
+    """Return the 48 permutations and signs of three axes. The ones in the original order come first."""
     found = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
@@ -93,21 +94,21 @@ def list_axes() -> list[Matrix]:
 
 
 def make_bases(camera: Camera, header: Camera | None, rays: FloatArray) -> dict[str, Matrix]:
-    """Return the axes of every space at some pixels, in the world's: (3, 3) or (n, 3, 3), a row for each component.
+    """Return the axes of every space in world coordinates, (3, 3), or (n, 3, 3) if they differ from pixel to pixel.
 
     Parameters
     ----------
     camera : Camera
-        That of the positions.
+        The camera of the positions.
     header : Camera, optional
-        That of the header, where it is another.
+        The camera of the header.
     rays : (n, 3)
         Unit directions of the pixels' rays.
     """
     bases = {WORLD: np.eye(3, dtype=np.float32), CAMERA: _stack_axes(camera)}
     if header is not None and np.abs(_stack_axes(header) - bases[CAMERA]).max() > 0.02:
         bases[HEADER] = _stack_axes(header)
-    # As V-Ray has it: x stands on the camera's up and on the ray, y on its right and on the ray.
+    # As in V-Ray: x is perpendicular to the camera's up and the ray, y to the camera's right and the ray.
     right, up = (np.cross(*pair) for pair in ((rays, camera.up), (camera.right, rays)))
     unit = [side / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-9) for side in (right, up)]
     bases[RAY] = np.stack([*unit, rays], axis=-2).astype(np.float32)
@@ -119,7 +120,7 @@ def _stack_axes(camera: Camera) -> Matrix:
 
 
 def take_assumed(convert: Iterable[str]) -> Guess:
-    """Return in which space the conversions of a role take normals to be."""
+    """Return the space of normals that the conversions of a role assume."""
     words = list(convert)
     if "camera_space" in words:
         return Guess(CAMERA, np.eye(3, dtype=np.float32))
@@ -139,7 +140,7 @@ class Judged:
     score : float
         See `SHARPNESS`.
     alike, close : float
-        Shares of the pixels whose normals are within `ALIKE` and `CLOSE`.
+        Shares of the pixels whose normals are within `MIN_ALIKE_COSINE` and `MIN_CLOSE_COSINE`.
     """
 
     guess: Guess
@@ -151,21 +152,21 @@ class Judged:
 def judge_normals(
     raw: FloatArray, bases: Mapping[str, Matrix], surface: FloatArray, assumed: Guess
 ) -> tuple[Judged, Judged]:
-    """Return what was assumed and what is best, which is the same where nothing is better.
+    """Return the assumed guess and the best guess. They are the same object if no other guess is clearly better.
 
     Parameters
     ----------
     raw : (n, 3)
-        Unit normals as in the file.
+        Unit normals as the file stores them.
     bases : mapping of str to array
-        As `make_bases` returns.
+        Axes of the spaces, from `make_bases`.
     surface : (n, 3)
         Unit normals of the surfaces, on the camera's side.
     assumed : Guess
-        What the file was taken for.
+        The space that the preset or the user gives.
     """
     first = Judged(assumed, *_score(_find_cosines(raw, bases[assumed.space], surface, assumed.axes[None]))[0])
-    if first.score > 1.0 - LEAST_GAIN:
+    if first.score > 1.0 - MIN_SCORE_GAIN:
         return first, first
     every = list_axes()
     judged: list[tuple[float, Judged]] = []
@@ -179,33 +180,33 @@ def judge_normals(
             cost = 0.0 if known else NEGATED_COST if negated else TURNED_COST
             judged += [(one.score - cost, one), (either.score - cost - EITHER_COST, either)]
     best = max(judged, key=lambda pair: pair[0])[1]
-    return first, best if best.score >= first.score + LEAST_GAIN else first
+    return first, best if best.score >= first.score + MIN_SCORE_GAIN else first
 
 
 def _find_cosines(raw: FloatArray, basis: Matrix, surface: FloatArray, axes: Matrix) -> FloatArray:
-    """Return the cosines (n, k) between normals and those of the surfaces, named and turned in k ways (k, 3, 3)."""
+    """Return the cosines (n, k) between raw normals and surface normals, for k choices of axes (k, 3, 3)."""
     local = (basis * surface[:, None, :]).sum(axis=-1)
     return np.asarray((raw[:, :, None] * local[:, None, :]).reshape(len(raw), 9) @ axes.reshape(len(axes), 9).T)
 
 
 def _score(cosines: FloatArray) -> FloatArray:
-    """Return for each column of cosines (n, k) the fields of `Judged` that tell how good they are: (k, 3)."""
+    """Return score, alike and close of `Judged` for each column of cosines (n, k): (k, 3)."""
     return np.stack(
         [
             np.exp(np.float32(SHARPNESS) * (np.minimum(cosines, 1.0) - np.float32(1.0))).mean(axis=0),
-            (cosines > ALIKE).mean(axis=0),
-            (cosines > CLOSE).mean(axis=0),
+            (cosines > MIN_ALIKE_COSINE).mean(axis=0),
+            (cosines > MIN_CLOSE_COSINE).mean(axis=0),
         ],
         axis=1,
     )
 
 
 def turn_normals(raw: FloatArray, guess: Guess, basis: Matrix) -> FloatArray:
-    """Return normals of a file (n, 3) in the world, unit length, 0 where they are."""
+    """Return raw normals (n, 3) turned to world space. Their length is 1, or 0 where the raw normal is 0."""
     local = raw @ guess.axes
     if guess.space == RAY:
         right, up, away = (basis[..., axis, :] for axis in range(3))
-        # Right, up and away are a left-handed triple, and not quite at right angles: Cramer's rule, up to the length.
+        # The axes are left-handed and not quite perpendicular. Solve by Cramer's rule; the length is set below.
         sides = np.cross(away, up), np.cross(right, away), np.cross(up, right)
         turned = sum(local[..., axis, None] * side for axis, side in enumerate(sides))
     else:
@@ -215,7 +216,7 @@ def turn_normals(raw: FloatArray, guess: Guess, basis: Matrix) -> FloatArray:
 
 
 def undo_turn(normal: FloatArray, assumed: Guess, camera: Camera) -> FloatArray:
-    """Return normals as they were in the file, up to their length, before they were turned to the world."""
+    """Return normals as the file stores them, except for their length, from normals in world space."""
     if assumed.space == WORLD:
         return normal
     return np.asarray(normal @ _stack_axes(camera).T @ assumed.axes.T, dtype=np.float32)
@@ -232,39 +233,39 @@ def check_normals(
     *,
     sure: bool,
 ) -> tuple[FloatArray, list[Finding]]:
-    """Return normals in the world on the camera's side, and what was found.
+    """Return normals in world space on the camera's side, and findings.
 
     Parameters
     ----------
     normal : (height, width, 3)
-        Unit normals in the world if ``assumed`` is right, 0 where there is no surface.
+        Unit normals, in world space if ``assumed`` is right. They are 0 where there is no surface.
     label : str
-        Their channels.
+        Channels of the normals.
     assumed : Guess
-        What the file was taken for.
+        The space that the preset or the user gives.
     patches : Patches
-        Surfaces that the positions show.
+        Flat surfaces that the positions show.
     camera, header : Camera
-        That of the positions, and the header's, if any.
+        The camera of the positions, and the camera of the header, if any.
     facing : callable
-        Makes the normals of the surfaces on the camera's side, (height, width, 3), by which those that look away are
-        turned.
+        Computes the normals of the surfaces on the camera's side, (height, width, 3). They show which normals look
+        away.
     sure : bool
-        Whether the surfaces are where they are shown: the depth, say, agrees with the positions.
+        Whether the positions are known to be right, for example because the depth agrees with them.
     """
-    if len(patches) < FEWEST_SAMPLES:
+    if len(patches) < MIN_PIXELS:
         return normal, []
-    patches = patches.thin_out(MOST_JUDGED)
+    patches = patches.thin_out(MAX_JUDGED_PIXELS)
     normal, findings = _check_flip(normal, label, patches, sure=sure)
     taken = patches.take(normal)
     there = np.linalg.norm(taken, axis=-1) > 0.5
-    if there.sum() < FEWEST_SAMPLES:
+    if there.sum() < MIN_PIXELS:
         return normal, findings
     raw = undo_turn(taken[there], assumed, camera)
     bases = make_bases(camera, header, -patches.view[there])
     first, best = judge_normals(raw, bases, patches.normal[there], assumed)
-    clearly = best.alike > FAIR and best.alike > 2.0 * first.alike and not best.guess.either
-    if best is first or not (best.alike > SURE or clearly):
+    clearly = best.alike > MIN_ALIKE_SHARE_IF_TWICE and best.alike > 2.0 * first.alike and not best.guess.either
+    if best is first or not (best.alike > MIN_ALIKE_SHARE or clearly):
         return normal, findings + _doubt(label, first)
     height, width = normal.shape[:2]
     rays = camera.make_ray_directions(width, height)
@@ -277,15 +278,15 @@ def check_normals(
 
 
 def _check_flip(normal: FloatArray, label: str, patches: Patches, *, sure: bool) -> tuple[FloatArray, list[Finding]]:
-    """Return normals turned over where they then are those of the surfaces, and were not."""
+    """Return normals turned over, if only then they agree with the surfaces, and findings."""
     scores = {}
     for flip, slices in FLIPS.items():
         cosines = (patches.take(normal[slices]) * patches.normal).sum(axis=-1, keepdims=True)
         scores[flip] = _score(cosines)[0]
-        if flip == LIES and scores[flip][1] > SURE:
+        if flip == LIES and scores[flip][1] > MIN_ALIKE_SHARE:
             return normal, []
     best = max(scores, key=lambda flip: scores[flip][0])
-    if scores[best][1] < SURE or scores[best][0] < scores[LIES][0] + FLIP_GAIN:
+    if scores[best][1] < MIN_ALIKE_SHARE or scores[best][0] < scores[LIES][0] + MIN_FLIP_SCORE_GAIN:
         return normal, []
     told = f"{label} lies {best} under the surfaces that the positions show"
     if not sure:
@@ -296,7 +297,7 @@ def _check_flip(normal: FloatArray, label: str, patches: Patches, *, sure: bool)
 
 
 def _doubt(label: str, first: Judged) -> list[Finding]:
-    if first.alike >= DOUBTFUL:
+    if first.alike >= MIN_ALIKE_SHARE_OF_KNOWN:
         return []
     told = (
         f"{label} agrees with the surfaces that the positions show at only {100.0 * first.alike:.0f} % of the pixels, "

@@ -1,4 +1,4 @@
-"""Whether a roughness is perceptual or alpha, where a second pass of the file tells it."""
+"""Check of a roughness: its range, and whether it is perceptual or alpha if a second pass of the file shows it."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ import numpy as np
 from lobewise.frame import FloatArray
 from lobewise.interchange.channels import keep_beside, list_passes
 from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.geometry import FEWEST_SAMPLES, choose_centers
+from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 
 if TYPE_CHECKING:
     from lobewise.io.exr.container import Container
 
-APART = 0.05
-"""Median difference from the roughness that the second pass tells, from which on the first is another number."""
-ALIKE = 0.02
-"""That up to which it is the same."""
-MIDDLE = (0.1, 0.9)
-"""Roughnesses which differ enough from their squares."""
-NOT_ROUGHNESS = 0.2
-"""Share of the pixels above 1 from which on numbers are hardly roughnesses."""
-ROUNDING = 1e-3
+MIN_DIFFERENCE_OF_WRONG = 0.05
+"""Median difference between the roughness and the second pass, from which on the meaning of the roughness is wrong."""
+MAX_DIFFERENCE_OF_RIGHT = 0.02
+"""Largest median difference from the second pass at which a meaning is right."""
+COMPARED_RANGE = (0.1, 0.9)
+"""Range of roughness that is compared. Values near 0 and 1 differ too little from their squares."""
+MAX_SHARE_OUTSIDE = 0.2
+"""Largest share of pixels outside [0, 1] in a roughness. An image with more of them is something else."""
+MAX_ROUNDING_ERROR = 1e-3
+"""Largest distance of a roughness from [0, 1] that the rounding of 16-bit floats explains."""
 MEANINGS: dict[str, tuple[str, ...]] = {
     "perceptual roughness": ("square",),
     "microfacet alpha": (),
     "glossiness": ("invert", "square"),
 }
-"""What a roughness may be, and how it becomes alpha."""
+"""Meanings of a roughness, and the conversions from each to microfacet alpha."""
 
 
 def name_assumption(channels: ChannelMap) -> list[str]:
-    """Return the sentence for a roughness of which neither a renderer nor the user says what it is."""
+    """Return a sentence on the assumed meaning of a roughness, if neither a known renderer nor the user gives it."""
     found = channels.roles.get("roughness")
     if channels.preset.name != "generic" or found is None or "square" not in found.convert:
         return []
@@ -46,20 +47,20 @@ def name_assumption(channels: ChannelMap) -> list[str]:
 
 
 def check_range(roughness: FloatArray, label: str) -> list[Finding]:
-    """Return what was found of numbers that are clamped to [0, 1] when they are read."""
+    """Return a finding if a roughness leaves [0, 1], to which reading clamps it."""
     high, low = float(roughness.max()), float(roughness.min())
-    if high <= 1.0 + ROUNDING and low >= -ROUNDING:
+    if high <= 1.0 + MAX_ROUNDING_ERROR and low >= -MAX_ROUNDING_ERROR:
         return []
-    outside = float(((roughness > 1.0 + ROUNDING) | (roughness < -ROUNDING)).mean())
+    outside = float(((roughness > 1.0 + MAX_ROUNDING_ERROR) | (roughness < -MAX_ROUNDING_ERROR)).mean())
     told = f"{label} goes from {low:.3g} to {high:.3g} and lies outside [0, 1] at {100.0 * outside:.2g} % of the pixels"
-    if outside > NOT_ROUGHNESS:
+    if outside > MAX_SHARE_OUTSIDE:
         told += ", too many for a roughness: it was clamped (--map roughness=..., for percent with :hundredth)."
         return [Finding("not a roughness", told, mended=False)]
     return [Finding("roughness out of range", f"{told}: clamped.", mended=True)]
 
 
 def find_second(container: Container, channels: ChannelMap) -> Found | None:
-    """Return the pass that holds the mean roughness of all lobes, where another one is taken for the roughness."""
+    """Return the pass of the mean roughness over all lobes, if another pass is used as the roughness."""
     rules = [rule for rule in channels.preset.roles.get("roughness", ()) if "cycles_roughness" in rule.convert]
     taken = channels.roles.get("roughness")
     if not rules or taken is None or "cycles_roughness" in taken.convert:
@@ -79,35 +80,35 @@ def check_roughness(
     read: Callable[[Found], FloatArray],
     albedos: tuple[FloatArray | None, FloatArray | None],
 ) -> tuple[FloatArray, list[Finding]]:
-    """Return microfacet alphas, and what was found of the pass that they are made of.
+    """Return microfacet alphas, corrected if the roughness has another meaning than assumed, and findings.
 
     Parameters
     ----------
     alpha : (height, width)
-        Alphas if that pass is what it was taken for.
+        Alphas by the assumed meaning of the roughness.
     raw : (height, width)
-        As in the file.
+        Roughness as the file stores it.
     found, second : Found
-        The pass, and that of the mean over all lobes.
+        The pass used as the roughness, and the pass of the mean over all lobes.
     read : callable
-        Gives the pixels of an image of the file.
+        Returns an image of the file.
     albedos : pair of (height, width, 3)
-        Diffuse and specular, by which the mean is undone.
+        Diffuse and specular albedo, the weights of the mean.
     """
     undone = undo_mean_roughness(read(second), *albedos)
     if undone is None:
         return alpha, []
     centers = choose_centers((alpha.shape[0], alpha.shape[1]), 0)
     wanted, known, taken = undone[0][centers], undone[1][centers], raw[centers]
-    kept = known & (wanted > MIDDLE[0]) & (wanted < MIDDLE[1])
-    if kept.sum() < FEWEST_SAMPLES:
+    kept = known & (wanted > COMPARED_RANGE[0]) & (wanted < COMPARED_RANGE[1])
+    if kept.sum() < MIN_PIXELS:
         return alpha, []
 
     def measure(words: tuple[str, ...]) -> float:
         return float(np.median(np.abs(np.sqrt(convert_plain(taken[kept], words).clip(0.0)) - wanted[kept])))
 
     best = min(MEANINGS, key=lambda name: measure(MEANINGS[name]))
-    if measure(found.convert) < APART or measure(MEANINGS[best]) > ALIKE:
+    if measure(found.convert) < MIN_DIFFERENCE_OF_WRONG or measure(MEANINGS[best]) > MAX_DIFFERENCE_OF_RIGHT:
         return alpha, []
     told = f"{found.label} is {best}, as {second.label} shows, so it was taken for that."
     converted = convert_plain(raw, MEANINGS[best])
