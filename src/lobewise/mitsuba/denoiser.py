@@ -1,4 +1,4 @@
-"""`Denoiser`: the call of Mitsuba's `OptixDenoiser`, the filters of lobewise, any variant and any processor."""
+"""`Denoiser` is called like Mitsuba's `OptixDenoiser` and uses lobewise's filters, on any variant and processor."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ if TYPE_CHECKING:
 
     from lobewise.settings import DenoiseChanges
 
-LARGEST_SIZE = 1 << 16
+MAX_SIDE = 1 << 16
+"""Largest width and height of an image, pixels."""
 COLORS = {1: 1, 2: 1, 3: 3, 4: 3}
-"""How many channels of an image are colour, by how many it has; one more is alpha."""
+"""Number of color channels, by the number of all channels. One more channel is alpha."""
 
 
 class Denoiser:
-    """Denoises what Mitsuba renders; called like ``mitsuba.OptixDenoiser``, on any variant and without its hardware.
+    """Denoises images of Mitsuba. It is called like ``mitsuba.OptixDenoiser``, but runs on any variant and hardware.
 
-    Guides that are handed over are used, whether they were announced or not; announced ones must come. Of a bitmap
-    further layers that Mitsuba's integrator ``aov`` writes (``position``, ``depth``, ``sh_normal`` ...) are found by
-    their names.
+    Every guide of a call is used. Guides that the constructor announced are required. In a bitmap, further layers of
+    Mitsuba's integrator ``aov`` (``position``, ``depth``, ``sh_normal`` ...) are found by their names.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Denoiser:
     albedo, normals : bool
         Whether albedo and normals will be given.
     temporal : bool
-        Whether every call is the next frame of a sequence; then ``flow`` and ``previous_denoised`` must be given.
+        Whether every call is the next frame of a sequence. If so, ``flow`` and ``previous_denoised`` are required.
     denoise_alpha : bool
         Whether the alpha channel is denoised too, instead of copied.
     settings : DenoiseSettings, optional
@@ -64,7 +64,7 @@ class Denoiser:
     Raises
     ------
     InputError
-        If the size is none, or a setting is unknown or out of range.
+        If the size is not valid, or a setting is unknown or out of range.
 
     Examples
     --------
@@ -89,8 +89,8 @@ class Denoiser:
         if len(sides) != 2:
             raise InputError("input_size", expected="width and height", got=repr(input_size), action="pass (512, 512)")
         self._size = (
-            require_integer("input_size, width", sides[0], 1, LARGEST_SIZE),
-            require_integer("input_size, height", sides[1], 1, LARGEST_SIZE),
+            require_integer("input_size, width", sides[0], 1, MAX_SIDE),
+            require_integer("input_size, height", sides[1], 1, MAX_SIDE),
         )
         self._announced = {"albedo": bool(albedo), "normals": bool(normals)}
         self._denoise_alpha = bool(denoise_alpha)
@@ -100,7 +100,7 @@ class Denoiser:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found, converted, missing or not used in the last call, a sentence each."""
+        """Sentences on what was found, converted, missing or not used in the last call."""
         return self._notes
 
     def __repr__(self) -> str:
@@ -126,27 +126,27 @@ class Denoiser:
         position: Any = None,
         depth: Any = None,
     ) -> Any:
-        """Return the denoised image, as what ``noisy`` is: a tensor, a bitmap, a NumPy array.
+        """Return the denoised image, of the type of ``noisy``: a tensor, a bitmap or a NumPy array.
 
         Parameters
         ----------
         noisy : TensorXf, Bitmap or array
-            Linear radiance, (height, width, 3), or with alpha 4; of monochrome variants 1 or 2. Best rendered with a
-            box filter. A bitmap may hold the guides as further layers.
+            Linear radiance, (height, width, channels), with 3 channels, or 4 with alpha. Monochrome variants have 1 or
+            2. A box filter gives the best results. A bitmap may hold the guides as further layers.
         albedo : TensorXf, optional
             (height, width, 3).
         normals : TensorXf, optional
             Shading normals, (height, width, 3), in the coordinate frame of the sensor (x left, y up, z forward).
         to_sensor : Transform4f, optional
-            Takes the normals there, where they are in another one: ``sensor.world_transform().inverse()`` for those of
-            the integrator ``aov``, which are the world's.
+            Transform from the space of the normals to the frame of the sensor, if they differ. The integrator ``aov``
+            writes normals in world space, so pass ``sensor.world_transform().inverse()``.
         flow : TensorXf, optional
-            Motion of each pixel, (height, width, 2), pixels to the right and down: from where its surface was in the
-            frame before to where it is.
+            Motion of each pixel's surface from the previous frame to this one, (height, width, 2), in pixels to the
+            right and down.
         previous_denoised : TensorXf, optional
-            What this denoiser returned for the frame before; in the first call, or to begin anew, ``noisy``.
+            Result of this denoiser for the previous frame. Pass ``noisy`` in the first call, or to begin anew.
         noisy_ch, albedo_ch, normals_ch, flow_ch, previous_denoised_ch : str
-            Of a bitmap the names of those layers, in place of the images.
+            Names of the layers of a bitmap, in place of the images.
         position, depth : TensorXf, optional
             World positions, (height, width, 3), and distances from the camera, (height, width, 1), of surfaces.
 
@@ -181,7 +181,7 @@ class Denoiser:
     def _make_frame(
         self, image: FloatArray, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any
     ) -> tuple[Frame, list[str]]:
-        """Return the frame of an image and its guides, and what is told of it."""
+        """Return the frame of an image and its guides, and notes on it."""
         color = image[..., :3] if COLORS[image.shape[2]] == 3 else np.repeat(image[..., :1], 3, axis=-1)
         given = self._take_guides(color, images, others, to_sensor)
         frame, notes = make_frame(given)
@@ -189,12 +189,12 @@ class Denoiser:
         return frame, notes
 
     def _make_linear(self, image: FloatArray, frame: Frame) -> LinearImage:
-        """Return the denoiser as a linear map of images, for one with gradients.
+        """Return the denoiser as a linear map, for an image with gradients.
 
         Raises
         ------
         InputError
-            If it is none.
+            If the settings make no linear map.
         """
         settings = ask(self._settings, {})
         if self._history is not None or get_quality(settings.quality).reads_halves or settings.form != "full":
@@ -212,7 +212,7 @@ class Denoiser:
         return LinearImage(LinearFilter(frame, settings), alpha, count)
 
     def _filter(self, image: FloatArray, frame: Frame, previous: Any, notes: list[str]) -> FloatArray:
-        """Return the denoised image, with as many channels as the noisy one."""
+        """Return the denoised image, with all channels of the noisy one."""
         count = COLORS[image.shape[2]]
         if self._history is not None:
             before = take_image("previous_denoised", previous, self._size, image.shape[2:])
@@ -267,15 +267,15 @@ class Denoiser:
                 raise InputError(name, expected=f"an image, as {name} is True", got="none", action=action)
 
     def _clean_alpha(self, frame: Frame, alpha: FloatArray) -> FloatArray:
-        """Return alpha, (height, width, 1), filtered as light that falls on white."""
-        # Open Image Denoise was trained on light, not on shares of pixels.
+        """Return alpha, (height, width, 1), filtered like light on white surfaces."""
+        # Open Image Denoise was trained on light, not on coverage.
         own = replace(ask(self._settings, {}), with_oidn=False)
         clean = denoise(_make_alpha_frame(frame, alpha), own)
         return np.clip(clean.image[..., :1], 0.0, 1.0)
 
 
 def _make_alpha_frame(frame: Frame, alpha: FloatArray) -> Frame:
-    """Return a frame with alpha, (height, width, 1), for light, on white surfaces."""
+    """Return a frame whose light is alpha, (height, width, 1), and whose surfaces are white."""
     bare = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)
     return Frame(Radiance(np.repeat(alpha, 3, axis=-1)), bare, frame.camera)
 
@@ -283,11 +283,11 @@ def _make_alpha_frame(frame: Frame, alpha: FloatArray) -> Frame:
 def _take_layers(
     bitmap: Any, noisy_ch: str, images: dict[str, Any], names: dict[str, str]
 ) -> tuple[FloatArray, dict[str, Any], dict[str, FloatArray]]:
-    """Return of a bitmap the noisy image, the named layers in place of images, and the channels of all others."""
+    """Return the noisy image of a bitmap, its layers that are named as guides, and the channels of all other layers."""
     layers = split_bitmap(bitmap)
     named = {"noisy": noisy_ch}
     for name, image in images.items():
-        # By their places in the call the names stand where tensors do.
+        # Names that are passed by position arrive in the arguments of the images.
         text = names[name] or (image if isinstance(image, str) else "")
         if image is not None and not isinstance(image, str):
             got = f"a {type(image).__name__}"

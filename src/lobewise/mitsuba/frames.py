@@ -1,4 +1,4 @@
-"""What Mitsuba's users hand to a denoiser becomes a frame: their channels, by the preset of Mitsuba's own files."""
+"""Frames from the images given to a denoiser, by the preset for Mitsuba's own files."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ COMPONENTS = {"depth": "T", "motion": "XY"}
 
 @dataclass
 class Given:
-    """What a denoiser is called with.
+    """Images that a denoiser is called with.
 
     Parameters
     ----------
     color : array, shape (height, width, 3)
         The noisy image.
     roles : dict of str to array, shape (height, width, channels)
-        Guides by their role, in the conventions of lobewise's presets.
+        Guides by role, in the conventions of lobewise's presets.
     others : dict of str to array, shape (height, width)
-        Further channels of a bitmap, by their name.
+        Other channels of a bitmap, by name.
     """
 
     color: FloatArray
@@ -39,9 +39,9 @@ class Given:
 def to_camera_space(normal: FloatArray, to_sensor: NDArray[np.float64] | None) -> FloatArray:
     """Return normals with x to the right, y upwards and z away from the camera, (height, width, 3).
 
-    Without ``to_sensor`` they are in the space of Mitsuba's sensor, x to the left, y upwards, z away; with it they are
-    taken there, as normals are: by the transposed inverse. Source: `mitsuba.OptixDenoiser`, whose own turn, x and z
-    negated, gives x to the right and z towards the camera.
+    Mitsuba's sensor has x to the left, y upwards and z away. ``to_sensor`` transforms normals to the space of the
+    sensor, by its transposed inverse. Source: `mitsuba.OptixDenoiser`, which negates x and z and so gets x to the right
+    and z towards the camera.
     """
     matrix = np.diag([-1.0, 1.0, 1.0])
     if to_sensor is not None:
@@ -50,7 +50,7 @@ def to_camera_space(normal: FloatArray, to_sensor: NDArray[np.float64] | None) -
 
 
 def make_frame(given: Given) -> tuple[Frame, list[str]]:
-    """Return the frame of what a denoiser is called with, and what was found, converted or is missing, in sentences.
+    """Return the frame of the images given to a denoiser, and notes on what was converted or is missing.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def make_frame(given: Given) -> tuple[Frame, list[str]]:
 
 
 def list_channels(layers: Mapping[str, tuple[FloatArray, tuple[str, ...]]]) -> dict[str, FloatArray]:
-    """Return the channels of layers, (height, width) each, by the names that a file has for them."""
+    """Return the channels of layers, (height, width) each, by the names that they have in a file."""
     return {
         f"{name}.{component}": np.ascontiguousarray(image[..., k])
         for name, (image, components) in layers.items()

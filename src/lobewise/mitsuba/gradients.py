@@ -1,4 +1,4 @@
-"""Gradients through a denoiser whose weights are fixed: a linear map, whose adjoint is exact."""
+"""Gradients through a denoiser with fixed weights. Such a denoiser is a linear map, so its adjoint is exact."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from lobewise.mitsuba.tensors import give_back, to_array
 
 @dataclass(frozen=True)
 class LinearImage:
-    """What a denoiser does to an image, (height, width, channels), as a linear map.
+    """A denoiser as a linear map of images, (height, width, channels).
 
     Parameters
     ----------
     color : LinearFilter
-        Of the first channels.
+        Filter of the color channels, which come first.
     alpha : LinearFilter or None
-        Of the last one, where there is one; None copies it.
+        Filter of the alpha channel, which comes last. None copies alpha.
     count : int
-        Channels that are colour: 3, or 1 of a monochrome image.
+        Number of color channels: 3, or 1 in a monochrome image.
     """
 
     color: LinearFilter
@@ -35,7 +35,7 @@ class LinearImage:
         return self._join(image, transposed=False)
 
     def transpose(self, gradient: FloatArray) -> FloatArray:
-        """Return the adjoint: what a gradient of the denoised image is one of the noisy image."""
+        """Return the gradient by the noisy image, from the gradient by the denoised image."""
         return self._join(gradient, transposed=True)
 
     def _join(self, image: FloatArray, *, transposed: bool) -> FloatArray:
@@ -55,7 +55,7 @@ def apply_differentiably(noisy: Any, linear: LinearImage) -> Any:
     from lobewise.render.bridge import dr
 
     class Denoise(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit is untyped here
-        """The filter as an operation of Dr.Jit's."""
+        """The filter as a Dr.Jit operation."""
 
         def eval(self, noisy: Any) -> Any:
             self.like = noisy

@@ -1,4 +1,4 @@
-"""A denoiser's memory of the frames before, behind the call of one that has none."""
+"""Memory of previous frames, for a denoiser whose caller passes only the previous image, as Mitsuba's does."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings
 from lobewise.temporal import TemporalFilter
 
-HALF_FLOAT = 2e-3
-"""Relative difference within which two images are the same one, so that it may have been stored in 16 bits."""
+MAX_RELATIVE_DIFFERENCE = 2e-3
+"""Largest relative difference of equal images. It allows for storage in 16-bit floats."""
 
 
 class History:
-    """What a temporal denoiser remembers.
+    """Memory of a temporal denoiser.
 
-    The history of a pixel is more than the image that was shown (how many samples it stands for, whether it is the same
-    surface), so it is kept here; the image of the frame before that is handed in tells whether the sequence goes on.
+    The history of a pixel holds more than the previous image, such as its number of samples and its surface. It is kept
+    here. The previous image that the caller passes only shows whether the sequence goes on.
 
     Parameters
     ----------
     settings, changes
-        As `lobewise.TemporalFilter` takes them.
+        Settings of `lobewise.TemporalFilter`.
     """
 
     def __init__(self, settings: DenoiseSettings | None, changes: Any) -> None:
@@ -32,21 +32,21 @@ class History:
         self._last: FloatArray | None = None
 
     def add(self, frame: Frame, previous: FloatArray, noisy: FloatArray) -> FloatArray:
-        """Return the next frame, denoised, (height, width, 3).
+        """Return the denoised image of the next frame, (height, width, 3).
 
         Parameters
         ----------
         frame : Frame
-            With its motion.
+            The frame, with motion.
         previous : array, shape (height, width, 1 or 3)
-            The image before: what `remember` was told last, or to begin anew the noisy image or black.
+            The last image passed to `remember`. The noisy image or black begins a new sequence.
         noisy : array, shape (height, width, 1 or 3)
-            The image of this frame.
+            The noisy image of this frame.
 
         Raises
         ------
         InputError
-            If the image before is none of these.
+            If ``previous`` is any other image.
         """
         goes_on = self._last is not None and _is_same(previous, self._last)
         if not goes_on and previous.any() and not _is_same(previous, noisy):
@@ -61,9 +61,11 @@ class History:
         return self._filter.add(frame).image
 
     def remember(self, image: FloatArray) -> None:
-        """Take note of what was returned for a frame."""
+        """Store the image that was returned for a frame."""
         self._last = image.copy()
 
 
 def _is_same(image: FloatArray, other: FloatArray) -> bool:
-    return image.shape == other.shape and np.allclose(image, other, rtol=HALF_FLOAT, atol=1e-6, equal_nan=True)
+    return image.shape == other.shape and np.allclose(
+        image, other, rtol=MAX_RELATIVE_DIFFERENCE, atol=1e-6, equal_nan=True
+    )

@@ -1,4 +1,4 @@
-"""A scene of Mitsuba's in, a denoised image out: rendered with every guide that this package's filters look at."""
+"""Rendering and denoising of a Mitsuba scene in one call, with every guide that the filters use."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ def denoise(
 ) -> Any:
     """Return a denoised image of a scene, as ``mitsuba.render`` returns a noisy one.
 
-    It is rendered with all that tells pixels apart: normals, roughness, albedos, what reflections see, and the light by
-    the lobe that scattered it first. Pixels have a box filter.
+    The scene is rendered with a box filter and with all guides: normals, roughness, albedos, reflected surfaces, and
+    light separated by the lobe that scattered it first.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        Of the variant ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+        A scene of the variant ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
     spp : int
         Samples per pixel.
     sensor : int or mitsuba.Sensor
-        Which of the scene's, counted from 0, or another; perspective.
+        A perspective sensor, or the number of one of the scene's sensors, counted from 0.
     seed : int
         The same seed gives the same image.
     integrator, max_depth
-        Whose light, and its longest path; see `lobewise.render.render_frame`.
+        The integrator, and its longest path; see `lobewise.render.render_frame`.
     progress : callable, optional
         Called with ``(done, total)`` samples.
     settings : DenoiseSettings, optional
         As for `lobewise.denoise`.
     **changes
-        Single settings, by name.
+        Single settings by name.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def denoise(
     Raises
     ------
     InputError
-        If the variant, sensor or integrator is one that is not rendered, a number is out of range, or a parameter of
+        If the variant, sensor or integrator is not supported, a number is out of range, or a parameter of
         the scene carries gradients.
     UnsupportedBsdfError, MissingDependencyError
         See `lobewise.render.render_frame`.
@@ -88,7 +88,7 @@ def denoise(
 
 
 def _choose_sensor(scene: Any, sensor: Any) -> Any:
-    """Return a sensor of a scene by its number, or one that is given itself.
+    """Return the scene's sensor of a number, or the sensor itself if one is given.
 
     Raises
     ------
@@ -107,11 +107,11 @@ def _choose_sensor(scene: Any, sensor: Any) -> Any:
 
 
 def _refuse_gradients(scene: Any) -> None:
-    """Raise InputError if a parameter of a scene carries gradients, which would get lost here."""
+    """Raise InputError if a parameter of a scene carries gradients, because rendering here loses them."""
     from lobewise.render.bridge import dr, mi
 
     parameters = mi.traverse(scene)
-    for name in parameters.keys():  # noqa: SIM118  # no mapping, but Mitsuba's own
+    for name in parameters.keys():  # noqa: SIM118  # Mitsuba's own type, no mapping
         if dr.grad_enabled(parameters[name]):
             raise InputError(
                 f"scene parameter {name!r}",

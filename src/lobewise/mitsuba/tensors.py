@@ -1,6 +1,6 @@
-"""Images as Mitsuba's users have them (tensors of any variant, bitmaps, NumPy arrays) become arrays, and back.
+"""Conversion of images of Mitsuba (tensors of any variant, bitmaps) to NumPy arrays, and back.
 
-Types are told by their names, so that nothing here imports Mitsuba: who hands over a tensor has it already.
+Types are recognised by their names, so that this module does not import Mitsuba.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 
 ROOT = "<root>"
-"""What Mitsuba calls the channels of a bitmap that have no layer's name before them."""
+"""Mitsuba's name for the layer of the channels that have no layer in their names."""
 
 
 def is_bitmap(value: Any) -> bool:
-    """Return whether this is a ``mitsuba.Bitmap``."""
+    """Return whether a value is a ``mitsuba.Bitmap``."""
     return any(
         kind.__name__ == "Bitmap" and kind.__module__.partition(".")[0] == "mitsuba" for kind in type(value).__mro__
     )
 
 
 def is_tensor(value: Any) -> bool:
-    """Return whether this is an array of Dr.Jit's, of any variant."""
+    """Return whether a value is a Dr.Jit array of any variant."""
     return any(kind.__module__.partition(".")[0] == "drjit" for kind in type(value).__mro__)
 
 
 def carries_gradients(value: Any) -> bool:
-    """Return whether this is an array of Dr.Jit's that takes part in differentiation."""
+    """Return whether a value is a Dr.Jit array that is differentiated."""
     if not is_tensor(value):
         return False
     from lobewise.render.bridge import dr
@@ -45,7 +45,7 @@ def to_array(what: str, value: Any) -> FloatArray:
     Raises
     ------
     InputError
-        If it is neither.
+        If the value is neither.
     """
     if is_tensor(value):
         from lobewise.render.bridge import dr
@@ -67,18 +67,18 @@ def take_image(what: str, value: Any, size: tuple[int, int], channels: tuple[int
     Parameters
     ----------
     what : str
-        The argument.
+        Name of the argument, for messages.
     value : TensorXf or array
         Of shape (height, width, channels); with one channel also (height, width).
     size : (int, int)
-        Width and height that it has to have.
+        Required width and height.
     channels : tuple of int
-        How many channels it may have.
+        Allowed numbers of channels.
 
     Raises
     ------
     InputError
-        If it is no such image.
+        If the value is no image of this size with these channels.
     """
     image = to_array(what, value)
     if image.ndim == 2 and 1 in channels:
@@ -104,12 +104,12 @@ def give_back(like: Any, image: FloatArray) -> Any:
 
 
 def take_matrix(what: str, value: Any) -> NDArray[np.float64]:
-    """Return the matrix, (4, 4), of a transform of Mitsuba's, or of an array.
+    """Return the matrix, (4, 4), of a Mitsuba transform or of an array.
 
     Raises
     ------
     InputError
-        If it is none, or cannot be inverted.
+        If the value is no matrix, or the matrix cannot be inverted.
     """
     try:
         matrix = np.array(getattr(value, "matrix", value), dtype=np.float64).reshape(4, 4)
@@ -123,19 +123,19 @@ def take_matrix(what: str, value: Any) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class BitmapLayer:
-    """One layer of a bitmap: (height, width, channels), and the last words of its channels' names."""
+    """One layer of a bitmap: its image, (height, width, channels), and the last words of its channel names."""
 
     image: FloatArray
     components: tuple[str, ...]
 
 
 def split_bitmap(bitmap: Any) -> dict[str, BitmapLayer]:
-    """Return the layers of a bitmap by name; its own channels under `ROOT`.
+    """Return the layers of a bitmap by name. Channels without a layer are under `ROOT`.
 
     Raises
     ------
     InputError
-        If it does not hold linear floats.
+        If the bitmap does not hold linear floats.
     """
     several = bitmap.pixel_format().name == "MultiChannel"
     return {name: _read_layer(layer) for name, layer in (bitmap.split() if several else [(ROOT, bitmap)])}
