@@ -1,1 +1,1 @@
-"""Cameras of other renderers' frames: told by headers, by files of their own, or by the positions that pixels show."""
+"""Cameras of other renderers' frames: read from headers or camera files, or fitted to the positions of pixels."""

@@ -31,7 +31,7 @@ _KEYS = ("position", "forward", "target", "up", "fov_y", "fov_x", "shift")
 def read_camera_file(path: PathLike) -> Camera:
     """Return the camera of a file.
 
-    By the end of its name: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and
+    The end of the name decides: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and
     ``fov_y``, perhaps ``fov_x``, both in degrees, and ``shift``; of a Mitsuba scene (``.xml``) the first sensor is
     taken, of glTF (``.gltf``, ``.glb``) the first node with a camera, of USD (``.usd``, ``.usda``, ``.usdc``,
     ``.usdz``; with ``usd-core``) the first camera, at the first of its times.
@@ -39,9 +39,9 @@ def read_camera_file(path: PathLike) -> Camera:
     Raises
     ------
     FileError
-        If the file cannot be read, or is none of those.
+        If the file cannot be read, or its name has another end.
     InputError
-        If there is no camera in it, or one that is no pinhole.
+        If the file has no camera, or the camera is no pinhole.
     MissingDependencyError
         If it is a USD file and ``usd-core`` is not installed.
     """
@@ -87,7 +87,7 @@ def _read_json(path: Path) -> Camera:
         raise InputError(what, expected="fov_y, in degrees", got=got, action=action)
     shift = require_numbers(f"{what}, shift", given.get("shift", [0.0, 0.0]), 2)
     position, up = vectors["position"], vectors.get("up", np.array([0.0, 1.0, 0.0]))
-    with np.errstate(over="ignore"):  # the camera refuses what is not finite
+    with np.errstate(over="ignore"):  # the camera refuses numbers that are not finite
         forward = vectors["forward"] if "forward" in vectors else vectors["target"] - position
     if "target" in vectors and not forward.any():
         expected, got = "another point than position", f"{show_value(given['target'])} for both"
@@ -96,7 +96,7 @@ def _read_json(path: Path) -> Camera:
 
 
 def _read_angle(what: str, value: Any) -> float:
-    """Return in radians an angle of view that stands in degrees."""
+    """Return an angle of view in radians, from degrees."""
     known = "an angle between 0 and 180 degrees"
     angle = require_number(what, value, expected=known, action="40 is usual")
     if not 0.0 < angle < 180.0:

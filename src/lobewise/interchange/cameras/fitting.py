@@ -1,4 +1,4 @@
-"""Cameras that are found from the positions which pixels show: pinholes, and orthographic ones."""
+"""Pinhole and orthographic cameras fitted to the positions of pixels."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from lobewise.motion import project_points
 
 Matrix = NDArray[np.float64]
 
-MOST_SAMPLES = 20000
-"""Pixels by which a camera is found."""
-WORST_FIT = 1.5
-"""Pixels between where a point is seen and where a camera shows it, in the median, from which the camera is not it.
+MAX_PIXELS = 20000
+"""Largest number of pixels to which a camera is fitted."""
+MAX_FIT_ERROR = 1.5
+"""Largest median distance, pixels, between a pixel and the projection of its position, of a camera that fits.
 Positions of one sample lie anywhere within the pixel filter."""
 ROUNDS = 12
 FAR = 3000.0
-"""How many times the size of what it sees a pinhole stands away that stands for an orthographic camera: its rays are
-parallel to 1/3000, and what it shows is half a pixel off at most where the scene is as deep as the image is high."""
-SQUARE = 0.02
-"""By how much the axes of an orthographic image may differ in length, or from a right angle."""
+"""Distance of the pinhole that replaces an orthographic camera, over the size of its view. The rays are parallel to
+1/3000. The image is off by at most half a pixel if the scene is as deep as the image is high."""
+MAX_AXIS_ERROR = 0.02
+"""Largest relative difference of the axes of an orthographic image in length, and from a right angle."""
 
 
 def mirror(camera: Camera) -> Camera:
-    """Return the camera in the mirror image of its world, x turned: there it sees what it saw, left and right kept."""
+    """Return the camera for a world whose x is negated. It sees the same image, with left and right kept."""
     turn = np.array([-1.0, 1.0, 1.0])
     return replace(camera, position=turn * camera.position, forward=turn * camera.forward, up=turn * camera.up)
 
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A camera that was found, how far points are from where it shows them (the median, in pixels), and what it is.
+    """A fitted camera, and its error: the median distance, pixels, between pixels and their projected positions.
 
-    In a ``mirrored`` world, which is left-handed, it stands in the mirror image, x turned; one that is ``orthographic``
-    stands very far away.
+    ``mirrored`` says that the world is left-handed and the camera has x negated. ``orthographic`` says that the camera
+    stands very far away and replaces an orthographic one.
     """
 
     camera: Camera
@@ -48,7 +48,7 @@ class CameraFit:
 
 
 def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -> float:
-    """Return the median distance, pixels, of where a camera shows the points of some pixels to where they are seen."""
+    """Return the median distance, pixels, between some pixels and the projections of their positions."""
     height, width = mask.shape
     rows, columns = _choose_pixels(mask)
     if not len(rows):
@@ -96,7 +96,7 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: floa
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
         camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
         error = measure_fit(camera, (turn * position).astype(np.float32), mask)
-        return CameraFit(camera, error, mirrored) if error < WORST_FIT else None
+        return CameraFit(camera, error, mirrored) if error < MAX_FIT_ERROR else None
     return None
 
 
@@ -132,7 +132,7 @@ def fit_orthographic(
     across, upwards = lines[:3].T
     lengths = np.linalg.norm(across), np.linalg.norm(upwards)
     right, up = across / lengths[0], upwards / lengths[1]
-    if abs(lengths[0] / lengths[1] - 1.0) > SQUARE or abs(right @ up) > SQUARE:
+    if abs(lengths[0] / lengths[1] - 1.0) > MAX_AXIS_ERROR or abs(right @ up) > MAX_AXIS_ERROR:
         return None
     half_height = float(2.0 / (lengths[0] + lengths[1]))
     forward = np.cross(up, right)
@@ -151,7 +151,7 @@ def fit_orthographic(
     camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / (FAR * size))))
     camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
     shown = measure_fit(camera, (turn * position).astype(np.float32), mask)
-    return CameraFit(camera, shown, mirrored, orthographic=True) if shown < WORST_FIT else None
+    return CameraFit(camera, shown, mirrored, orthographic=True) if shown < MAX_FIT_ERROR else None
 
 
 def find_camera(
@@ -182,7 +182,7 @@ def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) 
 
 def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows, columns = np.nonzero(mask)
-    step = max(1, len(rows) // MOST_SAMPLES)
+    step = max(1, len(rows) // MAX_PIXELS)
     return rows[::step], columns[::step]
 
 

@@ -1,4 +1,4 @@
-"""Cameras of glTF files: text (``.gltf``), or binary (``.glb``), of which only the text in front is read.
+"""Cameras of glTF files: text (``.gltf``), or binary (``.glb``). Of ``.glb`` only the text in front is read.
 
 Source: Khronos Group, "glTF 2.0 Specification", sections 3.5 (nodes), 3.10 (cameras) and 4.4 (GLB).
 """
@@ -19,8 +19,8 @@ from lobewise.errors import FileError, InputError, require_integer
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
 from lobewise.io.files import refusing, require_readable
 
-MAX_BYTES = 64 << 20
-"""Of the text, not of the meshes and pictures behind it."""
+MAX_TEXT_BYTES = 64 << 20
+"""Largest size of the text, bytes. Meshes and pictures behind the text do not count."""
 GLB_MAGIC, GLB_JSON = 0x46546C67, 0x4E4F534A
 _HEAD = struct.Struct("<5I")
 
@@ -28,14 +28,14 @@ Matrix = NDArray[np.float64]
 
 
 def read_gltf_camera(path: Path) -> Camera:
-    """Return the first camera of a scene: that of the first node that has one.
+    """Return the camera of the first node of a scene that has one.
 
     Raises
     ------
     FileError
         If the file cannot be read.
     InputError
-        If there is no camera in it, or one that is no pinhole.
+        If the file has no camera, or the camera is no pinhole.
     """
     what = f"camera {str(path)!r}"
     scene = parse_json(_read_text(path, what), what=what, action="export it again")
@@ -63,18 +63,18 @@ def read_gltf_camera(path: Path) -> Camera:
 
 
 def _read_text(path: Path, what: str) -> bytes:
-    """Return the JSON of a file of either form."""
+    """Return the JSON of a text or binary file."""
     file = require_readable(path, what="camera", holds="a camera")
     with refusing(what, "a readable file", "check the disk"), file.open("rb") as stream:
         head = stream.read(_HEAD.size)
         if not head.startswith(struct.pack("<I", GLB_MAGIC)):
-            return read_document(path, MAX_BYTES, what="camera", holds="a camera")
+            return read_document(path, MAX_TEXT_BYTES, what="camera", holds="a camera")
         rest = os.fstat(stream.fileno()).st_size - len(head)
         size, kind = _HEAD.unpack(head)[3:] if len(head) == _HEAD.size else (0, 0)
-        if kind != GLB_JSON or not 0 < size <= min(rest, MAX_BYTES):
+        if kind != GLB_JSON or not 0 < size <= min(rest, MAX_TEXT_BYTES):
             raise FileError(
                 what,
-                expected=f"a .glb that begins with at most {MAX_BYTES} bytes of JSON",
+                expected=f"a .glb that begins with at most {MAX_TEXT_BYTES} bytes of JSON",
                 got="something else" if kind != GLB_JSON else f"{size} of them in a file of {rest + len(head)}",
                 action="export it again",
             )
@@ -97,7 +97,7 @@ def _find_placement(nodes: list[Any], number: int, what: str) -> Matrix:
                 what, expected="nodes that form a tree", got=f"node {step} inside itself", action="export it again"
             )
         passed.add(step)
-        with np.errstate(over="ignore", invalid="ignore"):  # the camera refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # the camera refuses numbers that are not finite
             matrix = _make_transform(nodes[step], f"{what}, node {step}") @ matrix
         step = parents.get(step)
     return matrix

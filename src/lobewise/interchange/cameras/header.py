@@ -1,7 +1,7 @@
-"""Cameras and sample counts that the headers of other renderers' files tell.
+"""Cameras and sample counts from the headers of other renderers' files.
 
-Matrices in OpenEXR headers multiply row vectors: a point is ``[x y z 1] M``. Which way a renderer's camera looks along
-its third axis, and what its screen spans, is told by its own matrices, not assumed.
+Matrices in OpenEXR headers multiply row vectors: a point is ``[x y z 1] M``. The matrices of
+a file show which way its camera looks along the third axis, and what its screen spans.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from lobewise.io.exr.header import read_pixel_aspect
 Matrix = NDArray[np.float64]
 
 MAX_DIGITS = 9
-"""Of a sample count: no renderer takes as many."""
+"""Largest number of digits of a sample count. No renderer takes more samples."""
 
 
 @dataclass(frozen=True)
 class Located:
-    """A camera, what told it, and whether its world is left-handed: then it stands in the mirror image, x turned."""
+    """A camera, its source, and whether its world is left-handed. If so, the camera is mirrored: x is negated."""
 
     camera: Camera
     told: str
@@ -37,7 +37,7 @@ class Located:
 
 
 def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
-    """Return the camera that a file's header tells, for the data window of ``part``; else None."""
+    """Return the camera in a file's header, for the data window of ``part``. Return None if there is none."""
     found = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
     size = part.display_window
     aspect = read_pixel_aspect(part) or 1.0
@@ -50,7 +50,7 @@ def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
 
 
 def _read(item: Attribute | None, kinds: str) -> tuple[float, ...]:
-    """Return the numbers of an attribute of floats or doubles; none where it is none of so many."""
+    """Return the numbers of an attribute in the struct format ``kinds``. Return none if its size differs."""
     if item is not None and len(item.value) in {struct.calcsize(f"<{kinds}")}:
         return struct.unpack(f"<{kinds}", item.value)
     return ()
@@ -84,7 +84,7 @@ def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> 
     angle = _read(found.get("CameraFov"), "f") or _read(found.get("cameraFov"), "f")
     if not angle:
         return None
-    # Without a screen nothing tells a left-handed world: in a right-handed one cameras look along -z.
+    # Without a screen matrix the world is assumed to be right-handed, where cameras look along -z.
     return Located(
         _aim(eye, -axis, up, float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect),
         "worldToCamera and the angle of view",
@@ -94,7 +94,7 @@ def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> 
 def _span(
     eye: Matrix, axis: Matrix, right: Matrix, up: Matrix, to_screen: Matrix, deep: Matrix, size: Window, aspect: float
 ) -> Camera:
-    """Return a camera whose screen is that of a matrix: from -1 to 1 or from 0 to 1, along both axes or the shorter."""
+    """Return the camera of a screen matrix. The screen is [-1, 1] or [0, 1], along both axes or the shorter one."""
     across, upwards = (np.append(side, 0.0) @ to_screen / deep[3] for side in (right, up))
     middle = deep[:2] / deep[3]
     unit = 1.0 if np.abs(middle).max() < 0.25 else 0.5
@@ -122,7 +122,7 @@ def _read_vray(found: dict[str, Attribute], size: Window, aspect: float) -> Loca
 
 
 def _crop(camera: Camera, whole: Window, part: Window) -> Camera:
-    """Return the camera of a part of the image that a camera has."""
+    """Return the camera of the window ``part`` of an image with the window ``whole``."""
     if whole == part:
         return camera
     half_width, half_height = camera.get_half_extent(whole.width, whole.height)
@@ -138,7 +138,7 @@ def _crop(camera: Camera, whole: Window, part: Window) -> Camera:
 
 
 def read_sample_count(parts: Iterable[Part], preset: Preset) -> int | None:
-    """Return the samples per pixel that the header tells in the way of a preset, or None."""
+    """Return the samples per pixel from the attributes that a preset names, or None."""
     for part in parts:
         for item in part.attributes:
             squared = any(fnmatchcase(item.name, name) for name in preset.samples_squared)

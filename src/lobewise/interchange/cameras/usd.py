@@ -14,14 +14,14 @@ from lobewise.io.files import require_readable
 
 
 def read_usd_camera(path: Path) -> Camera:
-    """Return the first camera of a stage, at the first of its times.
+    """Return the first camera of a stage, at the first time of the stage.
 
     Raises
     ------
     FileError
         If the file cannot be read.
     InputError
-        If there is no camera in it, or one that is no pinhole.
+        If the file has no camera, or its first camera is no pinhole.
     MissingDependencyError
         If OpenUSD is not installed.
     """
@@ -38,7 +38,7 @@ def read_usd_camera(path: Path) -> Camera:
         prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
         if not prims:
             raise InputError(what, expected="a camera", got="none", action="export cameras as well")
-        # Values are read, and what is wrong with them found, only when they are asked for.
+        # OpenUSD reads values, and raises errors about them, only on access.
         time = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
         found: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
     except Tf.ErrorException as problem:

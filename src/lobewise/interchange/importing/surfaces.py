@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.interchange.cameras.fitting import WORST_FIT, CameraFit, find_camera, measure_fit
+from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.importing.draft import Draft, Outcome
@@ -57,7 +57,7 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
     mask: Mask = (position != 0.0).any(axis=-1)
     if header is not None:
         moved = _mirror(position) if header.mirrored else position
-        if measure_fit(header.camera, moved, mask) < WORST_FIT:
+        if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
             return _use_header(draft, header, moved, "; positions agree with it.")
     fit = find_camera(position, mask, draft.images.get("depth"), pixel_aspect)
     if fit is not None:
@@ -71,7 +71,7 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
 def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
     chosen = replace(draft, camera=camera)
     position = draft.world_position
-    if position is None or measure_fit(camera, position, (position != 0.0).any(axis=-1)) < WORST_FIT:
+    if position is None or measure_fit(camera, position, (position != 0.0).any(axis=-1)) < MAX_FIT_ERROR:
         return Outcome(chosen)
     told = "The camera that was given does not see the positions where they are, so they are not used."
     return Outcome(replace(chosen, world_position=None), notes=[told])
