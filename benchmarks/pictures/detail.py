@@ -32,6 +32,8 @@ CROPS = (
     ("own/street", 64, (slice(60, 124), slice(0, 64))),
     ("blender-5.2/gloss", 16, (slice(56, 120), slice(4, 68))),
     ("blender-5.2/textured", 1024, (slice(96, 160), slice(96, 160))),
+    ("blender-5.2/interior", 128, (slice(36, 100), slice(192, 256))),
+    ("blender-5.2/interior", 128, (slice(52, 116), slice(0, 64))),
 )
 """Scene, samples per pixel, rows and columns."""
 SCALE, GAP = 3, 6
