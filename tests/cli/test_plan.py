@@ -9,6 +9,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.frame import Frame
 from lobewise.io import write_frame
+from lobewise.streaming import plan
 
 
 @pytest.fixture
@@ -44,3 +45,30 @@ def test_what_does_not_fit_is_refused(
 ) -> None:
     assert run(["inspect", str(frame_file), *words]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_a_file_in_bands_is_planned_without_open_image_denoise(
+    frame_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run(["inspect", str(frame_file), "--plan"]) == 0
+    whole = capsys.readouterr().out.splitlines()
+    monkeypatch.setattr(plan, "MAX_WHOLE_GIB", 1e-9)
+    assert run(["inspect", str(frame_file), "--plan"]) == 0
+    banded = capsys.readouterr().out.splitlines()
+    assert whole[0].split(",")[0] == banded[0].split(",")[0]
+    assert "this one is denoised in bands" in banded[0]
+    assert not any("mix in the image of Open Image Denoise" in line for line in banded)
+    assert "Bands of rows take less." in banded[-2]
+    assert "Bands" not in whole[-2]
+
+
+def test_a_result_is_refused_as_denoise_refuses_it(
+    frame_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = str(tmp_path / "clean.exr")
+    assert run(["denoise", str(frame_file), "-o", result, "--quality", "fast"]) == 0
+    capsys.readouterr()
+    assert run(["denoise", result, "-o", str(tmp_path / "again.exr")]) == 2
+    told = capsys.readouterr().err
+    assert run(["inspect", result, "--plan"]) == 2
+    assert capsys.readouterr().err == told

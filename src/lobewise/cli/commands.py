@@ -142,11 +142,21 @@ def inspect(
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
     """Print the plan by which `denoise` would filter a file."""
+    from lobewise.cli.options.bands import choose_bands
+    from lobewise.cli.options.reading import refuse_results
     from lobewise.denoising.planning.foretelling import foretell
     from lobewise.interchange import import_file
+    from lobewise.io.exr.bands import BandReader
 
-    found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
-    for line in foretell(found.frame, DenoiseSettings(**settings)):
+    asked = DenoiseSettings(**settings)
+    if choose_bands(source, "auto", settings, "--with-oidn" if asked.asks_for_oidn else reading.option):
+        reader = BandReader(source)
+        lines = foretell(reader.read_frame(0, 1), asked, height=reader.shape[0])
+    else:
+        found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
+        refuse_results(source, found.findings)
+        lines = foretell(found.frame, asked)
+    for line in lines:
         typer.echo(line)
 
 

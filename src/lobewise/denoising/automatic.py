@@ -17,7 +17,7 @@ from lobewise.frame import Frame
 from lobewise.lobes.band_limit import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
 from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
-from lobewise.settings.choices import get_quality
+from lobewise.settings.choices import get_quality, get_similarity
 from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: Similarity = "ggx"
@@ -126,7 +126,8 @@ def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:
     if settings.similarity != "auto":
         return settings.similarity
     guides = frame.gbuffer
-    has_lobes = guides.normal is not None and guides.alpha_u is not None and frame.is_placed
+    needs = get_similarity(DEFAULT_SIMILARITY).needs
+    has_lobes = all(getattr(guides, name) is not None for name in needs) and frame.is_placed
     return DEFAULT_SIMILARITY if has_lobes else "normal"
 
 

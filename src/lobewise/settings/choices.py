@@ -95,9 +95,9 @@ SIMILARITIES: Mapping[str, Similarity] = {
 QUALITIES: Mapping[str, Quality] = {
     each.name: each
     for each in (
-        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55),
+        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.29),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.1),
-        Quality(name="high", reads_halves=True, mixes=True, work_bytes_per_pixel=850, seconds_per_megapixel=6.2),
+        Quality(name="high", reads_halves=True, mixes=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.1),
     )
 }
 

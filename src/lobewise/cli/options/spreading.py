@@ -136,7 +136,7 @@ def _make_option(knob: Knob, default: Any, *, optional: bool, group: str | None)
 
 
 def _show_values(knob: Knob) -> str | None:
-    """Return the placeholder of a value in the help, None for a switch."""
+    """Return the metavar of an option, the word for its value in the help; None for a switch."""
     if knob.kind is bool:
         return None
     if knob.kind is str:

@@ -135,7 +135,7 @@ def _get_metavar(one: Any) -> str:
 
 
 def _join_names(one: Any) -> str:
-    """Return the names of an option and the placeholder of its value."""
+    """Return the names of an option and its metavar, the word for its value."""
     names = sorted(one.opts, key=len)
     text = ", ".join(names) + (f" / {', '.join(one.secondary_opts)}" if one.secondary_opts else "")
     return text if one.is_flag else f"{text} {_get_metavar(one)}"

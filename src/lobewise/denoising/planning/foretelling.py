@@ -14,7 +14,7 @@ from lobewise.denoising.planning.frame_plans import FramePlan, FrameTraits, desc
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.frame import Frame
 from lobewise.guides.usable import bound_guides
-from lobewise.peers import name_oidn_guides
+from lobewise.peers import name_oidn_guides, require_oidn
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -25,7 +25,7 @@ MEASURED_FRAME = FrameTraits({"diffuse": LayerTraits(is_diffuse=True), "specular
 """Layers of the frame with which the times of the qualities were measured."""
 
 
-def foretell(frame: Frame, settings: DenoiseSettings) -> list[str]:
+def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = None) -> list[str]:
     """Return the lines of the plan by which `lobewise.denoise` would filter a frame: method, steps, memory and time.
 
     Parameters
@@ -34,27 +34,34 @@ def foretell(frame: Frame, settings: DenoiseSettings) -> list[str]:
         No pixel of it is filtered.
     settings : DenoiseSettings
         As of `lobewise.denoise`.
+    height : int, optional
+        Rows of the image, if `lobewise.denoise_file` filters it in bands and ``frame`` is only some of its rows.
 
     Raises
     ------
     MissingChannelError, InputError, DeviceError
         As `lobewise.denoise`, if the frame lacks a guide that the similarity needs, or a setting does not fit.
+    MissingDependencyError
+        If the settings ask for Open Image Denoise and it is not installed.
     """
-    frame = bound_guides(frame)
-    chosen = resolve_all(frame, ask(settings, {}))
+    frame, whole = bound_guides(frame), height is None
+    chosen = resolve_all(frame, ask(settings, {}, whole=whole))
+    if chosen.with_oidn:
+        require_oidn()
     plan = plan_frame(describe_frame(frame), chosen)
     peer = name_oidn_guides(frame)
-    method = describe_method(chosen, peer, mixes=can_mix(frame), why_ours=explain_ours(settings))
-    height, width = frame.shape
-    megapixels = height * width / 1e6
-    held = count_bytes(frame)
+    method = describe_method(chosen, peer, mixes=can_mix(frame), why_ours=explain_ours(settings, whole=whole))
+    rows, width = frame.shape
+    height = height or rows
+    held = count_bytes(frame) * height // rows
     working = get_quality(chosen.quality).work_bytes_per_pixel * height * width
-    seconds = megapixels * estimate_seconds_per_megapixel(plan, chosen)
+    seconds = height * width / 1e6 * estimate_seconds_per_megapixel(plan, chosen)
     alone = ", without Open Image Denoise" if chosen.with_oidn else ""
+    bands = "" if whole else " Bands of rows take less."
     return [
         f"{width} x {height} pixels, by {method}.",
         *plan.describe(),
-        f"Memory: about {(held + working) / GIB:.2g} GiB, {held / GIB:.2g} GiB of it for the frame.",
+        f"Memory: about {(held + working) / GIB:.2g} GiB, {held / GIB:.2g} GiB of it for the frame.{bands}",
         f"Time: about {seconds:.2g} s on two processor threads{alone}. The first run on a machine compiles kernels as "
         "well.",
     ]

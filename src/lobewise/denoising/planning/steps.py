@@ -7,6 +7,7 @@ the furthest pixel that it reads.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
@@ -28,7 +29,7 @@ SAMPLES_REACH = FIREFLY_REACH + HIGHLIGHT_REACH + RESIDUAL_REACH + SPREAD_REACH
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class Step(ABC):
     """One step: its inputs and outputs by name."""
 
     reads: tuple[str, ...]
@@ -44,9 +45,9 @@ class Step:
         """Neighbours that the kernel reads for a pixel."""
         return 0
 
+    @abstractmethod
     def describe(self) -> str:
         """Return what the step does, in a few words."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,20 @@
+"""The times that a printed plan foretells are those that were measured."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks.before_after import RESULTS
+from benchmarks.same_bits import load_bundled
+from lobewise.settings.choices import QUALITIES
+
+CASES = {"fast": "fast full ggx", "balanced": "balanced ggx", "high": "high"}
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_qualities_take_as_long_as_measured(quality: str) -> None:
+    height, width = load_bundled().shape
+    measured = json.loads(RESULTS.read_text())["cases"][CASES[quality]]["after_ms"] * 1e-3 / (height * width * 1e-6)
+    assert QUALITIES[quality].seconds_per_megapixel == pytest.approx(measured, rel=0.05)
