@@ -1,0 +1,290 @@
+"""Train the refining network on the frames in a folder, for some minutes, and go on where the last run stopped.
+
+    python -m benchmarks.training.refinement --minutes 150 --frames FOLDER --checkpoint FILE --export
+
+Frames are those of `refinement_frames.py`, also while that program runs. A fifth of the scenes is kept aside: the error
+on them, over that of Open Image Denoise with the same guides, is printed and added to a curve. Every run begins with a
+high learning rate and ends with a low one. What is judged and exported are weights averaged over the last steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import math
+import signal
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from benchmarks.common import RESULTS, write_json
+from benchmarks.training.frames import is_validation
+from benchmarks.training.refinement_batches import draw_batch, make_whole, read_frame
+from benchmarks.training.refinement_frames import DRAWN, parse_file_name
+from benchmarks.training.refinement_model import RefiningNetwork
+from lobewise.errors import InputError
+from lobewise.metrics import rel_mse
+
+CURVE = RESULTS / "refinement_curve.json"
+BATCH = 4
+RATE, LAST_RATE_SHARE, WARM_STEPS = 1.5e-3, 0.02, 200
+"""Learning rate at its highest, what is left of it at the end of a run, and steps until it is reached."""
+MOMENTS = 0.9, 0.99
+MAX_GRADIENT = 1.0
+MAX_AVERAGING = 0.998
+"""Share of the averaged weights that a step keeps."""
+BORDER = 4
+"""Pixels at the edges of a crop that do not count: they lack neighbours that whole frames have."""
+TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.02
+"""Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
+CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
+STEPS_BETWEEN_REPORTS = 200
+MAX_JUDGED = 24
+"""Frames of each set of guides that are judged."""
+SHARES = {"all": 0.25, "unsplit": 0.08, "passes": 0.2, "plain": 0.27, "color": 0.15, DRAWN: 0.05}
+"""How often each set of guides is trained."""
+
+Errors = dict[str, dict[str, float]]
+
+
+@dataclass
+class State:
+    """All that goes on from one run to the next."""
+
+    network: RefiningNetwork
+    average: RefiningNetwork
+    optimiser: torch.optim.Adam
+    steps: int = 0
+    minutes: float = 0.0
+
+
+def find_loss(found: Tensor, before: Tensor, reference: Tensor) -> Tensor:
+    """Return how far refined crops are from their references, over how far they were before.
+
+    So a crop of many samples, whose errors are small, counts as much as one of few samples.
+    """
+    with torch.no_grad():
+        level = find_crop_losses(before, reference)
+    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
+
+
+def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
+    """Return how far each crop is from its reference: relative, squared relative, and of the slopes."""
+    inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+    found, reference = found[inner], reference[inner]
+    # A dark result may not make its own error large: what errors are relative to has no gradient.
+    level = found.detach().abs()
+    relative = (found - reference).abs() / (level + reference + 0.04)
+    squared = (found - reference).square() / (0.15 * level.square() + 0.85 * reference.square() + 0.02)
+    ratio = torch.log(found.clamp_min(0.0) + 0.1) - torch.log(reference + 0.1)
+    slopes = ratio.diff(dim=-1).abs().mean((1, 2, 3)) + ratio.diff(dim=-2).abs().mean((1, 2, 3))
+    total: Tensor = (relative + squared).mean((1, 2, 3)) + 0.25 * slopes
+    return total
+
+
+def find_rate(share: float, steps: int) -> float:
+    """Return the learning rate after a share of a run, and some steps of it."""
+    fall = 0.5 * (1.0 + math.cos(math.pi * share))
+    return RATE * min(1.0, (steps + 1) / WARM_STEPS) * (LAST_RATE_SHARE + (1.0 - LAST_RATE_SHARE) * fall)
+
+
+def make_state(seed: int, *, compares: bool = True) -> State:
+    """Return an untrained network."""
+    torch.manual_seed(seed)
+    network = RefiningNetwork(compares=compares)
+    return State(network, copy.deepcopy(network).eval(), torch.optim.Adam(network.parameters(), RATE, betas=MOMENTS))
+
+
+def save_checkpoint(path: Path, state: State) -> None:
+    """Write everything that the next run goes on with, through a temporary file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    told = {name: getattr(state, name).state_dict() for name in ("network", "average", "optimiser")}
+    torch.save(told | {"steps": state.steps, "minutes": state.minutes}, temporary)
+    temporary.replace(path)
+
+
+def load_checkpoint(path: Path, state: State) -> None:
+    """Go on with what a run before wrote."""
+    told: dict[str, Any] = torch.load(path, weights_only=True)
+    for name in ("network", "average", "optimiser"):
+        getattr(state, name).load_state_dict(told[name])
+    state.steps, state.minutes = told["steps"], told["minutes"]
+
+
+def export_weights(path: Path, state: State) -> None:
+    """Write the averaged weights as half floats."""
+    arrays = {name: each.numpy().astype(np.float16) for name, each in state.average.state_dict().items()}
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+    temporary.replace(path)
+
+
+def find_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path]]]:
+    """Return the files to train on and those that are kept aside, by their set of guides.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to train on.
+    """
+    shown: dict[str, list[Path]] = defaultdict(list)
+    aside: dict[str, list[Path]] = defaultdict(list)
+    for path in sorted(folder.glob("*.npz")):
+        told = parse_file_name(path)
+        if told is not None:
+            kept_aside = told[2] != DRAWN and is_validation(told[0])
+            (aside if kept_aside else shown)[told[2]].append(path)
+    if not shown:
+        action = "make some with python -m benchmarks.training.refinement_frames"
+        raise InputError("frames", expected="a folder with frames to train on", got=f"none in {folder}", action=action)
+    return shown, aside
+
+
+def take_step(state: State, shown: dict[str, list[Path]], seed: int, rate: float) -> float:
+    """Train on one batch; return its loss, NaN where the step was left out."""
+    # Every step has random numbers of its own, so that a run that goes on draws what it would have drawn.
+    rng = np.random.default_rng([seed, state.steps])
+    names = [name for name in SHARES if shown.get(name)]
+    shares = np.array([SHARES[name] for name in names])
+    drawn = rng.choice(len(names), BATCH, p=shares / shares.sum())
+    batch = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng)
+    for group in state.optimiser.param_groups:
+        group["lr"] = rate
+    images = batch.images
+    loss = find_loss(state.network(batch), images["filtered"] + images["rest"], images["reference"])
+    state.optimiser.zero_grad()
+    state.steps += 1
+    loss.backward()
+    size = torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT)
+    if not torch.isfinite(loss) or not torch.isfinite(size):
+        print(f"step {state.steps}: the loss is not finite; the step is left out", flush=True)
+        return math.nan
+    state.optimiser.step()
+    kept = min(MAX_AVERAGING, (1 + state.steps) / (10 + state.steps))
+    with torch.no_grad():
+        for mean, each in zip(state.average.parameters(), state.network.parameters(), strict=True):
+            mean.lerp_(each, 1.0 - kept)
+    return float(loss.detach())
+
+
+def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]]) -> Errors:
+    """Return errors over the peer's by set of guides and samples, "before" for what the network starts from.
+
+    They are geometric means over frames. "mean" is over all samples.
+    """
+    logs: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for guides, paths in sorted(aside.items()):
+        count = min(len(paths), MAX_JUDGED)
+        for path in (paths[k * len(paths) // count] for k in range(count)):
+            stored = read_frame.__wrapped__(path)
+            batch = make_whole(stored)
+            with torch.no_grad():
+                found = network(batch)[0]
+            rows, columns = found.shape[1:]
+            reference = batch.images["reference"][0]
+            peer = torch.from_numpy(stored.images["peer"][:, :rows, :columns].astype(np.float32))
+            before = (batch.images["filtered"] + batch.images["rest"])[0]
+            own, base, other = (_measure(image, reference) for image in (found, before, peer))
+            for key, value in ((f"{stored.spp}", own / other), ("mean", own / other), ("before", base / other)):
+                logs[guides][key].append(math.log(max(value, 1e-9)))
+    return {
+        guides: {key: round(math.exp(float(np.mean(values))), 4) for key, values in sorted(found.items())}
+        for guides, found in logs.items()
+    }
+
+
+def _measure(image: Tensor, reference: Tensor) -> float:
+    return rel_mse(*(np.moveaxis(each.numpy(), 0, -1) for each in (image, reference)))
+
+
+def judge(state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path) -> None:
+    """Print the errors of the averaged weights on frames kept aside, and add them to the curve."""
+    errors = measure_errors(state.average, aside)
+    print(f"after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
+    for guides, found in errors.items():
+        print(f"  {guides:8}" + "".join(f" {key} {value:.2f}" for key, value in found.items()), flush=True)
+    points = json.loads(curve.read_text())["points"] if curve.exists() else []
+    point = {
+        "minutes": round(state.minutes, 2),
+        "steps": state.steps,
+        "frames": sum(map(len, shown.values())),
+        "frames_aside": sum(map(len, aside.values())),
+        "errors": errors,
+    }
+    metric = "rel_mse over that of Open Image Denoise with the same guides"
+    write_json(curve, {"metric": metric, "points": [*points, point]})
+
+
+def run(state: State, arguments: argparse.Namespace) -> None:
+    """Train until the run's minutes or steps are over; what ends it early loses no step."""
+    shown, aside = find_frames(arguments.frames)
+    print(f"{sum(map(len, shown.values()))} files to train on, {sum(map(len, aside.values()))} kept aside", flush=True)
+    spent = saved = judged = 0.0
+    losses: list[float] = []
+    try:
+        while (share := len(losses) / arguments.steps if arguments.steps else spent / max(arguments.minutes, 1e-9)) < 1.0:
+            began = time.perf_counter()
+            losses.append(take_step(state, shown, arguments.seed, find_rate(share, len(losses))))
+            passed = (time.perf_counter() - began) / 60.0
+            spent, state.minutes = spent + passed, state.minutes + passed
+            if len(losses) % STEPS_BETWEEN_REPORTS == 0:
+                mean = np.nanmean(losses[-STEPS_BETWEEN_REPORTS:])
+                print(f"step {state.steps}, {spent:.1f} min: {mean:.4f}", flush=True)
+                shown, aside = find_frames(arguments.frames)
+            if spent - saved >= CHECKPOINT_MINUTES:
+                saved = spent
+                save_checkpoint(arguments.checkpoint, state)
+            if spent - judged >= VALIDATION_MINUTES:
+                judged = spent
+                judge(state, aside, shown, arguments.curve)
+    finally:
+        if losses:
+            save_checkpoint(arguments.checkpoint, state)
+    if losses:
+        judge(state, aside, shown, arguments.curve)
+
+
+def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
+    """Return the options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=Path, required=True, help="folder that refinement_frames.py fills")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="file to go on with, and to write")
+    parser.add_argument("--minutes", type=float, default=150.0, help="of training, in this run")
+    parser.add_argument("--steps", type=int, help="in this run, in place of minutes")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
+    parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
+    parser.add_argument("--export", type=Path, help="write the weights as half floats")
+    return parser.parse_args(words)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Train, judge, write."""
+    arguments = parse_arguments(words)
+    torch.set_num_threads(arguments.threads)
+    state = make_state(arguments.seed, compares=not arguments.no_guides)
+    if arguments.checkpoint.exists():
+        load_checkpoint(arguments.checkpoint, state)
+        print(f"going on after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
+    run(state, arguments)
+    if arguments.export is not None:
+        export_weights(arguments.export, state)
+        print(f"wrote {arguments.export}", flush=True)
+
+
+if __name__ == "__main__":
+    # Whoever ends the program by SIGTERM keeps the checkpoint, as with Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    main()

@@ -1,0 +1,153 @@
+"""Batches to train the refining network on: crops of stored frames, changed at random in ways that keep them true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from benchmarks.training.refinement_frames import parse_file_name
+from benchmarks.training.refinement_model import MULTIPLE, Batch
+
+Array = NDArray[np.float32]
+CROP = 128
+"""Rows and columns of a crop, where a frame has as many."""
+KEPT_FRAMES = 400
+CHANNELS = {
+    "noisy": 3,
+    "filtered": 3,
+    "albedo": 3,
+    "normal": 3,
+    "depth": 1,
+    "roughness": 1,
+    "specular_share": 1,
+    "change": 3,
+    "rest": 3,
+    "lobe": 4,
+    "reference": 3,
+}
+LIGHTS = ("noisy", "filtered", "change", "rest", "reference")
+COLORS = (*LIGHTS, "albedo")
+EXPOSURE_SPREAD, BRIGHTNESS_SPREAD = 0.7, 0.5
+"""Standard deviations of natural logarithms: of what all light of a crop is multiplied by, and its brightness alone."""
+CHANGE_DROPPED_SHARE = 0.2
+"""Share of the crops with halves that come without them."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A frame of a file: its images (channels, rows, columns), and the numbers of the whole frame."""
+
+    images: dict[str, NDArray[np.float16]]
+    brightness: float
+    log_depth: float
+    shared: bool
+    guides: str
+    spp: int
+
+
+def find_brightness(color: Array) -> float:
+    """Return the squared mean of the root of the light, (channels, rows, columns)."""
+    return float(np.sqrt(np.maximum(color, 0.0).mean(axis=0)).mean() ** 2) + 1e-6
+
+
+def find_mean_log_depth(depth: Array | None) -> float:
+    """Return the mean logarithm of the depth of surfaces, 0 where there are none."""
+    seen = depth[depth > 0.0] if depth is not None else np.zeros(0)
+    return float(np.log(seen).mean()) if seen.size else 0.0
+
+
+@lru_cache(maxsize=KEPT_FRAMES)
+def read_frame(path: Path) -> Stored:
+    """Return the frame in a file."""
+    told = parse_file_name(path)
+    assert told is not None
+    with np.load(path) as arrays:
+        images = {}
+        for name in arrays.files:
+            each = arrays[name]
+            images[name] = each[None] if each.ndim == 2 else np.ascontiguousarray(np.moveaxis(each, -1, 0))
+    noisy = images["noisy"].astype(np.float32) + (images["rest"].astype(np.float32) if "rest" in images else 0.0)
+    depth = images["depth"].astype(np.float32) if "depth" in images else None
+    return Stored(images, find_brightness(noisy), find_mean_log_depth(depth), is_shared(told[0], told[1]), told[2], told[1])
+
+
+def is_shared(seed: int, spp: int) -> bool:
+    """Return whether pixels of a frame share samples; see `refinement_frames.vary_frame`."""
+    from benchmarks.training.refinement_frames import SALT, SHARED_SHARE
+
+    return spp > 0 and bool(np.random.default_rng([SALT, seed, spp]).random() < SHARED_SHARE)
+
+
+def cut(stored: Stored, top: int, left: int, rows: int, columns: int) -> dict[str, Array]:
+    """Return a part of a frame."""
+    return {
+        name: image[:, top : top + rows, left : left + columns].astype(np.float32)
+        for name, image in stored.images.items()
+        if name in CHANNELS
+    }
+
+
+def vary(images: dict[str, Array], rng: np.random.Generator) -> float:
+    """Mirror, transpose, turn, recolour and expose a crop in place; return the factor of its light."""
+    down, across, swapped = rng.random(3) < 0.5
+    order, turn = rng.permutation(3), np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
+    factor = np.float32(np.exp(rng.normal(0.0, EXPOSURE_SPREAD)))
+    if "change" in images and rng.random() < CHANGE_DROPPED_SHARE:
+        del images["change"]
+    for name, image in images.items():
+        moved = image[:, :: -1 if down else 1, :: -1 if across else 1]
+        moved = moved.transpose(0, 2, 1) if swapped else moved
+        if name in COLORS:
+            moved = moved[order]
+        if name in LIGHTS:
+            moved = moved * factor
+        if name == "normal":
+            moved = np.einsum("ij,jyx->iyx", turn, moved)
+        if name == "lobe":
+            moved = np.concatenate([np.einsum("ij,jyx->iyx", turn, moved[:3]), moved[3:]])
+        images[name] = moved
+    return float(factor)
+
+
+def join(crops: Sequence[dict[str, Array]], numbers: Sequence[tuple[float, float, bool]]) -> Batch:
+    """Return crops of one size as a batch; numbers are brightness, mean logarithm of the depth, and what is shared."""
+    images, known = {}, {}
+    rows, columns = crops[0]["noisy"].shape[1:]
+    for name, channels in CHANNELS.items():
+        empty = np.zeros((channels, rows, columns), np.float32)
+        images[name] = torch.from_numpy(np.stack([crop.get(name, empty) for crop in crops]))
+        known[name] = _column([float(name in crop) for crop in crops])
+    brightness, depth, shared = (_column([float(each) for each in column]) for column in zip(*numbers, strict=True))
+    return Batch(images, known, brightness, depth, shared)
+
+
+def _column(values: Sequence[float]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float32).view(-1, 1, 1, 1)
+
+
+def draw_batch(paths: Sequence[Path], rng: np.random.Generator) -> Batch:
+    """Return a crop of each of some frames."""
+    crops, numbers = [], []
+    for path in paths:
+        stored = read_frame(path)
+        rows, columns = stored.images["noisy"].shape[1:]
+        side = min(CROP, rows, columns)
+        images = cut(stored, int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1)), side, side)
+        factor = vary(images, rng)
+        brightness = stored.brightness * factor * float(np.exp(rng.normal(0.0, BRIGHTNESS_SPREAD)))
+        crops.append(images)
+        numbers.append((brightness, stored.log_depth + float(rng.normal(0.0, 0.3)), stored.shared))
+    return join(crops, numbers)
+
+
+def make_whole(stored: Stored) -> Batch:
+    """Return a whole frame as a batch of one, cut to a size that the network can halve."""
+    rows, columns = (length - length % MULTIPLE for length in stored.images["noisy"].shape[1:])
+    return join([cut(stored, 0, 0, rows, columns)], [(stored.brightness, stored.log_depth, stored.shared)])
