@@ -54,6 +54,7 @@ PAGES = {
     "docs/research/kernel_trials.md": Source(performance.make_trial_figures, ("kernel_trials", "taps")),
     "docs/research/mixing_networks.md": Source(trials.make_share_figures, ("shares",)),
     "docs/research/quality_trials.md": Source(trials.make_trial_figures, ("quality_trials", "training")),
+    "docs/research/refinement.md": Source(trials.make_refinement_figures, ("refinement_trials",)),
     "docs/results.md": Source(results.make_figures, ("similarities", "filters", "paper_table", "upsampling")),
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
     "docs/users_results.md": Source(users.make_figures, ("users",)),

@@ -17,7 +17,6 @@ import pytest
 import lobewise
 from lobewise.backend.buffers import Buffer
 from lobewise.backend.jit import Kernel
-from lobewise.denoising.planning.layer_plans import CANDIDATE_COUNT
 from tests.streaming.frames import make_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.processor]  # kernels of every recipe
@@ -28,7 +27,6 @@ SYMMETRIC = {
     # Means and differences of both halves of the samples.
     *((name, "a", "b") for name in ("light sums", "noise guide")),
     *((name, "half_a", "half_b") for name in ("dual buffer", "excess", "difference")),
-    *(("mixing", f"candidate{k}_a", f"candidate{k}_b") for k in range(CANDIDATE_COUNT)),
     # Their difference, squared, over what both are.
     ("excess", "filtered", "noisy"),
     # Without a history the samples are all that a sum has.

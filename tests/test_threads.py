@@ -15,11 +15,10 @@ import pytest
 from lobewise.denoising import denoise
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.history.reprojection import run_reprojection as reproject
-from lobewise.filters.mixing import mix_candidates
 from lobewise.filters.noise_guides import make_noise_guide, measure_light
 from tests.denoising.test_denoising import make_frame
 from tests.features.frames import make_mask
-from tests.filters import test_accumulation, test_dual_buffer, test_fireflies, test_mixing, test_noise_guides
+from tests.filters import test_accumulation, test_dual_buffer, test_fireflies, test_noise_guides, test_refinement
 from tests.filters.test_reprojection import make_pair, make_past, make_places
 
 SHAPE = (131, 67)
@@ -46,8 +45,8 @@ def run_fireflies() -> bytes:
     return bounded.a.tobytes() + bounded.b.tobytes() + bounded.tally.tobytes()
 
 
-def run_mixing() -> bytes:
-    return mix_candidates(*test_mixing.make_inputs(SHAPE), test_mixing.NETWORK).tobytes()
+def run_refinement() -> bytes:
+    return test_refinement.refine(test_refinement.make_images(SHAPE)).tobytes()
 
 
 def run_noise_guide() -> bytes:
@@ -72,7 +71,7 @@ CALLS: dict[str, Callable[[], bytes]] = {
     "reprojection": run_reprojection,
     "trust": run_trust,
     "fireflies": run_fireflies,
-    "mixing": run_mixing,
+    "refinement": run_refinement,
     "noise guide": run_noise_guide,
     "light": run_light,
     "dual buffer": run_dual_buffer,

@@ -1,4 +1,4 @@
-"""The figures of docs/research/mixing_networks.md and docs/research/quality_trials.md."""
+"""The figures of the pages docs/research/mixing_networks.md, quality_trials.md and refinement.md."""
 
 from __future__ import annotations
 
@@ -78,4 +78,19 @@ def make_trial_figures(trials: dict[str, Any], training: dict[str, Any]) -> dict
         "trials": make_trials(trials["trials"]),
         "networks": list_facts(facts),
         "networks-errors": make_ratios(training["ratios"]),
+    }
+
+
+def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/research/refinement.md by place."""
+    names = ("balanced", "with similarities", "without")
+    rows = [
+        [f"{guides}, {spp} spp", *(f"{trials[name][guides][spp]:.2f}" for name in names)]
+        for guides, row in trials["without"].items()
+        for spp in row
+    ]
+    facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
+    return {
+        "similarities-run": list_facts(facts),
+        "similarities": make_table(["guides", "`balanced`", "with similarities", "without"], rows),
     }

@@ -36,7 +36,7 @@ from lobewise.metrics import rel_mse
 
 CURVE = RESULTS / "refinement_curve.json"
 BATCH = 4
-RATE, LAST_RATE_SHARE, WARM_STEPS = 1.5e-3, 0.02, 200
+RATE, LAST_RATE_SHARE, WARM_STEPS = 1e-3, 0.02, 200
 """Learning rate at its highest, what is left of it at the end of a run, and steps until it is reached."""
 MOMENTS = 0.9, 0.99
 MAX_GRADIENT = 1.0
@@ -44,7 +44,7 @@ MAX_AVERAGING = 0.998
 """Share of the averaged weights that a step keeps."""
 BORDER = 4
 """Pixels at the edges of a crop that do not count: they lack neighbours that whole frames have."""
-TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.02
+TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.05
 """Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
 CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
 STEPS_BETWEEN_REPORTS = 200
@@ -233,7 +233,9 @@ def run(state: State, arguments: argparse.Namespace) -> None:
     spent = saved = judged = 0.0
     losses: list[float] = []
     try:
-        while (share := len(losses) / arguments.steps if arguments.steps else spent / max(arguments.minutes, 1e-9)) < 1.0:
+        while (
+            share := len(losses) / arguments.steps if arguments.steps else spent / max(arguments.minutes, 1e-9)
+        ) < 1.0:
             began = time.perf_counter()
             losses.append(take_step(state, shown, arguments.seed, find_rate(share, len(losses))))
             passed = (time.perf_counter() - began) / 60.0

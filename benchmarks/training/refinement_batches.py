@@ -75,7 +75,9 @@ def read_frame(path: Path) -> Stored:
             images[name] = each[None] if each.ndim == 2 else np.ascontiguousarray(np.moveaxis(each, -1, 0))
     noisy = images["noisy"].astype(np.float32) + (images["rest"].astype(np.float32) if "rest" in images else 0.0)
     depth = images["depth"].astype(np.float32) if "depth" in images else None
-    return Stored(images, find_brightness(noisy), find_mean_log_depth(depth), is_shared(told[0], told[1]), told[2], told[1])
+    return Stored(
+        images, find_brightness(noisy), find_mean_log_depth(depth), is_shared(told[0], told[1]), told[2], told[1]
+    )
 
 
 def is_shared(seed: int, spp: int) -> bool:

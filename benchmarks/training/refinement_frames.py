@@ -5,9 +5,9 @@
 
 Each seed from 1 is a random scene of `benchmarks.training.kinds`. It gives two or three frames of 1 to 64 samples per
 pixel, and each frame one file for every set of guides that a user may have. A file holds what
-`lobewise.denoising.refining` reads after the quality "balanced", and the reference. ``--drawn`` makes frames of drawn
-textures instead (`benchmarks.training.textures`). What is there already is not made again, so that the program may be
-stopped at any time and continues where it stopped.
+`lobewise.denoising.refining.inputs` reads after the quality "balanced", and the reference. ``--drawn`` makes frames of
+drawn textures instead (`benchmarks.training.textures`). What is there already is not made again, so that the program
+may be stopped at any time and continues where it stopped.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from benchmarks.training.make_frames import (
     limit_threads,
 )
 from benchmarks.users.guides import reduce_frame
-from lobewise.denoising.refining import RefinementInputs, collect_inputs
+from lobewise.denoising.refining.inputs import RefinementInputs, collect_inputs
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.lobes.band_limit import default_tau

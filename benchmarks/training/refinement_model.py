@@ -2,8 +2,9 @@
 
 The network reads the noisy image, the image after the quality "balanced" and the guides. Each level of the pyramid has
 half the size of the one below. A pixel of a level becomes a weighted mean of its 5x5 noisy neighbours, of its 3x3
-filtered neighbours and of the 3x3 nearest pixels of the level above. The weights are learned, positive, and the result
-is multiplied by the albedo. A pixel's source weight says how much it counts for others, so that a firefly counts little.
+filtered neighbours and of the 3x3 nearest pixels of the level above. The weights are learned, and multiplied by the
+similarity of place, normal and lobe. The result is multiplied by the albedo. A pixel's source weight says how much it
+counts for others, so that a firefly counts little.
 Predicting kernels follows Bako et al., "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo
 Renderings", 2017; kernels on the levels of a pyramid follow Vogels et al., "Denoising with Kernel Prediction and
 Asymmetric Loss Functions", 2018, and Balint et al., "Neural Partitioning Pyramids for Denoising Monte Carlo
@@ -128,7 +129,9 @@ class RefiningNetwork(nn.Module):
             for level in range(1, LEVELS)
         )
         self.up = nn.ModuleList(
-            nn.ModuleList([convolve(units[level + 1] + units[level], units[level]), convolve(units[level], units[level])])
+            nn.ModuleList(
+                [convolve(units[level + 1] + units[level], units[level]), convolve(units[level], units[level])]
+            )
             for level in range(1, LEVELS - 1)
         )
         self.squeeze = convolve(units[1], 16, 1)

@@ -7,7 +7,7 @@
 "noisy" tells how much of the noisy image a result of `balanced` or `high` takes back. "peer" tells how much of our
 image, which took back what the first network says, and of the noisy one enter that of Open Image Denoise. A fifth of
 the scenes is kept aside and tells the errors. Drawn textures train the first alone. The weights go into the package's
-file beside those of `train.py`. Needs ``lobewise[train]``.
+file. Needs ``lobewise[train]``.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, read_candidates
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
-from benchmarks.training.train import replace_networks
 from lobewise.denoising.combining import find_level, see_mixture
 from lobewise.denoising.evidence import find_share_taken_back
-from lobewise.denoising.networks import WEIGHTS
+from lobewise.denoising.networks import WEIGHTS, pack_network
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 
@@ -85,6 +84,17 @@ def train_aside(examples: Sequence[Examples], steps: int, seed: int) -> tuple[Sh
     network = train(shown, steps, seed)
     tables = {"trained": measure(network, shown), "kept aside": measure(network, aside)}
     return network, tables
+
+
+def replace_networks(path: Path, networks: dict[str, Network]) -> dict[str, Array]:
+    """Write networks into a file that keeps its others, and return all arrays of it."""
+    arrays: dict[str, Array] = dict(np.load(path, allow_pickle=False)) if path.exists() else {}
+    for kind, each in networks.items():
+        arrays |= pack_network(each, kind)
+    temporary = path.with_suffix(".tmp.npz")
+    np.savez(temporary, **arrays)  # type: ignore[arg-type]
+    temporary.replace(path)
+    return arrays
 
 
 def main(words: list[str] | None = None) -> None:

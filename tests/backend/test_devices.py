@@ -206,6 +206,6 @@ def test_denoise_gives_the_same_on_another_device(vulkan, make_frame, quality):
         == {
             "fast": {"up": 12, "down": 2},
             "balanced": {"up": 21, "down": 18},
-            "high": {"up": 39, "down": 24},
+            "high": {"up": 32, "down": 19},
         }[quality]
     )

@@ -26,8 +26,9 @@ def test_it_prints_the_steps_of_the_quality(quality: str, frame_file: Path, caps
     printed = capsys.readouterr().out
     assert f"quality {quality}" in printed
     assert printed.splitlines()[1] == "1. filter every layer by its plan"
-    steps = {"fast": "full kernel, 9x9 pixels", "balanced": "light 3", "high": "mixture of 13 images"}
-    assert {name: step in printed for name, step in steps.items()} == {name: name == quality for name in steps}
+    assert ("full kernel, 9x9 pixels" in printed) == (quality == "fast")
+    assert ("light 3" in printed) == (quality != "fast")
+    assert ("refine the image" in printed) == (quality == "high")
     assert "Memory: about" in printed
     assert "Time: about" in printed
 

@@ -1,36 +1,23 @@
-"""The quality "high": its candidates, what the network sees, the mixture, and the share of Open Image Denoise."""
+"""The quality "high": the refining network, and the share of Open Image Denoise."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import combining, denoise, running, stages
+from lobewise.denoising import combining, denoise, stages
 from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.networks import load_networks, pack_network, unpack_network
-from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
-from lobewise.denoising.planning import layer_plans
-from lobewise.denoising.planning.layer_plans import CANDIDATE_COUNT, MIDDLE, NARROW, WIDE
-from lobewise.denoising.running import (
-    EXTRA_COUNT,
-    Candidates,
-    Halves,
-    compare_halves,
-    find_candidates,
-    finish_layer,
-    make_first_guide,
-)
+from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
-from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.mixing import Network
-from lobewise.filters.mixing_pass import count_features
 from lobewise.filters.noise import agreement, detail
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
@@ -43,13 +30,6 @@ from lobewise.upsampling import upsample
 from tests.denoising.test_denoising import SHAPE, get_clean, make_frame
 from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-ALBEDO_FLOOR = 1e-3
-SMALLEST_ALPHA = 1e-3
-FEW = {"DENSE": 1, "SPARSE": 1, "SPARSE_STEPS_PIXELS": 1}
-"""What is left of the plan in most of these tests, passes and variants of sparse ones: what holds of four filters holds
-of all, and compiles sooner."""
-FEWER = 4
 CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
 """Lobes take the most time to compile."""
 
@@ -58,11 +38,6 @@ SCALED = {1e-6: 5e-3, 3.0: 2e-3, 1e6: 5e-3}
 differences of 1, over the least variance that guides assume; less where the logarithm is."""
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
-REACH = 6 + 5 + 3 + 8 + 3 + 12 + 2 + 6 + 1
-"""Pixels from which a pixel is told anything: fireflies, pilot, blur of its variance, dense pass, blur of its variance,
-sparse pass, blurs and slope of the mixing; as `FEW` leaves it."""
-EVERYWHERE = 1e-3
-"""What a bad pixel changes further away, relative: the mean of the frame has one pixel less of 2000."""
 
 pytestmark = pytest.mark.slow
 
@@ -85,30 +60,22 @@ def force(network: Network, chosen: int) -> Network:
     return network._replace(weights=weights, biases=(*network.biases[:-1], scores))
 
 
-def make_networks(candidates: int) -> dict[str, Network]:
+def make_networks() -> dict[str, Network]:
     """Return one of each kind."""
-    inputs = count_features(candidates, EXTRA_COUNT)
-    return {
-        "diffuse": make_network(inputs, candidates, 1),
-        "specular": make_network(inputs, candidates, 2),
-        "peer": make_network(agreement.COUNT + detail.COUNT, 3, 5),
-    }
+    return {"peer": make_network(agreement.COUNT + detail.COUNT, 3, 5)}
 
 
-def take_networks(monkeypatch: pytest.MonkeyPatch, candidates: int) -> dict[str, Network]:
+def take_networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
     """Return the networks that are used from now on, to be changed in place."""
-    networks = make_networks(candidates)
-    for module in (running, combining):
-        monkeypatch.setattr(module, "load_networks", lambda: networks)
+    networks = make_networks()
+    monkeypatch.setattr(combining, "load_networks", lambda: networks)
     return networks
 
 
 @pytest.fixture
 def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
-    """Return networks of random numbers for a plan of few filters, both in use."""
-    for name, count in FEW.items():
-        monkeypatch.setattr(layer_plans, name, getattr(layer_plans, name)[:count])
-    return take_networks(monkeypatch, FEWER)
+    """Return networks of random numbers in place of those that mix in the image of Open Image Denoise."""
+    return take_networks(monkeypatch)
 
 
 def resolve(frame: Frame, **changes: Any) -> DenoiseSettings:
@@ -117,67 +84,18 @@ def resolve(frame: Frame, **changes: Any) -> DenoiseSettings:
     return resolve_guided(frame, asked)
 
 
-def list_images(frame: Frame) -> dict[str, list[FloatArray]]:
-    """Return what every layer would be if the network took one candidate alone."""
-    settings, images = resolve(frame), {}
-    for noisy in make_noisy_layers(frame, settings, ()):
-        found = find_candidates(frame, noisy, settings)
-        images[noisy.name] = [finish_layer(frame, noisy, pair, found.middle).image for pair in found.pairs]
-    return images
-
-
-class TestMixture:
-    @pytest.mark.usefixtures("trusted", "unshared")
-    def test_a_network_that_wants_one_candidate_gets_it(self, networks):
-        frame = make_frame()
-        images = list_images(frame)
-        usual = dict(networks)
-        for k in range(FEWER):
-            other = FEWER - 1 - k
-            networks["diffuse"], networks["specular"] = force(usual["diffuse"], k), force(usual["specular"], other)
-            result = denoise(frame, **CHEAP)
-            np.testing.assert_allclose(result.diffuse, images["diffuse"][k], rtol=ROUNDING)
-            np.testing.assert_allclose(result.specular, images["specular"][other], rtol=ROUNDING)
-            np.testing.assert_allclose(result.image, images["diffuse"][k] + images["specular"][other], rtol=ROUNDING)
-        # Which all differ, or nothing is told.
-        for each in images.values():
-            assert min(np.abs(a - b).max() for a, b in pairwise(each)) > 0.01
-
-    @pytest.mark.usefixtures("trusted", "unshared")
-    def test_colour_alone_has_the_network_of_reflections(self, networks):
-        frame = make_frame(apart=False)
-        images = list_images(frame)["color"]
-        for k in range(FEWER):
-            networks["specular"] = force(networks["specular"], k)
-            result = denoise(frame, **CHEAP)
-            np.testing.assert_allclose(result.image, images[k], rtol=ROUNDING)
-            assert result.diffuse is None
-            assert result.specular is None
-
-    @pytest.mark.usefixtures("networks", "trusted", "unshared")
-    def test_the_mixture_is_between_the_candidates(self):
-        frame = make_frame()
-        result = denoise(frame, **CHEAP)
-        for name, images in list_images(frame).items():
-            mixed, stacked = getattr(result, name), np.stack(images)
-            assert (mixed >= stacked.min(axis=0) * (1.0 - ROUNDING)).all()
-            assert (mixed <= stacked.max(axis=0) * (1.0 + ROUNDING)).all()
-
-    @pytest.mark.usefixtures("networks")
+class TestRefinement:
     @pytest.mark.parametrize("factor", SCALED)
     def test_a_brighter_frame_is_the_same_frame(self, factor):
         assert_scales(factor, **CHEAP)
 
-    @pytest.mark.usefixtures("networks")
     def test_twice_the_same_bits(self):
         frame, _ = make_shadowed()
         first, second = (denoise(frame, **CHEAP) for _ in range(2))
         for name in ("image", "diffuse", "specular", "weight_sum", "effective_samples"):
             assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
 
-    @pytest.mark.usefixtures("networks")
     def test_an_edge_of_light_that_no_guide_knows_stays(self):
-        # Whatever the network says: every candidate is told of the edge, the pilot alone is not.
         frame, truth = make_shadowed()
         assert measure(denoise(frame, **CHEAP).image, truth) < 0.2 * measure(
             denoise(frame, quality="fast").image, truth
@@ -185,10 +103,7 @@ class TestMixture:
 
     @pytest.mark.slow
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
-    def test_the_whole_plan(self, apart, monkeypatch):
-        # With normals, which both layers have one kernel for; with lobes it runs on every device and in bands
-        # (kernels/test_devices.py, streaming/test_recipe.py).
-        take_networks(monkeypatch, CANDIDATE_COUNT)
+    def test_the_whole_plan(self, apart):
         frame, truth = make_shadowed(apart=apart)
         first, second = (denoise(frame, **CHEAP) for _ in range(2))
         assert np.isfinite(first.image).all()
@@ -196,16 +111,6 @@ class TestMixture:
         assert measure(first.image[FAR], truth[FAR]) < 0.1 * measure(frame.radiance.color[FAR], truth[FAR])
         if apart:
             assert_scales(3.0, **CHEAP)
-
-    @pytest.mark.parametrize("name", ["diffuse", "specular"])
-    def test_without_albedos_no_filter_divides_by_any(self, name, recorder):
-        frame = make_frame(diffuse_albedo=None, specular_albedo=None, alpha_u=None, alpha_v=None)
-        candidates = find_of(frame, name)
-        assert all(call.get("albedo") is None for call in recorder.calls)
-        (noisy,) = (each for each in make_noisy_layers(frame, resolve(frame), ()) if each.name == name)
-        clean = finish_layer(frame, noisy, candidates.pairs[0], candidates.middle)
-        a, b = candidates.pairs[0]
-        np.testing.assert_allclose(clean.image, 0.5 * (a + b), rtol=ROUNDING)
 
 
 def assert_scales(factor: float, **settings: Any) -> None:
@@ -218,199 +123,6 @@ def assert_scales(factor: float, **settings: Any) -> None:
     scaled = {name: scale(getattr(frame, name)) for name in ("radiance", "half_a", "half_b")}
     plain, bright = (denoise(each, **settings) for each in (frame, frame.with_changes(**scaled)))
     np.testing.assert_allclose(bright.image, factor * plain.image, rtol=SCALED[factor])
-
-
-class Recorder:
-    """Stands for the kernels of the passes: tells what they were called with, returns random numbers."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.calls: list[dict[str, Any]] = []
-        self.gave: list[list[DualBufferOutput]] = []
-        self.guided: list[tuple[FloatArray, FloatArray]] = []
-        self.guides: list[FloatArray] = []
-        self.levels: list[float] = []
-        self.rng = np.random.default_rng(11)
-        monkeypatch.setattr(running, "filter_dual_buffer", self.run)
-        monkeypatch.setattr(running, "compare_halves", self.guide)
-        monkeypatch.setattr(running, "split_lone", lambda found, *_, **__: found)
-
-    def draw(self, *shape: int) -> FloatArray:
-        return self.rng.uniform(0.1, 9.0, shape).astype(np.float32)
-
-    def run(self, request: PassRequest) -> list[DualBufferOutput]:
-        if request.guide is None:
-            # The samples themselves, for the first guide.
-            return filter_dual_buffer(request)
-        self.calls.append({item.name: getattr(request, item.name) for item in fields(request)})
-        shape = request.mask.shape
-        images = [[self.draw(*shape, 3), self.draw(*shape, 3)] for _ in request.variants]
-        self.gave.append([DualBufferOutput(a, b, self.draw(*shape), self.draw(*shape)) for a, b in images])
-        return self.gave[-1]
-
-    def guide(self, noisy: NoisyLayer, halves: Halves, device: str) -> FloatArray:
-        if not self.gave:
-            return compare_halves(noisy, halves, device)
-        self.guided.append((halves.a, halves.b))
-        self.levels.append(noisy.level)
-        self.guides.append(self.draw(*halves.a.shape[:2], 4))
-        return self.guides[-1]
-
-    def find_guide(self, found: DualBufferOutput) -> FloatArray:
-        """Return the guide that was made of both halves of a filter's result, once."""
-        pairs = zip(self.guided, self.guides, strict=True)
-        (guide,) = (guide for (a, b), guide in pairs if a is found.a and b is found.b)
-        return guide
-
-    @property
-    def dense(self) -> list[dict[str, Any]]:
-        """The calls between the pilot and the sparse passes."""
-        return self.calls[1 : 1 + len(layer_plans.DENSE)]
-
-    @property
-    def sparse(self) -> list[dict[str, Any]]:
-        """The last calls."""
-        return self.calls[1 + len(layer_plans.DENSE) :]
-
-
-@pytest.fixture
-def recorder(monkeypatch: pytest.MonkeyPatch) -> Recorder:
-    """Return what stands for the kernels of the passes."""
-    return Recorder(monkeypatch)
-
-
-def find_of(frame: Frame, name: str, **changes: Any) -> Candidates:
-    """Return the candidates of one layer."""
-    settings = resolve(frame, **changes)
-    (noisy,) = (each for each in make_noisy_layers(frame, settings, ()) if each.name == name)
-    return find_candidates(frame, noisy, settings)
-
-
-class TestCandidates:
-    @pytest.mark.parametrize("name", ["diffuse", "specular"])
-    def test_every_filter_averages_and_is_guided_by_what_it_should(self, name, recorder):
-        candidates = find_of(make_frame(), name)
-        pilot, *_ = recorder.calls
-        (found_pilot,), *found = recorder.gave
-        assert [call["variants"] for call in recorder.dense] == list(layer_plans.DENSE)
-        for call in recorder.dense:
-            assert all(given is first for given, first in zip(call["halves"], pilot["halves"], strict=True))
-            assert call["guide"] is recorder.find_guide(found_pilot)
-            assert call["noise"] == layer_plans.DENSE_NOISE[name]
-            assert call["albedo"] is pilot["albedo"]
-        assert [call["variants"] for call in recorder.sparse] == [layer_plans.SPARSE] * 2
-        sources = found[0][WIDE], found[len(layer_plans.DENSE)][0]
-        for call, source in zip(recorder.sparse, sources, strict=True):
-            assert call["halves"][0] is source.a
-            assert call["halves"][1] is source.b
-            assert call["guide"] is recorder.find_guide(source)
-            assert call["noise"] == layer_plans.SPARSE_NOISE
-            # What they average has been divided by the albedo before.
-            assert call.get("albedo") is None
-        every = list(chain.from_iterable(found))
-        assert len(candidates.pairs) == len(every) == CANDIDATE_COUNT == 13
-        assert all(a is each.a and b is each.b for (a, b), each in zip(candidates.pairs, every, strict=True))
-        assert candidates.middle is found[0][MIDDLE]
-
-    def test_the_pilot_is_guided_by_the_samples(self, recorder):
-        frame, _ = make_shadowed()
-        for each in (frame, frame.with_changes(half_a=None, half_b=None)):
-            recorder.calls.clear()
-            recorder.gave.clear()
-            find_of(each, "specular")
-            (noisy,) = (layer for layer in make_noisy_layers(each, resolve(each), ()) if layer.name == "specular")
-            recorder.gave.clear()
-            guide, expected = recorder.calls[0]["guide"], make_first_guide(noisy, "cpu")
-            np.testing.assert_array_equal(guide, expected)
-            light = noisy.samples[0] / 0.5
-            offset = 0.04 * light.mean()
-            assert np.abs(guide[..., :3] - np.log(light + offset)).max() < 1.0
-            assert recorder.calls[0]["noise"] == layer_plans.PILOT_NOISE
-
-    def test_every_filter_but_the_pilot_heeds_its_guide(self):
-        variants = [*chain.from_iterable(layer_plans.DENSE), *layer_plans.SPARSE]
-        assert all(each.range > 0.0 for each in variants)
-
-    def test_the_middle_candidate_is_between_the_narrow_and_the_wide(self):
-        sigmas = [layer_plans.DENSE_SIGMA / each.place**0.5 for each in chain.from_iterable(layer_plans.DENSE)]
-        # Of 12 only about, as that of an exponent of 6.
-        assert sigmas[NARROW] == pytest.approx(6.0)
-        assert sigmas[MIDDLE] == pytest.approx(12.0, rel=0.03)
-        assert sigmas[WIDE] == max(sigmas) == pytest.approx(30.0)
-
-    @pytest.mark.parametrize(
-        ("radius", "expected"), [(8, (5, 8, 4, 10)), (16, (10, 16, 8, 20)), (1, (1, 1, 1, 1)), (0, (0, 0, 1, 1))]
-    )
-    def test_every_reach_follows_the_radius(self, radius, expected, recorder):
-        find_of(make_frame(), "diffuse", radius=radius)
-        pilot, first, *_ = recorder.calls
-        assert (pilot["radius"], first["radius"], *(each["step"] for each in recorder.sparse)) == expected
-        assert {each["radius"] for each in recorder.dense} == {first["radius"]}
-        assert {each["radius"] for each in recorder.sparse} == {min(layer_plans.SPARSE_RADIUS_TAPS, radius)}
-
-    def test_extras_are_as_they_are_told(self, recorder):
-        rng = np.random.default_rng(4)
-        alphas = rng.uniform(0.01, 1.0, (2, *SHAPE))
-        albedo = rng.uniform(0.0, 1.0, (*SHAPE, 3))
-        albedo[3, 4] = 0.0
-        alphas[:, 5, 6] = 0.0
-        frame = make_frame(alpha_u=alphas[0], alpha_v=alphas[1], specular_albedo=albedo)
-        extras = find_of(frame, "specular").extras
-        assert extras.dtype == np.float32
-        (pilot,), first, *_ = recorder.gave
-        clamped = np.maximum(alphas, SMALLEST_ALPHA)
-        expected = [
-            first[NARROW].effective_samples,
-            first[MIDDLE].effective_samples,
-            recorder.find_guide(pilot)[..., 3],
-            recorder.find_guide(first[WIDE])[..., 3],
-            np.maximum(albedo @ LUMINANCE, ALBEDO_FLOOR),
-            np.sqrt(clamped[0] * clamped[1]),
-            clamped[0] / clamped[1],
-        ]
-        np.testing.assert_allclose(extras, np.log2(np.stack(expected, axis=-1)), rtol=1e-5, atol=1e-5)
-
-    @pytest.mark.parametrize(
-        ("name", "apart", "guides", "zero"),
-        [
-            ("diffuse", True, {}, [5, 6]),
-            ("specular", True, {"alpha_u": None, "alpha_v": None}, [5, 6]),
-            ("specular", True, {"alpha_v": None}, [6]),
-            ("specular", True, {"specular_albedo": None, "diffuse_albedo": None}, [4, 6]),
-            ("color", False, {"alpha_u": None, "alpha_v": None}, [5, 6]),
-            ("color", False, {"specular_albedo": None, "diffuse_albedo": None}, [4, 6]),
-        ],
-        ids=str,
-    )
-    def test_what_a_frame_lacks_is_one(self, name, apart, guides, zero, recorder):
-        albedo = np.full((*SHAPE, 3), 0.7)
-        frame = make_frame(apart=apart, **{"diffuse_albedo": albedo, "specular_albedo": albedo, **guides})
-        extras = find_of(frame, name).extras
-        assert extras.shape == (*SHAPE, EXTRA_COUNT)
-        assert np.isfinite(extras).all()
-        # Of the other images: make_frame's two alphas are the same.
-        assert [k for k in range(EXTRA_COUNT) if not extras[..., k].any()] == sorted({*zero, 6})
-
-    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0], ids=str)
-    @pytest.mark.parametrize("channel", ["alpha_u", "alpha_v", "specular_albedo"])
-    @pytest.mark.usefixtures("recorder")
-    def test_garbage_stays_finite(self, channel, bad):
-        guide = np.array(getattr(make_frame().gbuffer, channel))
-        guide[4, 7] = bad
-        assert np.isfinite(find_of(make_frame(**{channel: guide}), "specular").extras).all()
-
-    def test_all_guides_know_one_level_that_of_the_surface(self, recorder):
-        normal = np.zeros((*SHAPE, 3)) + np.array([0.0, 0.6, 0.8])
-        depth = np.array(make_frame().gbuffer.depth)
-        normal[:15], depth[:15] = 0.0, 0.0
-        albedo = np.full((*SHAPE, 3), 0.25)
-        frame = make_frame(normal=normal, depth=depth, specular_albedo=albedo)
-        (noisy,) = (each for each in make_noisy_layers(frame, resolve(frame), ()) if each.name == "specular")
-        halves = np.stack([noisy.halves[0][15:], noisy.halves[1][15:]]).astype(np.float64) / 0.25
-        expected = np.nanmean(halves, axis=0) @ LUMINANCE
-        assert noisy.level == pytest.approx(expected.mean(), rel=1e-5)
-        find_of(frame, "specular")
-        assert len(recorder.levels) == 3
-        assert set(recorder.levels) == {noisy.level}
 
 
 @pytest.mark.usefixtures("networks")
@@ -456,13 +168,14 @@ class TestContract:
     @pytest.mark.parametrize("channel", ["alpha_u", "normal", "specular_albedo"])
     @pytest.mark.usefixtures("unshared")
     def test_garbage_guides_spoil_only_their_own_surroundings(self, channel, bad):
-        shape = (REACH + 8, 11)
+        reach = find_reach(resolve(make_frame()))
+        shape = (reach + 8, 11)
         guide = np.array(getattr(make_frame(shape).gbuffer, channel))
         guide[4, 7] = bad
         clean, result = (denoise(make_frame(shape, **each), **CHEAP) for each in ({}, {channel: guide}))
         assert np.isfinite(result.image).all()
         assert np.abs(result.image - clean.image).max() < 2.0
-        np.testing.assert_allclose(result.image[REACH + 5 :], clean.image[REACH + 5 :], rtol=EVERYWHERE)
+        np.testing.assert_allclose(result.image[reach + 5 :], clean.image[reach + 5 :], rtol=1e-3)
 
     @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (17, 3)], ids=str)
     def test_odd_sizes(self, shape):
@@ -471,9 +184,8 @@ class TestContract:
         assert np.isfinite(result.image).all()
 
     @pytest.mark.parametrize("quality", ["auto", *QUALITIES])
-    def test_radius_zero(self, quality, networks):
+    def test_radius_zero(self, quality):
         # No pass has a tap but the pixel's own: reflections stay as they are.
-        networks["specular"] = force(networks["specular"], MIDDLE)
         frame, _ = make_shadowed()
         result = denoise(frame, radius=0, quality=quality, similarity="normal", with_oidn=False)
         assert result.settings["radius"] == 0
@@ -712,7 +424,7 @@ class TestSettings:
 class TestWeights:
     def test_packed_networks_come_back(self):
         arrays: dict[str, FloatArray] = {}
-        networks = make_networks(3)
+        networks = make_networks()
         for kind, network in networks.items():
             arrays |= pack_network(network, kind)
         assert len(arrays) == 8 * len(networks)
@@ -726,10 +438,10 @@ class TestWeights:
 
     def test_the_shipped_networks_fit(self):
         found = load_networks()
-        assert sorted(found) == ["diffuse", "noisy", "peer", "specular"]
+        assert sorted(found) == ["noisy", "peer"]
         shares = {"noisy": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
         for kind, network in found.items():
-            inputs, candidates = shares.get(kind, (count_features(CANDIDATE_COUNT, EXTRA_COUNT), CANDIDATE_COUNT))
+            inputs, candidates = shares[kind]
             assert network.mean.shape == network.scale.shape == (inputs,)
             assert network.weights[0].shape[0] == inputs
             assert network.weights[-1].shape[1] == candidates

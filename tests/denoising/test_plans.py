@@ -13,7 +13,7 @@ from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.denoising.planning import frame_plans
 from lobewise.denoising.planning.foretelling import count_bytes, estimate_seconds_per_megapixel, foretell
 from lobewise.denoising.planning.frame_plans import FramePlan, describe_frame, find_reach, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_high, plan_layer
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_layer
 from lobewise.denoising.planning.steps import HISTORY, SAMPLES, GuideStep, LayerPlan, PassStep
 from lobewise.denoising.running import LayerRun
 from lobewise.frame import Frame
@@ -76,7 +76,7 @@ def test_a_frame_is_described_as_its_layers_are(full_frame: Frame) -> None:
 def test_the_reach_is_that_of_the_longest_way() -> None:
     frame = make_frame()
     settings = resolve(frame, quality="high")
-    plan = plan_high(LayerTraits(is_diffuse=True), settings)
+    plan = plan_balanced(LayerTraits(is_diffuse=True), settings)
     shorter = LayerPlan(plan.steps[:2])
     first, second = shorter.steps
     assert isinstance(first, GuideStep)
@@ -111,7 +111,7 @@ def test_a_printed_plan_names_every_stage_and_step() -> None:
     lines = list(plan.describe())
     assert sum(line[0].isdigit() for line in lines) == len(plan.stages)
     assert sum("->" in line for line in lines) == sum(len(each.steps) for each in plan.layers.values())
-    assert any("13 images" in line for line in lines)
+    assert any("refine the image" in line for line in lines)
 
 
 def test_time_and_memory_follow_the_plan() -> None:

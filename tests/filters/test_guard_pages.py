@@ -42,8 +42,7 @@ CASES = {
     "own sample": each_shape(
         "test_dual_buffer.test_agrees_with_the_definition('own sample', SHAPE)", [(1, 9), (40, 2)]
     ),
-    "features of the network": each_shape("test_mixing.TestDefinition().test_features(SHAPE)"),
-    "network": each_shape("test_mixing.TestDefinition().test_mixture(SHAPE)"),
+    "refinement": each_shape("test_refinement.test_the_kernels_agree_with_the_definition(SHAPE)"),
     "noise guide": each_shape("test_noise_guides.test_guide_is_as_defined(SHAPE)"),
     "measured light": each_shape("test_noise_guides.test_light_is_measured_as_defined(SHAPE, True)"),
     "fireflies": each_shape("test_fireflies.test_against_the_definition(SHAPE, True)"),

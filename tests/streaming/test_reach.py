@@ -12,9 +12,10 @@ from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
 from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.denoising.planning.layer_plans import BALANCED_DIFFUSE, BALANCED_SPECULAR, scale_kernel
+from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.denoising.stages import filter_frame
 from lobewise.features import ScreenFeature
-from lobewise.filters import compositing, fireflies, highlights, mixing_pass, noise_guides, specks
+from lobewise.filters import compositing, fireflies, highlights, noise_guides, specks
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
@@ -22,7 +23,6 @@ from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import split_highlights
-from lobewise.filters.mixing import find_features
 from lobewise.filters.noise import evidence
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.filters.noise_guides import make_noise_guide
@@ -105,14 +105,6 @@ def test_passes_reach_their_last_tap(radius: int, step: int) -> None:
     assert measure(before, after) == radius * step
 
 
-def test_proportions_are_read_off_averages_of_averages() -> None:
-    candidates = [(draw(k), draw(k + 10)) for k in range(3)]
-    extras = np.zeros((HEIGHT, WIDTH, 1), np.float32)
-    changed = [(alter(a, 40.0), alter(b, 41.0)) for a, b in candidates]
-    before, after = (find_features(pairs, 1, extras, 1.0) for pairs in (candidates, changed))
-    assert measure(before, after) == mixing_pass.REACH
-
-
 def test_coverage_reaches_the_neighbours() -> None:
     light, lit = draw(1), np.ones((HEIGHT, WIDTH), bool)
     shares = np.full((HEIGHT, WIDTH, 9), 1.0 / 9.0, np.float32)
@@ -168,7 +160,7 @@ def test_nothing_further_away_tells_on_a_pixel(quality: str, radius: int, halves
     reach = measure_reach(settings, find=True)
     found = measure_reach(settings, halves=halves)
     # Blurs' and windows' edges together are less than the rounding of what they change.
-    kernels = {"balanced": 12 + 5 + 4, "high": 15 + 6 + 4 + 3}[quality] * radius // 8
+    kernels = (12 + 5 + 4) * radius // 8
     assert kernels <= found <= reach
 
 
@@ -178,27 +170,27 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     chosen = resolve_all(frame, ask(None, settings))
     if find and chosen.quality != "fast":
         return find_reach(chosen)
-    levels = None if chosen.quality == "fast" else (0.5, 0.5)
-    before = filter_frame(frame, chosen, (), levels)
+    whole = WholeImage(levels=(0.5, 0.5), brightness=0.5, mean_log_depth=0.0, tau=0.01)
+    before = filter_frame(frame, chosen, (), whole)
     found = 0
     for factor in (0.0, 1e3):
         brighter = change_radiance(frame, [120], slice(None), lambda old, factor=factor: old * np.float32(factor))
-        found = max(found, measure(before.image, filter_frame(brighter, chosen, (), levels).image))
+        found = max(found, measure(before.image, filter_frame(brighter, chosen, (), whole).image))
     if find:
         assert found == find_reach(chosen)
     return found
 
 
-@pytest.mark.parametrize(("quality", "expected"), [("balanced", 81), ("high", 127)])
+@pytest.mark.parametrize(("quality", "expected"), [("balanced", 81), ("high", 263)])
 def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
     frame = make_scene((8, 8))
     chosen = resolve_all(frame, ask(None, {"quality": quality}))
     # Fireflies, highlights, residuals, the lobes beside a pixel's; kernels each behind a blurred guide: pilot, wide
-    # (dense) and sparse ones; mixing; coverage; detail: local light, products two pixels apart, four blurs.
-    kernels = {"balanced": (4, 5, 3 * 4), "high": (5, 8, 3 * 4, 3 * 10)}[quality]
-    blur, mix = 3, {"balanced": 0, "high": 2 * 1 + 2 * 3 + 1}[quality]
+    # and sparse ones; coverage; the refining network; detail: local light, products two pixels apart, four blurs.
+    kernels, blur = (4, 5, 3 * 4), 3
+    refinement = {"balanced": 0, "high": 182}[quality]
     doubt = 2 + 2 + 2 * (1 + 2 + 4 + 8)
-    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + mix + 1 + doubt == expected
+    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + 1 + refinement + doubt == expected
 
 
 @pytest.mark.parametrize("halves", [True, False])

@@ -29,6 +29,8 @@ def list_images(settings: DenoiseSettings) -> Images:
     if get_quality(settings.quality).reads_halves:
         found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
         found |= {("gbuffer", name) for name in _GUIDED}
+        if get_quality(settings.quality).refines:
+            found.add(("gbuffer", "mean_normal"))
     else:
         found.add(("variance", "color"))
     return frozenset(found)
@@ -43,8 +45,8 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
     used = {name for owner, name in list_images(settings) if owner == "gbuffer"}
     similarity, quality = get_similarity(settings.similarity), get_quality(settings.quality)
     if not similarity.has_lobes and settings.band_limit is None:
-        # A network that mixes images reads the roughness.
-        used -= set(_LOBES) - ({"alpha_u", "alpha_v"} if quality.mixes else set())
+        # The network that refines the image reads the roughness.
+        used -= set(_LOBES) - ({"alpha_u", "alpha_v"} if quality.refines else set())
     elif not similarity.has_covariance:
         used -= {"tangent"}
     if not similarity.is_mixture:
@@ -54,7 +56,7 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
     apart = frame.radiance.parts is not None
     if not apart:
         used -= set(_GUIDED)
-    if settings.with_oidn:
+    if settings.with_oidn or quality.refines:
         used |= {"mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"}
     # Readers keep albedo and normal a second time, for Open Image Denoise: the file has them once.
     used |= {"denoiser_albedo", "denoiser_normal"}

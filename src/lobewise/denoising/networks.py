@@ -13,9 +13,9 @@ from lobewise.frame import FloatArray
 
 WEIGHTS = "weights.npz"
 """File of the arrays, beside this module."""
-NAMES = ("diffuse", "specular", "noisy", "peer")
-"""The first two mix the candidates of a layer. "noisy" says how much of the noisy image a result takes back. "peer"
-mixes a result with the image of Open Image Denoise."""
+NAMES = ("noisy", "peer")
+""""noisy" says how much of the noisy image a result takes back. "peer" mixes a result with the image of Open Image
+Denoise."""
 
 
 @cache

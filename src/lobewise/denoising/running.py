@@ -18,9 +18,7 @@ import numpy as np
 
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.layers import Layer
-from lobewise.denoising.networks import load_networks
 from lobewise.denoising.noisy import NoisyLayer, make_pass_features
-from lobewise.denoising.planning.layer_plans import plan_high
 from lobewise.denoising.planning.steps import (
     HISTORY,
     SAMPLES,
@@ -29,7 +27,6 @@ from lobewise.denoising.planning.steps import (
     FinishStep,
     GuideStep,
     LayerPlan,
-    MixStep,
     PassStep,
     Step,
     UpsampleStep,
@@ -37,24 +34,14 @@ from lobewise.denoising.planning.steps import (
 from lobewise.features import Feature
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import FilterOutput, run_filter
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid, run_upsampling
-from lobewise.filters.mixing import mix_candidates
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
 from lobewise.frame import FloatArray, Frame
-from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import ResolvedSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
-
-EXTRA_COUNT = 7
-"""Inputs of a mixing network beside those that it reads off the candidates."""
-MIN_ALPHA = 1e-3
-"""Roughness alpha below which a lobe counts as this wide for the network."""
-MIN_EXTRA = 1e-8
-"""Value below which the logarithm of an input does not fall."""
 
 
 class Halves(NamedTuple):
@@ -62,25 +49,6 @@ class Halves(NamedTuple):
 
     a: Image
     b: Image
-
-
-class Candidates(NamedTuple):
-    """Several averages of one layer, and the other inputs of the network that mixes them.
-
-    Parameters
-    ----------
-    pairs : list of Halves
-        Both halves of each candidate.
-    middle : DualBufferOutput
-        Candidate that the others are compared with.
-    extras : (height, width, EXTRA_COUNT)
-        Base-2 logarithms: effective samples of the narrow and of the middle candidate, variance of the two guides,
-        luminance of the albedo, geometric mean of the alphas, and their ratio. In a diffuse layer the last two are 0.
-    """
-
-    pairs: list[Halves]
-    middle: DualBufferOutput
-    extras: FloatArray
 
 
 @dataclass(frozen=True)
@@ -169,15 +137,6 @@ def run_with_history(
     state.run(plan)
     output: AccumulatedOutput = state.images["image"]
     return output
-
-
-def find_candidates(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> Candidates:
-    """Return the images that the quality "high" mixes and the other inputs of its network, which is trained on them."""
-    plan = plan_high(noisy.traits, settings)
-    number, mix = next((number, step) for number, step in enumerate(plan.steps) if isinstance(step, MixStep))
-    state = LayerRun(frame, noisy.layer, settings, noisy)
-    state.run(LayerPlan(plan.steps[:number]), keep=mix.reads)
-    return gather_candidates(state, mix)
 
 
 def run_filter_step(state: LayerRun, step: FilterStep) -> list[FilterOutput]:
@@ -295,45 +254,6 @@ def split_lone(found: DualBufferOutput, level: float, *, joined: bool) -> DualBu
     return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
 
 
-def run_mix(state: LayerRun, step: MixStep) -> list[Halves]:
-    """Return the mixture of all candidates."""
-    found = gather_candidates(state, step)
-    middle = step.candidates.index(step.counted[-1])
-    network = load_networks()[step.network]
-    device = state.settings.device
-    light = mix_candidates(found.pairs, middle, found.extras, state.noisy.level, network, device)
-    return [Halves(light, light)]
-
-
-def gather_candidates(state: LayerRun, step: MixStep) -> Candidates:
-    """Return the candidates of a mixture and the other inputs of its network."""
-    pairs = [Halves(state.images[name].a, state.images[name].b) for name in step.candidates]
-    counted = [state.images[name] for name in step.counted]
-    inputs = [download(each.effective_samples) for each in counted]
-    inputs += [download(state.images[name])[..., -1] for name in step.guides]
-    return Candidates(pairs, counted[-1], _take_logarithms(state, inputs))
-
-
-def _take_logarithms(state: LayerRun, inputs: Sequence[FloatArray]) -> FloatArray:
-    guides, layer = state.frame.gbuffer, state.layer
-    one: FloatArray = np.ones(state.frame.shape, dtype=np.float32)
-    tint = roughness = ratio = one
-    with np.errstate(invalid="ignore"):
-        if layer.albedo is not None:
-            # A matrix product may add up in another order where rows are few.
-            tint = np.sum([np.float32(share) * layer.albedo[..., k] for k, share in enumerate(LUMINANCE)], axis=0)
-        if not layer.is_diffuse and guides.alpha_u is not None:
-            alpha_u = np.maximum(guides.alpha_u, MIN_ALPHA)
-            alpha_v = alpha_u if guides.alpha_v is None else np.maximum(guides.alpha_v, MIN_ALPHA)
-            roughness = np.sqrt(alpha_u * alpha_v, dtype=np.float32)
-            ratio = np.divide(alpha_u, alpha_v, dtype=np.float32)
-        logs = np.empty((*state.frame.shape, EXTRA_COUNT), dtype=np.float32)
-        for number, image in enumerate([*inputs, np.maximum(tint, ALBEDO_FLOOR), roughness, ratio]):
-            found = np.log2(np.maximum(image, np.float32(MIN_EXTRA)))
-            logs[..., number] = np.where(np.isfinite(found), found, np.float32(0.0))
-    return logs
-
-
 def run_finish(state: LayerRun, step: FinishStep) -> list[CleanLayer]:
     """Return the radiance of the layer."""
     light, support = (state.images[name] for name in (step.reads[0], step.support))
@@ -366,7 +286,6 @@ RUNNERS: Mapping[type[Step], Callable[[LayerRun, Any], Sequence[Any]]] = {
     AccumulateStep: run_accumulate_step,
     GuideStep: make_guide,
     PassStep: run_pass,
-    MixStep: run_mix,
     FinishStep: run_finish,
 }
 """What runs each kind of step."""

@@ -22,12 +22,15 @@ from lobewise.denoising.planning.frame_plans import (
     FILTER_LAYERS,
     KEEP_LIGHT,
     MIX_PEER,
+    REFINE,
     TAKE_BACK_NOISY,
     FramePlan,
     Stage,
     describe_frame,
     plan_frame,
 )
+from lobewise.denoising.refining.network import refine_parts
+from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.denoising.running import run_guided, run_plain
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
@@ -87,8 +90,8 @@ class FrameRun:
         What is run.
     bad : (height, width), bool
         Pixels that are NaN, infinite or negative.
-    levels : sequence of float, optional
-        Mean light of every layer of the whole image, where the frame is a part of it.
+    whole : WholeImage, optional
+        What was measured of the whole image, where the frame is a part of it.
     found : Filtered, optional
         The layers, once they are filtered.
     image : (height, width, 3), optional
@@ -106,7 +109,7 @@ class FrameRun:
     features: Sequence[Feature]
     plan: FramePlan
     bad: NDArray[np.bool_]
-    levels: Sequence[float] | None = None
+    whole: WholeImage | None = None
     found: Filtered | None = None
     image: FloatArray | None = None
     energy_lost: float = 0.0
@@ -136,18 +139,18 @@ def start_run(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature] = (),
-    levels: Sequence[float] | None = None,
+    whole: WholeImage | None = None,
 ) -> FrameRun:
     """Return a frame before its first stage."""
     plan, bad = plan_frame(describe_frame(frame), settings), find_bad_pixels(frame)
-    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, levels=levels)
+    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, whole=whole)
 
 
 def filter_frame(
-    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature] = (), levels: Sequence[float] | None = None
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature] = (), whole: WholeImage | None = None
 ) -> Filtered:
     """Return the layers of a frame, or of a band of it, after the stages that bands run one by one."""
-    state = start_run(frame, settings, features, levels)
+    state = start_run(frame, settings, features, whole)
     return state.run(state.plan.local_stages).filtered
 
 
@@ -171,7 +174,7 @@ def filter_plain(state: FrameRun) -> Filtered:
 def filter_halves(state: FrameRun) -> Filtered:
     """Return the layers after both halves of their samples were filtered by their plans."""
     frame, settings = state.frame, state.settings
-    noisy = make_noisy_layers(frame, settings, state.features, state.levels)
+    noisy = make_noisy_layers(frame, settings, state.features, None if state.whole is None else state.whole.levels)
     clean = [run_guided(frame, each, settings, state.plan.layers[each.name]) for each in noisy]
     parts = [each.image for each in clean]
     rest, share = find_rest(frame), frame.gbuffer.object_share
@@ -192,6 +195,15 @@ def filter_halves(state: FrameRun) -> Filtered:
         noisy=[join_halves(each) for each in noisy],
         levels=[each.level for each in noisy],
     )
+
+
+def refine(state: FrameRun) -> FrameRun:
+    """Refine the sum of the layers by the network, and scale the layers so that they still sum to the image."""
+    found, frame = state.filtered, state.frame
+    whole = measure_whole(frame, found.levels) if state.whole is None else state.whole
+    surface = np.logical_or.reduce([layer.mask for layer in found.layers])
+    parts = refine_parts(frame, found.noisy, found.parts, surface, whole, state.settings.device)
+    return replace(state, found=replace(found, parts=parts, image=compose(frame, parts, found.rest)))
 
 
 def take_back(state: FrameRun) -> FrameRun:
@@ -253,6 +265,7 @@ def name_layers(state: FrameRun) -> dict[str, FloatArray]:
 
 RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
     FILTER_LAYERS: filter_layers,
+    REFINE: refine,
     TAKE_BACK_NOISY: take_back,
     KEEP_LIGHT: keep_light,
     FILL_HOLES: fill,

@@ -61,8 +61,8 @@ class Quality:
         Forms of the kernel that it has.
     reads_halves : bool
         Whether several passes over both halves of the samples filter a frame, guided by what they tell of the noise.
-    mixes : bool
-        Whether a network mixes several filtered images; it reads the roughness.
+    refines : bool
+        Whether a network refines the filtered image; it reads the roughness.
     work_bytes_per_pixel : int
         Memory that the filters hold beside the frame, bytes; measured (docs/streaming.md).
     seconds_per_megapixel : float
@@ -73,7 +73,7 @@ class Quality:
     name: QualityName
     forms: tuple[FormName, ...] = ("full",)
     reads_halves: bool
-    mixes: bool = False
+    refines: bool = False
     work_bytes_per_pixel: int
     seconds_per_megapixel: float
 
@@ -97,7 +97,7 @@ QUALITIES: Mapping[str, Quality] = {
     for each in (
         Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.29),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.1),
-        Quality(name="high", reads_halves=True, mixes=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.1),
+        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.1),
     )
 }
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
+from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -42,10 +43,10 @@ def estimate_bytes(reader: BandReader, settings: DenoiseSettings) -> int:
 def forgets(settings: DenoiseSettings) -> bool:
     """Return whether stored rows are freed as soon as their frame is made, and decoded again when they are needed.
 
-    A quality that mixes several images takes so long that decoding twice costs little, and the freed memory leaves room
-    for taller bands.
+    A quality that refines takes so long that decoding twice costs little, and the freed memory leaves room for taller
+    bands.
     """
-    return get_quality(settings.quality).mixes
+    return get_quality(settings.quality).refines
 
 
 def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
@@ -76,8 +77,9 @@ def cut_bands(height: int, rows: int) -> Bands:
 
 
 def widen(band: tuple[int, int], reach: int, height: int) -> tuple[int, int]:
-    """Return a band with ``reach`` more rows to each side, within the image, from an even row on.
+    """Return a band with ``reach`` more rows to each side, within the image, from a multiple of `MULTIPLE` on.
 
-    A frame without halves is split by the colours of a checkerboard. An even first row keeps the colours.
+    The levels of the refining network have blocks of so many rows. A frame without halves is split by the colours of a
+    checkerboard, which an even first row keeps.
     """
-    return max(band[0] - reach, 0) // 2 * 2, min(band[1] + reach, height)
+    return max(band[0] - reach, 0) // MULTIPLE * MULTIPLE, min(band[1] + reach, height)

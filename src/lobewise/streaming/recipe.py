@@ -42,6 +42,7 @@ from lobewise.denoising.light_loss import (
     sum_missing,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
+from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.denoising.stages import filter_frame
 from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
@@ -174,11 +175,11 @@ def denoise_file(
             noisy = ("variance", "color") in reader.images
             variances = measure().variances if noisy else np.empty(0)
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
-        levels = measure().levels if guided else None
+        whole = measure().whole if guided else None
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED)
         kept = KeptBands(waiting)
-        bad_count = _filter(reader, kept, chosen, levels, bands, tell, seen)
+        bad_count = _filter(reader, kept, chosen, whole, bands, tell, seen)
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
@@ -221,7 +222,7 @@ def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: f
 class _Measured:
     """Measurements of the whole frame; the quality "fast" makes them only where a setting needs them."""
 
-    levels: tuple[float, ...]
+    whole: WholeImage
     tallies: tuple[Rows, ...]
     variances: Rows
     mean_color: FloatArray
@@ -269,6 +270,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
     lights: list[list[Rows]] = []
     tallies: list[list[Rows]] = []
     colors: list[Rows] = []
+    rows: list[Rows] = []
     variances: list[Rows] = []
     bad_count = 0
     for number, band in enumerate(bands):
@@ -281,15 +283,17 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
             layers = make_bounded_layers(frame, settings)
             lights.append([measure_layer(layer, settings)[core] for layer in layers])
             tallies.append([layer.bounded.tally[core] for layer in layers])
+            rows.append(measure_rows(frame)[core])
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
             reader.forget(widen(bands[number + 1], FIREFLY_REACH, height)[0])
         tell("Measuring", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
+    levels = tuple(find_level(np.concatenate(light)) for light in zip(*lights, strict=True))
     return _Measured(
-        tuple(find_level(np.concatenate(rows)) for rows in zip(*lights, strict=True)),
-        tuple(np.concatenate(rows) for rows in zip(*tallies, strict=True)),
+        join_measured(levels, np.concatenate(rows) if rows else np.zeros((0, 4)), reader.camera, height),
+        tuple(np.concatenate(tally) for tally in zip(*tallies, strict=True)),
         np.concatenate(variances) if variances else np.empty(0),
         find_mean_color(np.concatenate(colors)),
     )
@@ -299,7 +303,7 @@ def _filter(
     reader: BandReader,
     kept: KeptBands,
     settings: ResolvedSettings,
-    levels: Sequence[float] | None,
+    whole: WholeImage | None,
     bands: Bands,
     tell: Progress,
     seen: _Seen,
@@ -311,7 +315,7 @@ def _filter(
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
-        images, bad = _filter_band(reader, settings, levels, (top, bottom), core, seen)
+        images, bad = _filter_band(reader, settings, whole, (top, bottom), core, seen)
         kept.add(images)
         bad_count += bad
         del images
@@ -325,7 +329,7 @@ def _filter(
 def _filter_band(
     reader: BandReader,
     settings: ResolvedSettings,
-    levels: Sequence[float] | None,
+    whole: WholeImage | None,
     rows: tuple[int, int],
     core: slice,
     seen: _Seen,
@@ -340,7 +344,7 @@ def _filter_band(
     frame = bound_guides(frame)
     if forgets(settings):
         reader.forget(reader.shape[0])
-    found = filter_frame(frame, settings, (), levels)
+    found = filter_frame(frame, settings, (), whole)
     bad = find_bad_pixels(frame)
     takers = [find_takers(*each) for each in zip(found.layers, found.parts, found.levels, strict=False)]
     seen.missing.append([sum_missing(*each, core) for each in zip(found.layers, found.parts, takers, strict=False)])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_layer
 from lobewise.denoising.planning.steps import LayerPlan
 from lobewise.filters.noise.detail import REACH as DETAIL_REACH
+from lobewise.filters.refinement.shape import REACH as REFINEMENT_REACH
 from lobewise.frame import Frame, GBuffer
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -33,6 +34,7 @@ class Stage:
 
 
 FILTER_LAYERS = Stage("filter", "filter every layer by its plan", 0)
+REFINE = Stage("refine", "refine the image by the network that weighs neighbours", REFINEMENT_REACH)
 TAKE_BACK_NOISY = Stage("take back", "take the noisy image back where the filter removed detail", DETAIL_REACH)
 KEEP_LIGHT = Stage("keep light", "share out the light that bounding took from fireflies")
 FILL_HOLES = Stage("fill holes", "fill bad pixels that no layer reached from their neighbours")
@@ -95,9 +97,12 @@ class FramePlan:
 
 def plan_frame(traits: FrameTraits, settings: ResolvedSettings) -> FramePlan:
     """Return what happens to a frame with these settings."""
-    guided = get_quality(settings.quality).reads_halves
+    quality = get_quality(settings.quality)
+    guided = quality.reads_halves
     wanted = {
         FILTER_LAYERS: True,
+        # A radius of 0 asks for no filter.
+        REFINE: quality.refines and settings.radius > 0,
         TAKE_BACK_NOISY: guided,
         KEEP_LIGHT: guided,
         FILL_HOLES: True,

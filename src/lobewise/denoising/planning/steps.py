@@ -15,7 +15,6 @@ from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
-from lobewise.filters.mixing_pass import REACH as MIXING_REACH
 from lobewise.filters.noise.residuals import REACH as RESIDUAL_REACH
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.guides.lobe_fields import SPREAD_REACH
@@ -201,37 +200,6 @@ class PassStep(Step):
         apart = f", taps {self.step} pixels apart" if self.step > 1 else ""
         lobes = "/".join(f"{each.lobes:g}" for each in self.variants)
         return f"dual-buffer pass, {size}x{size} taps{apart}, exponent of lobes {lobes}, {self.noise:g} variances"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MixStep(Step):
-    """Mix images pixel by pixel, in the shares that a network gives.
-
-    Parameters
-    ----------
-    candidates : tuple of str
-        Images to be mixed.
-    counted : tuple of str
-        Candidates whose effective samples the network reads; the last is the one that it compares the others with.
-    guides : tuple of str
-        Guides whose variance the network reads.
-    network : str
-        Name of the network.
-    """
-
-    candidates: tuple[str, ...]
-    counted: tuple[str, ...]
-    guides: tuple[str, ...]
-    network: str
-
-    @property
-    def reach(self) -> int:
-        """Pixels that the network's averages reach."""
-        return MIXING_REACH
-
-    def describe(self) -> str:
-        """Return how many images are mixed."""
-        return f"mixture of {len(self.candidates)} images by the network {self.network!r}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lobewise.denoising.bad_pixels import blacken_bad, find_good
 from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.guides.lobe_fields import make_sg_field
 from lobewise.lobes.vectors import LUMINANCE
 
 MIN_ALBEDO_SUM = 1e-4
@@ -63,7 +64,7 @@ def collect_inputs(frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[Fl
     guides = frame.gbuffer
     filtered = sum_light(parts)
     with np.errstate(invalid="ignore", over="ignore"):
-        samples = noisy[0] if len(noisy) == 1 else np.sum(noisy, axis=0, dtype=np.float32)
+        samples: FloatArray = noisy[0] if len(noisy) == 1 else np.add.reduce(list(noisy), dtype=np.float32)
     samples = np.where(find_good(samples)[..., None], np.maximum(samples, np.float32(0.0)), filtered)
     diffuse = guides.diffuse_albedo if guides.mean_diffuse_albedo is None else guides.mean_diffuse_albedo
     specular = guides.specular_albedo if guides.mean_specular_albedo is None else guides.mean_specular_albedo
@@ -77,6 +78,19 @@ def collect_inputs(frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[Fl
         specular_share=_find_specular_share(diffuse, specular),
         change=_find_change(frame),
     )
+
+
+def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return axis and base-2 logarithm of the sharpness of the specular lobes, 0 where there is none.
+
+    None both where the frame has no camera or no roughness.
+    """
+    if frame.camera is None or frame.gbuffer.alpha_u is None:
+        return None, None
+    field = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=False)
+    known = field.valid & np.isfinite(field.sharpness)
+    sharpness = np.where(known, np.log2(np.maximum(field.sharpness, np.float32(1e-6))), np.float32(0.0))
+    return np.where(known[..., None], field.axis, np.float32(0.0)), np.asarray(sharpness, dtype=np.float32)
 
 
 def sum_light(parts: Sequence[FloatArray]) -> FloatArray:
@@ -103,7 +117,7 @@ def _find_roughness(guides: GBuffer) -> FloatArray | None:
     along, across = _replace_bad(guides.alpha_u), _replace_bad(guides.alpha_v)
     if along is None or across is None:
         return along if across is None else across
-    return np.sqrt(np.maximum(along * across, np.float32(0.0)))
+    return np.asarray(np.sqrt(np.maximum(along * across, np.float32(0.0))), dtype=np.float32)
 
 
 def _find_specular_share(diffuse: FloatArray | None, specular: FloatArray | None) -> FloatArray | None:

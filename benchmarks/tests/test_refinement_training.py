@@ -1,0 +1,159 @@
+"""benchmarks/training/refinement*.py: the trainer's network is the package's, steps go on, frames are as users have."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.training import refinement_frames
+from benchmarks.training.frames import make_half
+from benchmarks.training.refinement_frames import name_file, parse_file_name, write_arrays
+from lobewise.denoising.refining.network import load_weights
+from lobewise.errors import InputError
+from lobewise.filters.refinement.run import flatten_weights, refine_image
+from lobewise.filters.refinement.shape import LAYERS
+from tests.filters.test_refinement import make_images
+from tests.streaming.frames import make_scene
+
+NAMES = ("refinement", "refinement_batches", "refinement_model")
+
+
+@pytest.fixture
+def program(torch: Any) -> Any:
+    """Return the modules of the trainer, by name."""
+    return SimpleNamespace(**{name: importlib.import_module(f"benchmarks.training.{name}") for name in NAMES})
+
+
+def write_frame(folder: Path, seed: int, guides: str = "all", side: int = 32) -> None:
+    """Write a frame of noise about a smooth reference, with a peer that is off by a tenth."""
+    rng = np.random.default_rng(seed)
+    images = make_images((side, side), seed)
+    reference = np.broadcast_to(np.linspace(0.2, 1.0, side)[:, None, None], (side, side, 3))
+    for name, spread in (("noisy", 0.5), ("filtered", 0.1)):
+        images[name] = (reference * rng.gamma(1.0 / spread, spread, (side, side, 3))).astype(np.float32)
+    lobe = np.concatenate([images.pop("lobe_axis"), images.pop("lobe_sharpness")[..., None]], axis=-1)
+    known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference, "peer": 1.2 * reference}
+    if guides == "color":
+        known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer")}
+    write_arrays(folder / name_file(seed, 4, guides), {name: make_half(image) for name, image in known.items()})
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Path:
+    """Return a folder with frames of two scenes, and of one that is kept aside."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for seed in (1, 2, 5):
+        for guides in ("all", "color"):
+            write_frame(folder, seed, guides)
+    return folder
+
+
+def train(program: Any, frames: Path, steps: int, *more: str) -> None:
+    """Run the trainer."""
+    folder = frames.parent
+    options = {"--frames": frames, "--checkpoint": folder / "checkpoint.pt", "--curve": folder / "curve.json"}
+    words = [str(word) for pair in options.items() for word in pair]
+    program.refinement.main([*words, "--steps", str(steps), *more])
+
+
+def test_the_network_of_the_trainer_is_that_of_the_package(program: Any, torch: Any) -> None:
+    torch.manual_seed(1)
+    network = program.refinement_model.RefiningNetwork().eval()
+    arrays = {name: each.detach().numpy() for name, each in network.state_dict().items()}
+    images = make_images((48, 32))
+    crop = {name: np.moveaxis(np.atleast_3d(image), -1, 0) for name, image in images.items()}
+    crop["lobe"] = np.concatenate([crop.pop("lobe_axis"), crop.pop("lobe_sharpness")])
+    batch = program.refinement_batches.join([crop], [(0.7, 0.5, True)])
+    with torch.no_grad():
+        found = np.moveaxis(network(batch)[0].numpy(), 0, -1)
+    own = refine_image(images, flatten_weights(arrays), brightness=0.7, mean_log_depth=0.5, shared=True)
+    np.testing.assert_allclose(own, found, rtol=3e-4)
+
+
+def test_training_lowers_the_loss_and_goes_on(program: Any, torch: Any, frames: Path) -> None:
+    train(program, frames, 3)
+    first = torch.load(frames.parent / "checkpoint.pt", weights_only=True)
+    train(program, frames, 12, "--export", str(frames.parent / "weights.npz"))
+    second = torch.load(frames.parent / "checkpoint.pt", weights_only=True)
+    assert (first["steps"], second["steps"]) == (3, 15)
+    points = json.loads((frames.parent / "curve.json").read_text())["points"]
+    assert [point["steps"] for point in points] == [3, 15]
+    assert set(points[0]["errors"]) == {"all", "color"}
+    assert points[1]["errors"]["all"]["mean"] < points[0]["errors"]["all"]["mean"]
+    with np.load(frames.parent / "weights.npz") as exported:
+        flat = flatten_weights({name: exported[name].astype(np.float32) for name in exported.files})
+        assert set(exported.files) == {f"{name}.{part}" for name in LAYERS for part in ("weight", "bias")}
+    assert flat.shape == load_weights().shape
+
+
+def test_an_untrained_network_keeps_the_filtered_image(program: Any, torch: Any, frames: Path) -> None:
+    network = program.refinement.make_state(1).network.eval()
+    batch = program.refinement_batches.make_whole(
+        program.refinement_batches.read_frame(frames / name_file(1, 4, "color"))
+    )
+    with torch.no_grad():
+        found = network(batch)
+    filtered, noisy = batch.images["filtered"], batch.images["noisy"]
+    assert (found - filtered).abs().mean() < 0.5 * (found - noisy).abs().mean()
+
+
+def test_errors_count_for_every_crop_alike(program: Any, torch: Any) -> None:
+    reference, found, before = torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16)
+    found[0], before[0] = 2.0, 3.0
+    find_loss = program.refinement.find_loss
+    few = find_loss(found, before, reference)
+    found[1], before[1] = 1.02, 1.02
+    assert find_loss(found, before, reference) > few
+    better = found.clone()
+    better[1] = 1.0
+    assert find_loss(better, before, reference) < find_loss(found, before, reference)
+
+
+def test_crops_stay_true(program: Any, frames: Path) -> None:
+    stored = program.refinement_batches.read_frame(frames / name_file(1, 4, "all"))
+    images = program.refinement_batches.cut(stored, 4, 8, 16, 16)
+    before = {name: image.copy() for name, image in images.items()}
+    factor = program.refinement_batches.vary(images, np.random.default_rng(3))
+    assert np.isclose(images["reference"].sum(), factor * before["reference"].sum(), rtol=1e-4)
+    assert np.isclose(images["albedo"].sum(), before["albedo"].sum(), rtol=1e-4)
+    lengths = [np.sort(np.linalg.norm(each["normal"], axis=0), axis=None) for each in (images, before)]
+    np.testing.assert_allclose(*lengths, rtol=1e-4)
+
+
+def test_there_must_be_frames(program: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="refinement_frames"):
+        program.refinement.find_frames(tmp_path)
+
+
+def test_file_names_come_back() -> None:
+    assert parse_file_name(Path(name_file(17, 64, "plain"))) == (17, 64, "plain")
+    assert parse_file_name(Path("scene-00001-0004.npz")) is None
+
+
+def test_frames_have_the_guides_that_users_have() -> None:
+    frame = make_scene((40, 32))
+    reference = frame.radiance.color
+    found = {guides: each for guides, each, _ in refinement_frames.vary_frame(frame, reference, 3)}
+    assert tuple(found) == refinement_frames.GUIDE_SETS
+    assert found["unsplit"].radiance.parts is None
+    assert found["plain"].camera is None
+    for guides, each in found.items():
+        images = refinement_frames.filter_frame(each)
+        assert ("lobe" in images) == (guides in ("all", "unsplit", "passes"))
+        assert ("rest" in images) == (guides in ("all", "passes"))
+        assert all(np.isfinite(image).all() for image in images.values())
+
+
+def test_shared_samples_are_a_blur() -> None:
+    frame = make_scene((40, 32))
+    shared = refinement_frames.share_samples(frame, 0.7)
+    assert shared.noise_is_shared
+    assert shared.half_a is None
+    assert np.abs(np.diff(shared.radiance.color, axis=0)).mean() < np.abs(np.diff(frame.radiance.color, axis=0)).mean()

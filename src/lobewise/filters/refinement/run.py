@@ -1,0 +1,95 @@
+"""Refine a filtered image: fill the planes, then run the network and its pyramid of filters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+
+from lobewise.backend.buffers import Image, device_scope, returns_host_images, take_image
+from lobewise.backend.jit import get_kernel, run_kernel
+from lobewise.errors import InputError
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.refinement.kernel import make_refinement
+from lobewise.filters.refinement.planes import OPTIONAL, PlanesKey, make_planes
+from lobewise.filters.refinement.shape import LAYERS, WEIGHTS
+from lobewise.frame import FloatArray
+
+
+def flatten_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the flat array that the kernel reads.
+
+    Parameters
+    ----------
+    arrays : mapping of str to array
+        ``NAME.weight``, shape (outputs, inputs, rows, columns), and ``NAME.bias``, shape (outputs,), of every layer.
+        The stem has taps 2 pixels apart and a square of 2x2.
+
+    Raises
+    ------
+    InputError
+        If a layer is missing or has another shape.
+    """
+    flat = np.zeros(WEIGHTS, dtype=np.float32)
+    for name, layer in LAYERS.items():
+        square = (2, 2) if name == "stem" else (layer.side, layer.side)
+        inputs = layer.inputs // (4 if name == "stem" else 1)
+        for part, shape in (("weight", (layer.outputs, inputs, *square)), ("bias", (layer.outputs,))):
+            got = np.shape(arrays[f"{name}.{part}"]) if f"{name}.{part}" in arrays else None
+            if got != shape:
+                action = "export it again with benchmarks.training.refinement"
+                raise InputError(f"{name}.{part}", expected=f"shape {shape}", got=str(got), action=action)
+        # A block of 2x2 pixels is read as channels, so the stem has taps of one pixel.
+        weight = arrays[f"{name}.weight"].reshape(layer.outputs, layer.inputs, layer.side, layer.side)
+        block = np.zeros((layer.side, layer.side, layer.inputs, layer.padded), np.float32)
+        block[..., : layer.outputs] = weight.transpose(2, 3, 1, 0)
+        flat[layer.start : layer.bias] = block.ravel()
+        flat[layer.bias : layer.bias + layer.outputs] = arrays[f"{name}.bias"]
+    return flat
+
+
+@returns_host_images
+@device_scope()
+def refine_image(
+    images: Mapping[str, Image | None],
+    weights: FloatArray,
+    *,
+    brightness: float,
+    mean_log_depth: float,
+    shared: bool,
+    device: str = "cpu",
+) -> Image:
+    """Return the refined image, shape (height, width, 3), finite and >= 0.
+
+    Parameters
+    ----------
+    images : mapping of str to array or None
+        "noisy" and "filtered", shape (height, width, 3), finite, >= 0; and those of `OPTIONAL` that are known, finite.
+    weights : array
+        Result of `flatten_weights`.
+    brightness : float
+        Squared mean of the root of the light of the whole image, > 0.
+    mean_log_depth : float
+        Mean natural logarithm of the depth of all surfaces of the whole image.
+    shared : bool
+        Whether neighbouring pixels share samples.
+    device : str
+        A name from `list_devices`.
+
+    Raises
+    ------
+    InputError
+        If an image has another shape.
+    """
+    there = {name: image for name, image in images.items() if image is not None}
+    size, known = there["noisy"].shape[:2], tuple(name for name in OPTIONAL if name in there)
+    lent: dict[str, Image] = {}
+    for name in ("noisy", "filtered", *known):
+        channels = OPTIONAL.get(name, COLORS)
+        lent[name] = take_image(name, there[name], (*size, channels) if channels else size)
+    key = PlanesKey(known)
+    numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
+    planes = run_kernel(get_kernel(device, key, partial(make_planes, key)), device, lent, **numbers)
+    kernel = get_kernel(device, ("refinement",), make_refinement)
+    return run_kernel(kernel, device, {**planes, "weights": weights})["refined"]

@@ -1,0 +1,138 @@
+"""The shape of the refining network: its layers, and where the weights of each layer lie in one flat array."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+PLANES = 21
+"""Channels that the network reads of a pixel; see `lobewise.filters.refinement.planes`."""
+LEVELS = 5
+"""Levels of the pyramid. Each has half the rows and columns of the level below, rounded up."""
+UNITS = (24, 32, 48, 64, 80)
+"""Channels of the features of each level, the finest first."""
+SQUEEZED = 16
+"""Channels that the finest level receives from the level above."""
+NOISY_SIDE, FILTERED_SIDE, COARSE_SIDE = 5, 3, 3
+"""Sides of the squares of taps, pixels."""
+GROUPS = (4, 4)
+"""Components of the vectors that taps compare: place and normal, lobe. Each group has one learned exponent."""
+VECTORS = sum(GROUPS)
+HEAD_BLOCK = 8
+"""The outputs of a head are rounded up to a multiple of this; the outputs that are added mean nothing."""
+MULTIPLE = 2 ** (LEVELS - 1)
+"""Bands begin at a multiple of so many rows, so that all levels have the same pixels as in the whole image."""
+
+
+class LogitPlaces(NamedTuple):
+    """Indices of the first output of each kind in a head."""
+
+    noisy: int
+    filtered: int
+    coarse: int
+    exponents: int
+    sources: int
+    total: int
+
+
+def place_logits(level: int) -> LogitPlaces:
+    """Return where the outputs of the head of a level are. Only the finest level has source weights."""
+    filtered = NOISY_SIDE**2
+    coarse = filtered + FILTERED_SIDE**2
+    exponents = coarse + (COARSE_SIDE**2 if level < LEVELS - 1 else 0)
+    sources = exponents + len(GROUPS)
+    return LogitPlaces(0, filtered, coarse, exponents, sources, sources + (2 if level == 0 else 0))
+
+
+@dataclass(frozen=True)
+class LayerShape:
+    """A convolution.
+
+    Parameters
+    ----------
+    name : str
+        Name of the layer in the file of weights.
+    inputs, outputs : int
+        Channels.
+    side : int
+        Side of the square of taps.
+    padded : int
+        Outputs in the flat array.
+    start : int
+        Index of the first weight in the flat array: (row, column, input, output), then a bias for each output.
+    """
+
+    name: str
+    inputs: int
+    outputs: int
+    side: int
+    padded: int
+    start: int
+
+    @property
+    def bias(self) -> int:
+        """Index of the first bias."""
+        return self.start + self.side**2 * self.inputs * self.padded
+
+    @property
+    def stop(self) -> int:
+        """Index after the last bias."""
+        return self.bias + self.padded
+
+
+def list_layers() -> dict[str, LayerShape]:
+    """Return all layers by name, in the order of the flat array."""
+    found: dict[str, LayerShape] = {}
+    start = 0
+    for name, inputs, outputs, side in _list_sizes():
+        block = HEAD_BLOCK if name.startswith("heads") else 1
+        found[name] = LayerShape(name, inputs, outputs, side, -(-outputs // block) * block, start)
+        start = found[name].stop
+    return found
+
+
+def _list_sizes() -> Iterator[tuple[str, int, int, int]]:
+    """Yield name, inputs, outputs and side of each layer."""
+    yield "stem", 4 * PLANES, UNITS[1], 1
+    for level in range(1, LEVELS):
+        yield f"down.{level - 1}.0", UNITS[max(level - 1, 1)], UNITS[level], 3
+        yield f"down.{level - 1}.1", UNITS[level], UNITS[level], 3
+    for level in range(1, LEVELS - 1):
+        yield f"up.{level - 1}.0", UNITS[level + 1] + UNITS[level], UNITS[level], 3
+        yield f"up.{level - 1}.1", UNITS[level], UNITS[level], 3
+    yield "squeeze", UNITS[1], SQUEEZED, 1
+    yield "fine.0", SQUEEZED + PLANES, UNITS[0], 3
+    yield "fine.1", UNITS[0], UNITS[0], 3
+    for level in range(LEVELS):
+        yield f"heads.{level}", UNITS[level], place_logits(level).total, 1
+
+
+LAYERS = list_layers()
+WEIGHTS = max(layer.stop for layer in LAYERS.values())
+"""Length of the flat array."""
+
+
+def find_reach() -> int:
+    """Return the pixels from a pixel of the result to the furthest pixel on which it depends.
+
+    A pixel of a level covers a block of pixels of the finest level. The reach of a level is counted from the edges of
+    that block. A convolution and a square of taps add pixels of the level. A pixel's parent covers a larger block,
+    which is up to one pixel of the level wider on one side.
+    """
+    down = [0] * LEVELS
+    for level in range(1, LEVELS):
+        down[level] = down[level - 1] + 2 * 2**level
+    features = down[LEVELS - 1]
+    for level in reversed(range(LEVELS - 1)):
+        # Two convolutions, and what the level above is wider.
+        features += 3 * 2**level
+    found = 0
+    for level in reversed(range(LEVELS)):
+        own = NOISY_SIDE // 2 * 2**level + features
+        above = found + 2 ** (level + 1) + 2**level if level < LEVELS - 1 else 0
+        found = max(own, above)
+    return found
+
+
+REACH = find_reach()
