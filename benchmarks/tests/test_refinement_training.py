@@ -91,6 +91,10 @@ def test_training_lowers_the_loss_and_goes_on(program: Any, torch: Any, frames: 
         flat = flatten_weights({name: exported[name].astype(np.float32) for name in exported.files})
         assert set(exported.files) == {f"{name}.{part}" for name in LAYERS for part in ("weight", "bias")}
     assert flat.shape == load_weights().shape
+    (frames.parent / "checkpoint.pt").unlink()
+    train(program, frames, 1, "--start", str(frames.parent / "weights.npz"))
+    points = json.loads((frames.parent / "curve.json").read_text())["points"]
+    assert points[2]["errors"]["all"]["mean"] < points[0]["errors"]["all"]["mean"]
 
 
 def test_an_untrained_network_keeps_the_filtered_image(program: Any, torch: Any, frames: Path) -> None:

@@ -121,6 +121,14 @@ def load_checkpoint(path: Path, state: State) -> None:
     state.steps, state.minutes = told["steps"], told["minutes"]
 
 
+def load_weights(path: Path, state: State) -> None:
+    """Begin with exported weights."""
+    with np.load(path) as arrays:
+        told = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
+    state.network.load_state_dict(told)
+    state.average.load_state_dict(told)
+
+
 def export_weights(path: Path, state: State) -> None:
     """Write the averaged weights as half floats."""
     arrays = {name: each.numpy().astype(np.float16) for name, each in state.average.state_dict().items()}
@@ -266,6 +274,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, help="in this run, in place of minutes")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--start", type=Path, help="exported weights to begin with, where there is no checkpoint")
     parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
     parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
     parser.add_argument("--export", type=Path, help="write the weights as half floats")
@@ -280,6 +289,8 @@ def main(words: Sequence[str] | None = None) -> None:
     if arguments.checkpoint.exists():
         load_checkpoint(arguments.checkpoint, state)
         print(f"going on after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
+    elif arguments.start is not None:
+        load_weights(arguments.start, state)
     run(state, arguments)
     if arguments.export is not None:
         export_weights(arguments.export, state)
