@@ -69,7 +69,7 @@ class TestNoImage:
     def test_gray(self, tmp_path: Path) -> None:
         """The option that is advised is taken."""
         path = save(tmp_path / "a.exr", ("", {"Y": COLOR["R"]}))
-        with pytest.raises(MissingChannelError, match="only Y; say which it is with --map color=RED,GREEN,BLUE"):
+        with pytest.raises(MissingChannelError, match="only Y; name the image with --map color=RED,GREEN,BLUE"):
             import_file(path)
         assert np.array_equal(import_file(path, mapping={"color": "Y,Y,Y"}).frame.radiance.color[..., 2], COLOR["R"])
 

@@ -33,7 +33,7 @@ TRUST_WITHOUT_HALVES = 0.75
 """Factor of the shares that the network gives to other images than the peer's where the frame has no halves. Where
 pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
 renderer. Most files without halves are of other renderers, and on these it trusts our image too much
-(docs/quality.md)."""
+(docs/research/quality_trials.md)."""
 
 
 def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> FloatArray:

@@ -29,7 +29,8 @@ SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness of the comparison of the albedo and of the normal of reflected surfaces."""
 MAX_MIRROR_ALPHA = 0.01
-"""Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface (docs/quality.md)."""
+"""Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface
+(docs/research/quality_trials.md)."""
 
 
 @dataclass(frozen=True, kw_only=True)

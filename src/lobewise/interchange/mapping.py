@@ -138,7 +138,9 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
     for preset in load_presets().values():
         if preset.passes and all(any(one.matches(name) for one in known) for name in preset.passes):
             return preset, f"there are passes named {' and '.join(preset.passes)}"
-    return load_presets()["generic"], "neither attributes nor names tell the renderer"
+    return load_presets()[
+        "generic"
+    ], "neither the attributes of the file nor the names of its channels tell which renderer wrote it"
 
 
 def map_channels(
@@ -169,7 +171,10 @@ def map_channels(
     for role, mapped in own.items():
         if apart := _compare_pixels(mapped.source.part, color.source.part):
             raise InputError(
-                f"--map {role}", expected="a pass of the image's pixels", got=f"one that {apart}", action="render it so"
+                f"--map {role}",
+                expected="a pass with the same pixels as the image",
+                got=f"one that {apart}",
+                action="render the pass at the size of the image",
             )
     beside = keep_beside(passes, color.source.part)
     roles = {"color": color}
@@ -219,7 +224,12 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
     for name in names:
         if name in kept_out and name not in known:
             expected, got = "a channel with one value for each pixel", f"one that is {kept_out[name].obstacle}"
-            raise InputError(f"--map {role}, channel {name!r}", expected=expected, got=got, action="save it as one")
+            raise InputError(
+                f"--map {role}, channel {name!r}",
+                expected=expected,
+                got=got,
+                action="save the channel with one value for each pixel",
+            )
         require_choice(f"--map {role}, channel", name, known)
     if len(names) != count:
         raise InputError(
@@ -261,7 +271,7 @@ def _find_color(
     raise refuse_missing_image(
         container,
         expected="channels R, G and B, or an image by one of the names that renderers use",
-        action=f"say which it is with --map color={'PASS' if has_image else 'RED,GREEN,BLUE'}",
+        action=f"name the image with --map color={'PASS' if has_image else 'RED,GREEN,BLUE'}",
     )
 
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 
-FARTHEST = 1e9
-"""Scene units. Distances from this value on mean no surface: renderers write 1e10, 1e30 or infinity there."""
+MIN_EMPTY_DISTANCE = 1e9
+"""Smallest distance that means that a pixel shows no surface, scene units. Renderers write 1e10, 1e30 or infinity."""
 MIN_SPECULAR_SHARE = 0.02
 """Share of the total albedo. Below this specular share, Cycles' mean roughness does not give the specular one."""
 
@@ -43,7 +43,7 @@ def convert_space(values: FloatArray, names: tuple[str, ...], camera: Camera | N
 
 def convert_depth(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray | None:
     """Return distances along the rays, 0 for no surface. Return None if planar depth has no camera to convert it."""
-    found = np.where(np.isfinite(values) & (values > 0.0) & (values < FARTHEST), values, np.float32(0.0))
+    found = np.where(np.isfinite(values) & (values > 0.0) & (values < MIN_EMPTY_DISTANCE), values, np.float32(0.0))
     if "planar" not in names:
         return found
     if camera is None:

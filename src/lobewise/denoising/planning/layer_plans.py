@@ -63,10 +63,10 @@ BALANCED_SPECULAR = (
     BalancedPass(5, 22.0, 6.0, lobes_with_seen=0.5),
     BalancedPass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4),
 )
-"""Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train (docs/quality.md). Diffuse light varies
-slowly: a second, sparse pass over the image of the first reaches as far as a dense kernel of three times the cost. Of
-reflections only the rough ones take part in the sparse pass: 4 pixels apart, the axes of sharp lobes are too different
-for so high a power."""
+"""Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train (docs/research/quality_trials.md). Diffuse
+light varies slowly: a second, sparse pass over the image of the first reaches as far as a dense kernel of three times
+the cost. Of reflections only the rough ones take part in the sparse pass: 4 pixels apart, the axes of sharp lobes are
+too different for so high a power."""
 AUTO_SIGMA = 30.0
 """Screen sigma, pixels, that "auto" stands for at radius 8. The sigmas of the passes are in proportion to it."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.checks.geometry import compute_normals
-from lobewise.interchange.values import FARTHEST
+from lobewise.interchange.values import MIN_EMPTY_DISTANCE
 
 MAX_SIDE = 256
 """Longer side of the thinned images, pixels."""
@@ -182,7 +182,7 @@ def _compress(color: FloatArray, step: int) -> Numbers:
 def _make_feature(role: str, thin: FloatArray) -> Numbers:
     """Return the components of a guide that are fitted to the image, (height, width, components)."""
     values = thin if thin.ndim == 3 else thin[..., None]
-    far = ~(np.abs(values) < FARTHEST).all(axis=-1, keepdims=True)
+    far = ~(np.abs(values) < MIN_EMPTY_DISTANCE).all(axis=-1, keepdims=True)
     if role == "depth":
         there = ~far & (values > 0.0)
         return np.where(there, np.log(np.where(there, values, np.float32(1.0))), np.float32(0.0))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
-from lobewise.interchange.values import FARTHEST
+from lobewise.interchange.values import MIN_EMPTY_DISTANCE
 
 MAX_ROUNDING_ERROR = 1e-3
 """Largest distance of an albedo from [0, 1] that the rounding of 16-bit floats explains."""
@@ -50,9 +50,9 @@ def _find_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
     """Return which pixels are NaN, or with ``infinite`` also infinite. Return None if no pixel is."""
     with np.errstate(all="ignore"):
         # One fast sum is enough for most images. A comparison with NaN is false.
-        if np.vdot(image, image) < FARTHEST:
+        if np.vdot(image, image) < MIN_EMPTY_DISTANCE:
             return None
-        bad = ~(np.abs(image) < FARTHEST) if infinite else np.isnan(image)
+        bad = ~(np.abs(image) < MIN_EMPTY_DISTANCE) if infinite else np.isnan(image)
     bad = np.asarray(bad.any(axis=-1)) if bad.ndim == 3 else bad
     return bad if bad.any() else None
 

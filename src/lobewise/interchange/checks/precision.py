@@ -8,7 +8,7 @@ import numpy as np
 
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
-from lobewise.interchange.values import FARTHEST
+from lobewise.interchange.values import MIN_EMPTY_DISTANCE
 
 MAX_COARSENESS = 2.0
 """Largest step between representable numbers of fine positions, over the distance between neighbouring pixels. At a
@@ -61,7 +61,7 @@ def measure_grain(position: FloatArray, distance: float | None = None) -> Grain:
     rows, columns = choose_centers((position.shape[0], position.shape[1]), MEASURED_PIXEL_STEP)
     values = position if position.ndim == 3 else position[..., None]
     here, there = values[rows, columns], values[rows, columns + MEASURED_PIXEL_STEP]
-    both = (np.stack([np.abs(here), np.abs(there)]) < FARTHEST).all(axis=(0, 2))
+    both = (np.stack([np.abs(here), np.abs(there)]) < MIN_EMPTY_DISTANCE).all(axis=(0, 2))
     both &= (here != 0.0).any(axis=-1) & (there != 0.0).any(axis=-1)
     if both.sum() < MIN_PIXELS:
         return Grain(32, 0.0, 1.0)

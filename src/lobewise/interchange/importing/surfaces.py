@@ -13,7 +13,7 @@ from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.importing.draft import Draft, Outcome
-from lobewise.interchange.values import FARTHEST, convert_depth, convert_plain, convert_space
+from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
 
 Mask = NDArray[np.bool_]
@@ -27,9 +27,9 @@ def take_positions(draft: Draft) -> Outcome:
 
 
 def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
-    there = np.isfinite(position).all(axis=-1) & (np.abs(position) < FARTHEST).all(axis=-1)
+    there = np.isfinite(position).all(axis=-1) & (np.abs(position) < MIN_EMPTY_DISTANCE).all(axis=-1)
     if depth is not None:
-        return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < FARTHEST))
+        return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < MIN_EMPTY_DISTANCE))
     return np.asarray(there & (position != 0.0).any(axis=-1))
 
 
