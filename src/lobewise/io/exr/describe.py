@@ -105,8 +105,14 @@ class Lack:
 
 
 OIDN_FIELDS = {
-    "albedo": {"diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"},
-    "normal": {"normal", "mean_normal"},
+    "albedo": {
+        "diffuse_albedo",
+        "specular_albedo",
+        "mean_diffuse_albedo",
+        "mean_specular_albedo",
+        "denoiser_albedo",
+    },
+    "normal": {"normal", "mean_normal", "denoiser_normal"},
 }
 """Images of a frame, by the guide of Open Image Denoise that they serve as."""
 
