@@ -89,8 +89,10 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         for guides, row in trials["without"].items()
         for spp in row
     ]
+    seconds = trials["seconds at 1920x1080, two threads, best of three"]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
         "similarities": make_table(["guides", "`balanced`", "with similarities", "without"], rows),
+        "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }

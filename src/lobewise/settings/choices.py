@@ -67,7 +67,7 @@ class Quality:
         Memory that the filters hold beside the frame, bytes; measured (docs/streaming.md).
     seconds_per_megapixel : float
         Time at radius 8 with diffuse and specular light apart on two threads; measured
-        (``benchmarks/results/before_after.json``).
+        (``benchmarks/results/before_after.json``, and ``refinement_trials.json`` for "high").
     """
 
     name: QualityName
@@ -97,7 +97,7 @@ QUALITIES: Mapping[str, Quality] = {
     for each in (
         Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.29),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.1),
-        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.1),
+        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=1.7),
     )
 }
 
