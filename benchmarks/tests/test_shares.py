@@ -11,15 +11,20 @@ import pytest
 from benchmarks.training import shares, textures
 from benchmarks.training.candidates import (
     Candidates,
+    denoise_all,
     list_samples,
     read_candidates,
     sum_albedo,
     vary_guides,
     write_candidates,
 )
+from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.combining import find_mixture
 from lobewise.denoising.evidence import find_share_taken_back
 from lobewise.denoising.networks import unpack_network
+from lobewise.denoising.stages import start_run
+from lobewise.settings import DenoiseSettings
+from tests.streaming.frames import make_scene
 
 SIZE = 48
 
@@ -153,3 +158,15 @@ def test_drawn_frames_become_candidates(tmp_path: Path) -> None:
     for one in found:
         np.testing.assert_array_equal(one.reference_a, one.reference_b)
         assert not np.array_equal(one.high, one.noisy)
+
+
+def test_candidates_are_results_before_the_noisy_image_is_taken_back() -> None:
+    pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
+    frame = make_scene((32, 32))
+    images = denoise_all(frame)
+    names = {"balanced": ("filter",), "high": ("filter", "refine")}
+    for quality, wanted in names.items():
+        run = start_run(frame, resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False)))
+        stages = [stage for stage in run.plan.stages if stage.name in wanted]
+        np.testing.assert_array_equal(images[quality], run.run(stages).total)
+    assert not np.array_equal(images["balanced"], images["high"])

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.training import frames
+from benchmarks.training.make_frames import expose
 from lobewise.errors import FileError, InputError
+from tests.streaming.frames import make_scene
 
 SIZE = (6, 5)
 SINGLE = ("depth", "alpha_u", "alpha_v", "hit_inverse", "lobe_sharpness")
@@ -82,3 +84,13 @@ def test_a_file_that_is_no_frame_is_named(tmp_path: Path, rng: np.random.Generat
 
 def test_a_fifth_of_the_seeds_is_for_validation() -> None:
     assert [seed for seed in range(1, 21) if frames.is_validation(seed)] == [5, 10, 15, 20]
+
+
+def test_all_light_of_a_frame_is_exposed(rng: np.random.Generator) -> None:
+    frame = make_scene((24, 16))
+    emission = rng.random((*frame.shape, 3), dtype=np.float32)
+    frame = replace(frame, gbuffer=replace(frame.gbuffer, mean_emission=emission))
+    found = expose(frame, 4.0)
+    np.testing.assert_array_equal(found.gbuffer.mean_emission, 4.0 * emission)
+    np.testing.assert_array_equal(found.radiance.color, 4.0 * frame.radiance.color)
+    np.testing.assert_array_equal(found.gbuffer.diffuse_albedo, frame.gbuffer.diffuse_albedo)

@@ -51,7 +51,7 @@ class Candidates:
     seed, spp, kind
         Of the scene; samples per pixel; one of `KINDS`.
     noisy, balanced, high, peer
-        The input and three results. Without Open Image Denoise and without any evidence of the samples.
+        The input and three results. Ours neither take the noisy image back nor mix with Open Image Denoise.
     clean
         The reference, cleaned by Open Image Denoise: what errors are relative to.
     reference_a, reference_b
@@ -150,9 +150,12 @@ def sum_albedo(frame: Frame) -> Array:
 
 
 def denoise_all(frame: Frame) -> dict[str, Array]:
-    """Return the noisy image, what `balanced`, `high` and Open Image Denoise make of it, and halves if it has any."""
+    """Return the noisy image, what `balanced`, `high` and Open Image Denoise make of it, and halves if it has any.
+
+    The results are those before the noisy image is taken back, which is what the first network decides.
+    """
     from lobewise.denoising.automatic import resolve_all
-    from lobewise.denoising.planning.frame_plans import FILTER_LAYERS, KEEP_LIGHT
+    from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
     from lobewise.denoising.stages import start_run
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
@@ -160,7 +163,9 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0]}
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
-        images[quality] = start_run(frame, settings).run((FILTER_LAYERS, KEEP_LIGHT)).total
+        run = start_run(frame, settings)
+        stages = run.plan.stages
+        images[quality] = run.run(stages[: stages.index(TAKE_BACK_NOISY)]).total
     if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
     return images

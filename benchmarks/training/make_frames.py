@@ -92,7 +92,9 @@ def expose(frame: Frame, factor: float) -> Frame:
     """Return a frame with all its light multiplied by a factor, without variance."""
     radiance, half_a, half_b = (_scale(each, factor) for each in (frame.radiance, frame.half_a, frame.half_b))
     assert radiance is not None
-    return replace(frame, radiance=radiance, half_a=half_a, half_b=half_b, variance=None)
+    emission = frame.gbuffer.mean_emission
+    guides = frame.gbuffer if emission is None else replace(frame.gbuffer, mean_emission=np.float32(factor) * emission)
+    return replace(frame, radiance=radiance, half_a=half_a, half_b=half_b, variance=None, gbuffer=guides)
 
 
 def make_lobes(frame: Frame) -> tuple[FloatArray, FloatArray]:

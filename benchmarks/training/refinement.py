@@ -44,6 +44,11 @@ MAX_AVERAGING = 0.998
 """Share of the averaged weights that a step keeps."""
 BORDER = 4
 """Pixels at the edges of a crop that do not count: they lack neighbours that whole frames have."""
+BLOCK_SIDES_PIXELS = 8, 32
+"""Sides of the blocks whose mean light is compared. A network that is judged by pixels alone gets too dark, because
+the median of a pixel's light, given its noisy neighbourhood, is below the mean."""
+BLOCKS_WEIGHT = 0.5
+"""Weight of the error of blocks of one size, beside the error of pixels."""
 TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.05
 """Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
 CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
@@ -78,7 +83,7 @@ def find_loss(found: Tensor, before: Tensor, reference: Tensor) -> Tensor:
 
 
 def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
-    """Return how far each crop is from its reference: relative, squared relative, and of the slopes."""
+    """Return how far each crop is from its reference: relative, squared relative, of the slopes, and of blocks."""
     inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
     found, reference = found[inner], reference[inner]
     # A dark result may not make its own error large: what errors are relative to has no gradient.
@@ -88,6 +93,17 @@ def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     ratio = torch.log(found.clamp_min(0.0) + 0.1) - torch.log(reference + 0.1)
     slopes = ratio.diff(dim=-1).abs().mean((1, 2, 3)) + ratio.diff(dim=-2).abs().mean((1, 2, 3))
     total: Tensor = (relative + squared).mean((1, 2, 3)) + 0.25 * slopes
+    for side in BLOCK_SIDES_PIXELS:
+        total = total + BLOCKS_WEIGHT * find_block_losses(found, reference, side)
+    return total
+
+
+def find_block_losses(found: Tensor, reference: Tensor, side: int) -> Tensor:
+    """Return how far the mean light of blocks is from the reference's, relative, for each crop."""
+    side = min(side, *reference.shape[-2:])
+    average = torch.nn.functional.avg_pool2d(reference, side)
+    apart = torch.nn.functional.avg_pool2d(found - reference, side)
+    total: Tensor = (apart.abs() / (average + 0.02)).mean((1, 2, 3))
     return total
 
 

@@ -157,6 +157,7 @@ def test_a_pixel_takes_by_its_light_up_to_half_the_mean() -> None:
     np.testing.assert_allclose(find_takers(layer, part, 1.0)[0], [0.0, 1.0, 1.0, 0.5, 0.0625, 0.0])
     half = find_takers(replace(layer, albedo=albedo), part, 1.0)
     np.testing.assert_allclose(half[0], [0.0, 1.0, 0.5, 0.25, 0.03125, 0.0])
+    np.testing.assert_array_equal(find_takers(layer, part, 1.0, refined=True)[0], [0.0, 1.0, 1.0, 1.0, 1.0, 0.0])
     bright = brighten(part, part, half, Gain(0.2, 0.0))
     np.testing.assert_allclose(bright[0, :5, 1], [0.0, 0.12, 0.55, 1.05, 8.05], rtol=1e-6)
 

@@ -2,9 +2,10 @@
 
 A filter that is guided by the noise loses light: fireflies are bounded, and pixels brighter than their neighbours count
 less. So the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. The lost
-light of a layer is shared out over its pixels, in proportion to their light, but to no more than `MAX_TAKER` of the
-layer's mean: shadows stay dark, and spots that are still too bright take no more than other pixels. The samples do not
-tell where most of the light belongs, so it goes everywhere, too thin to be seen.
+light of a layer is shared out over its pixels, in proportion to their light. Where a filter may leave spots that are
+too bright, light above `MAX_TAKER` of the layer's mean takes no more. A network leaves no such spots, and it loses most
+light where light is bright and noisy, so all light takes its part. The samples do not tell where most of the lost light
+belongs, so it goes everywhere, too thin to be seen.
 
 The user is told of a loss if the mean changed by much more than its noise. Fireflies are light of the scene that few
 samples found: a mean without them is too dark, and a mean with them is noisy. The share of the fireflies does not tell
@@ -55,7 +56,7 @@ ROWS_AT_ONCE = 128
 Rows = NDArray[np.float64]
 
 
-def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
+def find_takers(layer: Layer, part: FloatArray, level: float, *, refined: bool = False) -> FloatArray:
     """Return the share of each pixel's light that takes part in sharing, (height, width), in [0, 1].
 
     Pixels outside of the layer take nothing.
@@ -68,8 +69,12 @@ def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
         The filtered layer. Pixels that are not finite or negative take nothing.
     level : float
         Mean light of the layer's samples, over albedo.
+    refined : bool
+        Whether a network refined the layer: then all light takes part (docs/research/refinement.md).
     """
     light = _add_channels(np.where(find_good(part)[..., None], part, np.float32(0.0)))
+    if refined:
+        return (layer.mask & (light > 0.0)).astype(np.float32)
     bound = np.full_like(light, 3.0)
     if layer.albedo is not None:
         bound = _add_channels(np.where(find_good(layer.albedo)[..., None], layer.albedo, np.float32(0.0)))

@@ -61,6 +61,8 @@ class Filtered:
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     levels : sequence of float
         Mean light of the samples of every layer, over the albedo; empty with the quality "fast".
+    is_refined : bool
+        Whether the network refined the image.
     """
 
     layers: Sequence[Layer]
@@ -72,6 +74,12 @@ class Filtered:
     rest: FloatArray | None = None
     noisy: Sequence[FloatArray] = ()
     levels: Sequence[float] = ()
+    is_refined: bool = False
+
+    def find_takers(self) -> list[FloatArray]:
+        """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
+        layers = zip(self.layers, self.parts, self.levels, strict=False)
+        return [find_takers(*each, refined=self.is_refined) for each in layers]
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
@@ -203,7 +211,8 @@ def refine(state: FrameRun) -> FrameRun:
     whole = measure_whole(frame, found.levels) if state.whole is None else state.whole
     surface = np.logical_or.reduce([layer.mask for layer in found.layers])
     parts = refine_parts(frame, found.noisy, found.parts, surface, whole, state.settings.device)
-    return replace(state, found=replace(found, parts=parts, image=compose(frame, parts, found.rest)))
+    image = compose(frame, parts, found.rest)
+    return replace(state, found=replace(found, parts=parts, image=image, is_refined=True))
 
 
 def take_back(state: FrameRun) -> FrameRun:
@@ -216,9 +225,8 @@ def take_back(state: FrameRun) -> FrameRun:
 def keep_light(state: FrameRun) -> FrameRun:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
     found = state.filtered
-    layers = list(zip(found.layers, found.parts, found.levels, strict=True))
-    takers = [find_takers(layer, part, level) for layer, part, level in layers]
-    rows = [sum_missing(layer, part, taker) for (layer, part, _), taker in zip(layers, takers, strict=True)]
+    takers = found.find_takers()
+    rows = [sum_missing(*each) for each in zip(found.layers, found.parts, takers, strict=True)]
     gains = [find_gain(each) for each in rows]
     lost = find_share_missing(rows, gains)
     if not any(map(any, gains)):

@@ -37,7 +37,6 @@ from lobewise.denoising.light_loss import (
     describe_loss,
     find_gain,
     find_share_missing,
-    find_takers,
     sum_light,
     sum_missing,
 )
@@ -337,7 +336,7 @@ def _filter_band(
     """Return the images of the rows of ``core`` by their fields, and the number of bad pixels.
 
     Beside the fields there are ``holes``, the pixels without a value, and for each layer ``taker0`` and so on, the
-    result of `find_takers`.
+    share of its light that takes part in sharing.
     """
     frame = reader.read_frame(*rows)
     seen.unusable += find_unusable(frame, core)
@@ -346,7 +345,7 @@ def _filter_band(
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings, (), whole)
     bad = find_bad_pixels(frame)
-    takers = [find_takers(*each) for each in zip(found.layers, found.parts, found.levels, strict=False)]
+    takers = found.find_takers()
     seen.missing.append([sum_missing(*each, core) for each in zip(found.layers, found.parts, takers, strict=False)])
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
