@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages import (
-    ablation,
     bench,
     foreign,
     gallery,
@@ -49,7 +48,6 @@ PAGES = {
     "docs/performance.md": Source(performance.make_figures, ("filters", "roofline", "scaling")),
     "docs/quality_results.md": Source(quality.make_figures, ("quality",)),
     "docs/renderers_results.md": Source(foreign.make_figures, ("foreign", "foreign_speed")),
-    "docs/research/affinity_ablation.md": Source(ablation.make_figures, ("affinity_ablation",)),
     "docs/research/hit_distance.md": Source(results.make_hit_figures, ("similarities", "hit_distance")),
     "docs/research/kernel_trials.md": Source(performance.make_trial_figures, ("kernel_trials", "taps")),
     "docs/research/mixing_networks.md": Source(trials.make_share_figures, ("shares",)),

@@ -174,7 +174,7 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
 def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
     """Render and denoise the frames of a scene that the folder lacks; return what was written."""
     from benchmarks.training.kinds import make_kind
-    from benchmarks.training.make_frames import clean_reference, expose, find_exposure
+    from benchmarks.training.rendering import clean_reference, expose, find_exposure
     from lobewise.render import render_frame, render_reference
     from lobewise.render.loading import build_scene
 
@@ -202,7 +202,7 @@ def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
 
 def main(words: list[str] | None = None) -> None:
     """Make what is missing, and say in one line for each scene how long it took."""
-    from benchmarks.training.make_frames import limit_threads
+    from benchmarks.training.rendering import limit_threads
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")

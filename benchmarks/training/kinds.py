@@ -1,4 +1,4 @@
-"""The random scenes that the affinity network learns from: seventeen kinds, made in code from a seed.
+"""The random scenes that networks learn from: seventeen kinds, made in code from a seed.
 
 Four kinds are those of `settings.py`, with other numbers. The others have what those lack: windows and lamps in view,
 rooms lit from outside, textured interiors, glass, near-mirrors, normal maps, anisotropic metal, layered materials,

@@ -24,14 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.training.frames import Half, make_half, open_cache
-from benchmarks.training.make_frames import (
+from benchmarks.training.frames import Half, is_validation, make_half, open_cache
+from benchmarks.training.rendering import (
     choose_reference_spp,
     clean_reference,
     draw_samples,
     expose,
     find_exposure,
-    is_validation,
     limit_threads,
 )
 from benchmarks.users.guides import reduce_frame

@@ -218,7 +218,7 @@ def make_candidates(seed: int, size: int) -> Candidates:
 
 def main(words: list[str] | None = None) -> None:
     """Make what is missing, and say how long it took."""
-    from benchmarks.training.make_frames import limit_threads
+    from benchmarks.training.rendering import limit_threads
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")

@@ -10,7 +10,6 @@ import pytest
 from lobewise.backend.devices import list_devices
 
 RUNS = (
-    "run_affinity",
     "run_filter",
     "PassRequest",
     "run_reprojection",
