@@ -11,16 +11,17 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_kind
 from lobewise.frame import Frame, GBuffer, Guided, Radiance, describe_content
 from lobewise.lobe_table import LobeTable
-
-MAX_SCALE = 16
-"""Largest distance between neighbouring shaded pixels, pixels."""
+from lobewise.settings.choices import MAX_SCALE_PIXELS
 
 
 def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
     """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
-    if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MAX_SCALE:
+    if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MAX_SCALE_PIXELS:
         raise InputError(
-            "scale", expected=f"an integer from 1 to {MAX_SCALE}", got=name_value(scale), action="2 or 4 is usual"
+            "scale",
+            expected=f"an integer from 1 to {MAX_SCALE_PIXELS}",
+            got=name_value(scale),
+            action="2 or 4 is usual",
         )
     require_kind("place", place, tuple, list, np.ndarray)
     pair = [index for index in place if isinstance(index, Integral) and not isinstance(index, bool)]
@@ -121,14 +122,14 @@ def list_places(scale: int) -> list[tuple[int, int]]:
     Raises
     ------
     InputError
-        If the scale is not from 1 to `MAX_SCALE`.
+        If the scale is not from 1 to `MAX_SCALE_PIXELS`.
 
     Notes
     -----
     Source: Bayer 1973, "An optimum method for two-level rendition of continuous-tone pictures"; for the fixed
     permutation, Herzog et al. 2010.
     """
-    _check_blocks((MAX_SCALE, MAX_SCALE), scale, (0, 0))
+    _check_blocks((MAX_SCALE_PIXELS, MAX_SCALE_PIXELS), scale, (0, 0))
     bits = (scale - 1).bit_length()
     places = []
     for count in range(4**bits):

@@ -104,7 +104,7 @@ def test_a_noisy_image_that_is_still_there_is_filtered(
     assert run(["denoise", str(source), "-o", str(clean)]) == 0
     capsys.readouterr()
     assert run(["denoise", str(clean), "-o", str(tmp_path / "c.exr")]) == 0
-    assert capsys.readouterr().err.count("is filtered as a whole, as the light that makes it up is denoised") == 1
+    assert capsys.readouterr().err.count("the image is filtered as a whole, because its passes of light are denoised already") == 1
     again = import_file(clean).frame
     np.testing.assert_array_equal(again.radiance.color, first.radiance.color)
     assert first.layers

@@ -13,7 +13,7 @@ from lobewise.exporting.folder import MARK, fill_template, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.io.files import PathLike
-from lobewise.lobes.covariance import GGX_LIMIT, GGX_SHARPNESS, MIN_VIEW_COSINE
+from lobewise.lobes.covariance import AXIS_TURN, AXIS_TURN_PER_ALPHA, GGX_LIMIT, GGX_SHARPNESS, MIN_VIEW_COSINE
 from lobewise.lobes.directions import MIN_COSINE
 from lobewise.lobes.gaussian import MIN_WARP_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
@@ -57,6 +57,8 @@ def _list_constants() -> dict[str, str]:
         "MIN_WARP_COSINE": _write(MIN_WARP_COSINE),
         "MIN_VIEW_COSINE": _write(MIN_VIEW_COSINE),
         "GGX_LIMIT": _write(GGX_LIMIT),
+        "AXIS_TURN": _write(AXIS_TURN),
+        "AXIS_TURN_PER_ALPHA": _write(AXIS_TURN_PER_ALPHA),
         "GGX_SHARPNESS": _write(GGX_SHARPNESS),
         "MIN_SHARPNESS": _write(MIN_SHARPNESS),
         "MIXTURE_EXPONENTS": f"vec3({', '.join(map(_write, exponents))})",

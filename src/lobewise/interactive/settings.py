@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from lobewise.errors import require_choice
 from lobewise.settings import SIMILARITIES, Auto, Declared, DenoiseSettings, Knob, Similarity, document
+from lobewise.settings.choices import MAX_SCALE_PIXELS
 
 Method = Literal["paths", "voxel_cones", "virtual_lights"]
 Unfiltered = Literal["none"]
@@ -34,11 +35,10 @@ class InteractiveSettings(Declared):
     method: Annotated[Method, Knob("How indirect light is computed.", label="Method")] = "paths"
     scale: Annotated[
         int,
-        # The upper end is `lobewise.sparse_frame.MAX_SCALE`, whose module needs NumPy.
         Knob(
             "Indirect light is shaded at one pixel of every n x n and upsampled.",
             low=1,
-            high=16,
+            high=MAX_SCALE_PIXELS,
             usual="4 is usual",
             label="Every nth pixel",
         ),

@@ -27,8 +27,8 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
         raise InputError(
             "--also",
             expected="a file of another renderer",
-            got="one in lobewise's own channel names",
-            action="leave it out",
+            got="a file with lobewise's own channel names",
+            action="leave --also out",
         )
     used = {channel for one in found.outputs.values() for channel in one.found.channels}
     used |= {channel for one in found.map.roles.values() for channel in one.channels}
@@ -42,7 +42,7 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
             raise InputError(
                 f"--also {pattern}",
                 expected="passes of three channels that are not used yet",
-                got="none of that name",
+                got="no such pass",
                 action="see lobewise inspect",
             )
         for one, channels in taken:
@@ -104,7 +104,10 @@ def join_halves(first: Imported, second: Imported) -> Imported:
         )
     if np.array_equal(a.radiance.color, b.radiance.color):
         raise InputError(
-            "--half", expected="noise of its own", got="the same image", action="render it with another seed"
+            "--half",
+            expected="a second image with other noise",
+            got="the same image",
+            action="render it with another seed",
         )
     if a.spp is not None and b.spp is not None and a.spp != b.spp:
         raise InputError("--half", expected=f"{a.spp} samples per pixel", got=str(b.spp), action="render both alike")

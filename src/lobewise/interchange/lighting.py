@@ -19,6 +19,10 @@ MAX_EXCESS_SHARE = 0.02
 """Largest share of the image's light by which the layers may exceed the image. Above it, they are not its parts."""
 MIN_REST_SHARE = 0.002
 """Share of the image's light. If more than this share is in no pass, the remaining light is examined as a layer."""
+MAX_HALF_ROUNDING = 2e-3
+"""Largest error of an image by the rounding of its passes to 16-bit floats, as a share of the pixel's light."""
+MAX_SMOOTH_DIFFERENCE = 0.05
+"""Largest relative difference of the median lit pixel from the mean of its neighbours in an image without noise."""
 WHITE_SHARE = np.float32(0.1)
 """Share of white that is mixed into an albedo of all lobes. Glossy reflection does not follow this albedo: on a dark
 mirror, light divided by the plain albedo would be far brighter than its surroundings. (Mitsuba's Cornell box,
@@ -81,7 +85,9 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> t
             more = known + np.where(np.isfinite(image), image, np.float32(0.0))
         # A pass may hold the background although the image has a transparent one: then it is no part of the image.
         if _measure_excess(color, more) > max(MAX_EXCESS_SHARE, 2.0 * _measure_excess(color, known)):
-            notes.append(f"{one.label} holds more light than the image has beside the layers: it is no part of it.")
+            notes.append(
+                f"{one.label} holds more light than the image has beside the layers: it is not used as its part."
+            )
             continue
         known = more
         if image.any():
@@ -165,18 +171,22 @@ def _check_sum(
         )
         return [], [told], False
     # Subtract the rounding errors of 16-bit floats, so that they do not count as light.
-    rest = np.maximum(apart - np.float32(2e-3) * np.where(good, np.abs(color), np.float32(0.0)), np.float32(0.0))
+    rounding = np.float32(MAX_HALF_ROUNDING) * np.where(good, np.abs(color), np.float32(0.0))
+    rest = np.maximum(apart - rounding, np.float32(0.0))
     share = float(np.sum(rest, dtype=np.float64)) / total
     if not share > MIN_REST_SHARE:
         return [], [], True
     is_exact = is_smooth(rest)
-    fate = "without noise, so it passes as it is" if is_exact else "noisy, so it is filtered as one of its own"
+    fate = "without noise, so it is not filtered" if is_exact else "noisy, so it is filtered as a layer of its own"
     told = f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}."
     return [] if is_exact else [RadianceLayer(REST, "glossy", rest)], [told], True
 
 
 def is_smooth(image: FloatArray) -> bool:
-    """Return whether an image is free of noise: the median lit pixel is within 5 % of the mean of its neighbours."""
+    """Return whether an image is free of noise: the median lit pixel is near the mean of its neighbours.
+
+    The bound is `MAX_SMOOTH_DIFFERENCE`.
+    """
     gray = image.mean(axis=-1)
     if min(gray.shape) < 3:
         return True
@@ -186,7 +196,7 @@ def is_smooth(image: FloatArray) -> bool:
     if not lit.any():
         return True
     apart = np.abs(inner - around)[lit] / np.maximum(inner, around)[lit]
-    return bool(np.median(apart) < 0.05)
+    return bool(np.median(apart) < MAX_SMOOTH_DIFFERENCE)
 
 
 def lift_albedo(albedo: FloatArray) -> FloatArray:

@@ -23,6 +23,9 @@ GGX_LIMIT = 0.35
 """Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature)."""
 BECKMANN_LIMIT = 0.5
 """Inverse variance added to rough Beckmann lobes."""
+AXIS_TURN, AXIS_TURN_PER_ALPHA = 0.7, 0.6
+"""The dominant normal turns from n to v by a share of what the public shaders say: the first number for a mirror, and
+the second more per alpha, up to 1 (the axis of the L2-best lobe, fitted to quadrature)."""
 MIN_VIEW_COSINE = 0.03
 """Smallest v.m in the Jacobian; at 0 the lobe would have no width across the plane of incidence."""
 GGX_SHARPNESS = GGX_MIXTURES[1][0][0]
@@ -58,8 +61,8 @@ def find_dominant_normal(xp: Namespace, view: Vector, alphas: Vector) -> list[An
     """Return the dominant visible normal of GGX, about which the lobe is reflected. Approximate.
 
     Source: Tokuyoshi's public shaders: ``m = normalize(au^2 vx, av^2 vy, sqrt(au^2 vx^2 + av^2 vy^2 + vz^2) + vz)``.
-    Departs: both squares are scaled by ``min(1, 0.7 + 0.6 sqrt(au av))``, because the plain form turns the axis of
-    narrow lobes too far (the L2-best axis moves about 0.7 as much).
+    Departs: both squares are scaled by ``min(1, 0.7 + 0.6 sqrt(au av))`` (`AXIS_TURN`), because the plain form turns
+    the axis of narrow lobes too far.
 
     Parameters
     ----------
@@ -76,7 +79,7 @@ def find_dominant_normal(xp: Namespace, view: Vector, alphas: Vector) -> list[An
         0.2 up.
     """
     u, v, n = view
-    part = xp.minimum(xp.number(0.7) + xp.number(0.6) * xp.sqrt(alphas[0] * alphas[1]), 1.0)
+    part = xp.minimum(xp.number(AXIS_TURN) + xp.number(AXIS_TURN_PER_ALPHA) * xp.sqrt(alphas[0] * alphas[1]), 1.0)
     mu, mv = part * (alphas[0] * alphas[0]) * u, part * (alphas[1] * alphas[1]) * v
     mn = xp.sqrt(mu * u + mv * v + n * n) + n
     return scale([mu, mv, mn], 1.0 / xp.sqrt(mu * mu + mv * mv + mn * mn))
@@ -143,7 +146,7 @@ def _make_isotropic_lobe(
     """
     square = alpha * alpha
     # m = normalize(a v + b n)
-    a = xp.minimum(xp.number(0.7) + xp.number(0.6) * alpha, 1.0) * square
+    a = xp.minimum(xp.number(AXIS_TURN) + xp.number(AXIS_TURN_PER_ALPHA) * alpha, 1.0) * square
     rest = 1.0 - a
     b = xp.sqrt(a + rest * cosine * cosine) + rest * cosine
     inverse_square = 1.0 / (a * a + b * b + 2.0 * a * b * cosine)

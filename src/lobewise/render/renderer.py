@@ -22,7 +22,8 @@ from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materia
 from lobewise.render.own_light import forget_lobes_of_media, render_lens_guides, render_own
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
-from lobewise.sparse_frame import MAX_SCALE, SparseFrame
+from lobewise.settings.choices import MAX_SCALE_PIXELS
+from lobewise.sparse_frame import SparseFrame
 
 Progress = Callable[[int, int], None]
 
@@ -281,7 +282,7 @@ def render_sparse_frame(
     """
     depth = require_paths(scene, "sparse frames", integrator, max_depth).max_depth
     run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
-    scale = require_integer("scale", scale, 1, MAX_SCALE)
+    scale = require_integer("scale", scale, 1, MAX_SCALE_PIXELS)
     width, height = run.size
     row, column = (
         require_integer(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((height, width))

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+MAX_SCALE_PIXELS = 16
+"""Largest distance between neighbouring shaded pixels of a sparse frame."""
+
 QualityName = Literal["fast", "balanced", "high"]
 SimilarityName = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
 FormName = Literal["full", "separable", "atrous"]

@@ -50,8 +50,8 @@ class Step(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilterStep(Step):
-    """Average the neighbours of every pixel once, weighted by the guides alone: the filter of the paper."""
+class KernelStep(Step):
+    """A step whose kernel has a form, "full", "separable" or "atrous", and a radius in pixels."""
 
     form: str
     radius: int
@@ -60,6 +60,11 @@ class FilterStep(Step):
     def reach(self) -> int:
         """The radius; five levels of doubling step reach further."""
         return ATROUS_REACH if self.form == "atrous" else self.radius
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterStep(KernelStep):
+    """Average the neighbours of every pixel once, weighted by the guides alone: the filter of the paper."""
 
     def describe(self) -> str:
         """Return the form and the size of the kernel."""
@@ -92,28 +97,19 @@ class UpsampleStep(Step):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AccumulateStep(Step):
-    """Filter or upsample the samples of a layer and add them to its history.
+class AccumulateStep(KernelStep):
+    """Filter or upsample the samples of a layer and add them to its history. Sparse samples have the form "full".
 
     Parameters
     ----------
-    radius, form
-        As of `FilterStep`; of sparse samples the form is "full".
     growth : float
         How the kernel narrows as the history of a pixel grows, 0 (not) to 1.
     own : float
         Weight of a pixel's own sample, >= 1. A borrowed sample that matches fully has weight 1.
     """
 
-    form: str
-    radius: int
     growth: float
     own: float
-
-    @property
-    def reach(self) -> int:
-        """The radius; five levels of doubling step reach further."""
-        return ATROUS_REACH if self.form == "atrous" else self.radius
 
     def describe(self) -> str:
         """Return the form and the size of the kernel."""

@@ -26,6 +26,9 @@ const float LOBEWISE_MIN_WARP_COSINE = $MIN_WARP_COSINE;
 const float LOBEWISE_MIN_VIEW_COSINE = $MIN_VIEW_COSINE;
 // Inverse variance added to rough GGX lobes, so that none is wider than the hemisphere (fitted to quadrature).
 const float LOBEWISE_GGX_LIMIT = $GGX_LIMIT;
+// The share of the dominant normal's turn from n to v: for a mirror, and more per alpha.
+const float LOBEWISE_AXIS_TURN = $AXIS_TURN;
+const float LOBEWISE_AXIS_TURN_PER_ALPHA = $AXIS_TURN_PER_ALPHA;
 // Sharpness of the Gaussian that is nearest to (1 + q)^-2 in L2, relative to the Gaussian with its curvature at 0.
 const float LOBEWISE_GGX_SHARPNESS = $GGX_SHARPNESS;
 // Exponents b and weights w of (1 + q)^-2 ~ sum w exp(-b q), least squares over the plane: GGX as three Gaussians.
@@ -168,7 +171,7 @@ LobewiseCovariance lobewise_make_isotropic(vec3 normal, vec3 view, float alpha, 
     let float cosine = dot(normal, view);
     let float square = alpha * alpha;
     let float deficit = 1.0 - square;
-    let float a = min(0.7 + 0.6 * alpha, 1.0) * square;
+    let float a = min(LOBEWISE_AXIS_TURN + LOBEWISE_AXIS_TURN_PER_ALPHA * alpha, 1.0) * square;
     let float b = sqrt(a + (1.0 - a) * cosine * cosine) + (1.0 - a) * cosine;
     let float inverse_square = 1.0 / (a * a + b * b + 2.0 * a * b * cosine);
     let float inverse = sqrt(inverse_square);
@@ -213,7 +216,7 @@ LobewiseCovariance lobewise_make_anisotropic(vec3 normal, vec3 tangent, vec3 vie
     let float cosine = dot(normal, view);
     let float cosine_u = dot(tangent, view);
     let float cosine_v = dot(bitangent, view);
-    let float scale = min(0.7 + 0.6 * sqrt(alpha.x * alpha.y), 1.0);
+    let float scale = min(LOBEWISE_AXIS_TURN + LOBEWISE_AXIS_TURN_PER_ALPHA * sqrt(alpha.x * alpha.y), 1.0);
     let float u = scale * square.x * cosine_u;
     let float v = scale * square.y * cosine_v;
     let float n = sqrt(u * cosine_u + v * cosine_v + cosine * cosine) + cosine;

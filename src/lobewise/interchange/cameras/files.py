@@ -31,10 +31,10 @@ _KEYS = ("position", "forward", "target", "up", "fov_y", "fov_x", "shift")
 def read_camera_file(path: PathLike) -> Camera:
     """Return the camera of a file.
 
-    The end of the name decides: ``.json`` holds ``position``, ``forward`` or ``target``, ``up`` (by default y), and
-    ``fov_y``, perhaps ``fov_x``, both in degrees, and ``shift``; of a Mitsuba scene (``.xml``) the first sensor is
-    taken, of glTF (``.gltf``, ``.glb``) the first node with a camera, of USD (``.usd``, ``.usda``, ``.usdc``,
-    ``.usdz``; with ``usd-core``) the first camera, at the first of its times.
+    The end of the name tells the format. A ``.json`` file holds ``position``, ``forward`` or ``target``, ``up`` (by
+    default y) and ``fov_y``; it may hold ``fov_x`` and ``shift``. Angles are in degrees. A Mitsuba scene (``.xml``)
+    gives its first sensor, a glTF file (``.gltf``, ``.glb``) the first node with a camera, and a USD file (``.usd``,
+    ``.usda``, ``.usdc``, ``.usdz``; needs ``usd-core``) its first camera at the first time of the stage.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _read_json(path: Path) -> Camera:
         raise InputError(what, expected="fov_y, in degrees", got=got, action=action)
     shift = require_numbers(f"{what}, shift", given.get("shift", [0.0, 0.0]), 2)
     position, up = vectors["position"], vectors.get("up", np.array([0.0, 1.0, 0.0]))
-    with np.errstate(over="ignore"):  # the camera refuses numbers that are not finite
+    with np.errstate(over="ignore"):  # The camera refuses numbers that are not finite.
         forward = vectors["forward"] if "forward" in vectors else vectors["target"] - position
     if "target" in vectors and not forward.any():
         expected, got = "another point than position", f"{show_value(given['target'])} for both"

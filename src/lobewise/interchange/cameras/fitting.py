@@ -18,11 +18,11 @@ MAX_PIXELS = 20000
 """Largest number of pixels to which a camera is fitted."""
 MAX_FIT_ERROR = 1.5
 """Largest median distance, pixels, between a pixel and the projection of its position, of a camera that fits.
-Positions of one sample lie anywhere within the pixel filter."""
-ROUNDS = 12
-FAR = 3000.0
-"""Distance of the pinhole that replaces an orthographic camera, over the size of its view. The rays are parallel to
-1/3000. The image is off by at most half a pixel if the scene is as deep as the image is high."""
+The position of a sample lies anywhere within the pixel filter."""
+MAX_GAUSS_NEWTON_STEPS = 12
+PINHOLE_DISTANCE_OVER_VIEW = 3000.0
+"""Distance of the pinhole that replaces an orthographic camera, over the size of its view. The slopes of its rays
+differ by at most 1/3000. The image is off by at most half a pixel if the scene is as deep as the image is high."""
 MAX_AXIS_ERROR = 0.02
 """Largest relative difference of the axes of an orthographic image in length, and from a right angle."""
 
@@ -59,19 +59,19 @@ def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -
 
 
 def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float = 1.0) -> CameraFit | None:
-    """Return the pinhole camera that sees given points at given pixels; None where none does.
+    """Return the pinhole camera that sees given points at given pixels, None if no camera does.
 
-    The camera is first solved for as a projective one, from equations that are linear in its matrix (the direct linear
-    transform, Hartley and Zisserman 2003, section 7.1), then as one with pixels of a known shape by Gauss-Newton steps,
-    points that are further off than most counting less (Huber's weights): a position of one sample is not that of the
-    pixel's centre, and at silhouettes it may be that of another surface.
+    A projective camera comes first, from equations that are linear in its matrix (the direct linear transform, Hartley
+    and Zisserman 2003, section 7.1). Gauss-Newton steps then find a camera with pixels of a known shape. Points with a
+    large error count less (Huber's weights), because the position of a sample differs from the position at the pixel's
+    centre, and at silhouettes it may lie on another surface.
 
     Parameters
     ----------
     position : array, shape (height, width, 3)
         World positions.
     mask : array, shape (height, width)
-        Where there are any.
+        Pixels that have a position.
     pixel_aspect : float
         Width of a pixel over its height.
     """
@@ -103,11 +103,11 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: floa
 def fit_orthographic(
     position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None = None, pixel_aspect: float = 1.0
 ) -> CameraFit | None:
-    """Return a far pinhole camera that sees what an orthographic one sees; None where no such camera does.
+    """Return a far pinhole camera that sees given points at given pixels as an orthographic one, None if none does.
 
-    Image coordinates are then linear in the world's (an affine camera, Hartley and Zisserman 2003, section 6.3). They
-    tell along which line the camera looks, not which way: that is the depth's to say, and without it the world is
-    taken for a right-handed one.
+    Image coordinates are linear in world coordinates (an affine camera, Hartley and Zisserman 2003, section 6.3). They
+    tell along which line the camera looks, but not in which direction. The depth tells the direction. Without a depth,
+    the world is taken to be right-handed.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def fit_orthographic(
     for _ in range(2):
         lines, _, rank, _ = np.linalg.lstsq(whole[kept], np.stack([x, y], axis=1)[kept], rcond=1e-6)
         if rank < 4:
-            return None  # all points on one plane: it can be seen so from many sides
+            return None  # All points lie on one plane, which many cameras see at these pixels.
         error = np.hypot(*(np.stack([x, y], axis=1) - whole @ lines).T)
         kept = error <= 3.0 * np.median(error) + 1e-12
     across, upwards = lines[:3].T
@@ -145,10 +145,11 @@ def fit_orthographic(
     turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
     forward = -forward if mirrored else forward
     size = float(np.maximum(half_height, np.ptp((world - center) @ forward)))
-    # The centre of the image, as deep in the scene as its mean.
+    # The point at the centre of the image and at the mean depth of the points.
     middle = center - lines[3, 0] * half_height * right - lines[3, 1] * half_height * up
-    eye = middle - FAR * size * forward
-    camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / (FAR * size))))
+    distance = PINHOLE_DISTANCE_OVER_VIEW * size
+    eye = middle - distance * forward
+    camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / distance)))
     camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
     shown = measure_fit(camera, (turn * position).astype(np.float32), mask)
     return CameraFit(camera, shown, mirrored, orthographic=True) if shown < MAX_FIT_ERROR else None
@@ -157,7 +158,7 @@ def fit_orthographic(
 def find_camera(
     position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None, pixel_aspect: float = 1.0
 ) -> CameraFit | None:
-    """Return the camera that sees given points at given pixels, a pinhole where that explains them as well.
+    """Return the camera that sees given points at given pixels: a pinhole, unless an orthographic camera fits better.
 
     Parameters are those of `fit_orthographic`.
     """
@@ -165,12 +166,15 @@ def find_camera(
     parallel = fit_orthographic(position, mask, depth, pixel_aspect)
     if pinhole is None or parallel is None:
         return pinhole or parallel
-    # Far enough away, either can imitate the other.
+    # A far pinhole sees nearly what an orthographic camera sees, so the errors must differ clearly.
     return parallel if parallel.error < 0.5 * pinhole.error else pinhole
 
 
 def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) -> tuple[Matrix, Matrix, Matrix] | None:
-    """Return points and where they are seen, columns to the right and rows upwards in units of half the height."""
+    """Return some points and their image coordinates, to the right and upwards, in units of half the image's height.
+
+    Return None if the points are too few or not finite.
+    """
     rows, columns = _choose_pixels(mask)
     points = position[rows, columns].astype(np.float64)
     if len(rows) < 100 or not np.isfinite(points).all() or not points.std() > 0.0:
@@ -196,7 +200,7 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
         system = np.vstack([across, upwards])
         _, values, axes = np.linalg.svd(system.T @ system)
         if values[-2] < 1e-9 * values[0]:
-            return None  # all points on one plane or line: many cameras see them so
+            return None  # All points lie on one plane or line, which many cameras see at these pixels.
         matrix = axes[-1].reshape(3, 4)
         depth = whole @ matrix[2]
         matrix = matrix if np.median(depth) > 0.0 else -matrix
@@ -221,8 +225,8 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
 def _refine(
     points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float
 ) -> tuple[Matrix, Matrix, float] | None:
-    """Return the camera with a centred image, as wide as high in its units, that fits best, found from a near one."""
-    for _ in range(ROUNDS):
+    """Return rotation, eye and focal length of the pinhole camera that fits best, from a first estimate of them."""
+    for _ in range(MAX_GAUSS_NEWTON_STEPS):
         local = (points - eye) @ rotation.T
         ahead = local[:, 2] > 1e-6
         if ahead.mean() < 0.9:
@@ -234,7 +238,7 @@ def _refine(
         scale = 1.5 * np.median(far) + 1e-12
         weight = np.sqrt(np.minimum(1.0, scale / np.maximum(far, 1e-300)))
         zero, inverse = np.zeros_like(u), focal / depth
-        # Turning by (p, q, r) about right, up and forward, then moving along them, then the focal length.
+        # Derivatives by rotations about right, up and forward, by translations along them, and by the focal length.
         across = np.stack([-focal * u * v, focal * (1 + u * u), -focal * v, -inverse, zero, inverse * u, u], axis=1)
         upwards = np.stack([-focal * (1 + v * v), focal * u * v, focal * u, zero, -inverse, inverse * v, v], axis=1)
         slopes = np.concatenate([across, upwards]) * weight[:, None]
@@ -252,7 +256,7 @@ def _refine(
 
 
 def _turn(angles: Matrix) -> Matrix:
-    """Return the rotation by the length of a vector about it (Rodrigues)."""
+    """Return the rotation about a vector by an angle in radians, its length (Rodrigues' formula)."""
     angle = float(np.linalg.norm(angles))
     if angle < 1e-15:
         return np.eye(3)

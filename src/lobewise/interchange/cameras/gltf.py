@@ -75,7 +75,7 @@ def _read_text(path: Path, what: str) -> bytes:
             raise FileError(
                 what,
                 expected=f"a .glb that begins with at most {MAX_TEXT_BYTES} bytes of JSON",
-                got="something else" if kind != GLB_JSON else f"{size} of them in a file of {rest + len(head)}",
+                got="something else" if kind != GLB_JSON else f"{size} bytes in a file of {rest + len(head)}",
                 action="export it again",
             )
         return stream.read(size)
@@ -97,7 +97,7 @@ def _find_placement(nodes: list[Any], number: int, what: str) -> Matrix:
                 what, expected="nodes that form a tree", got=f"node {step} inside itself", action="export it again"
             )
         passed.add(step)
-        with np.errstate(over="ignore", invalid="ignore"):  # the camera refuses numbers that are not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # The camera refuses numbers that are not finite.
             matrix = _make_transform(nodes[step], f"{what}, node {step}") @ matrix
         step = parents.get(step)
     return matrix

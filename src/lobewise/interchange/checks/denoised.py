@@ -39,8 +39,8 @@ def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
     if not is_light_denoised:
         return []
     told = (
-        f"{SAYS_MARK}, but not {channels.roles['color'].label}: that is filtered as a whole, as the light that makes "
-        "it up is denoised; the noisy render gives a better result."
+        f"{SAYS_MARK}, but not {channels.roles['color'].label}: the image is filtered as a whole, because its "
+        "passes of light are denoised already; the noisy render gives a better result."
     )
     return [Finding(MARKED, told, mended=True)]
 
