@@ -66,8 +66,8 @@ class Runtime:
     def load(self, content: bytes, name: str) -> int:
         """Load an object file that calls the runtime, and return the address of a function of the file.
 
-        Each file has its own engine and calls the runtime's functions like those of a foreign library, at any distance.
-        Within one engine the file would have to lie within 2 GiB of the runtime.
+        Each file has its own engine. It calls the runtime's functions by their addresses, so it may lie anywhere in
+        memory. Within one engine a file must lie within 2 GiB of the runtime.
         """
         for told in set(_RUNTIME_NAMES.findall(content)):
             address = self._engine.get_function_address(told.decode())

@@ -9,9 +9,10 @@ import numpy as np
 
 
 class Namespace(Protocol):
-    """The functions of one kind of numbers, with NumPy's names. Operators belong to the numbers themselves.
+    """The functions of one kind of numbers, with NumPy's names.
 
-    The numbers are NumPy arrays, Halide expressions or Dr.Jit values. A formula takes its namespace first, as ``xp``.
+    The numbers are NumPy arrays, Halide expressions or Dr.Jit values. They have their own ``+``, ``*`` and comparisons,
+    so these are no functions here. A formula takes its namespace first, as ``xp``.
     Image kernels use the same formulas: the order of operations in a formula determines their bits.
     """
 
