@@ -90,9 +90,17 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         for spp in row
     ]
     seconds = trials["seconds at 1920x1080, two threads, best of three"]
+    light = trials["light shared out"]
+    ways = ("up to half the mean", "in proportion to all light", "where light is missing")
+    shared = [
+        [f"{guides}, {spp} spp", f"{before:.3f}", *(f"{light[way][guides][spp]:.3f}" for way in ways)]
+        for guides, row in light["light before"].items()
+        for spp, before in row.items()
+    ]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
         "similarities": make_table(["guides", "`balanced`", "with similarities", "without"], rows),
+        "light": make_table(["guides", "light before", *ways], shared),
         "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }
