@@ -63,9 +63,11 @@ def rename(ratios: dict[str, dict[str, float]], sets: Mapping[str, str]) -> dict
 
 def make_share_figures(share: dict[str, Any]) -> dict[str, str]:
     """Return the figures of docs/research/mixing_networks.md by place."""
-    detail, peer = (share[name]["kept aside"] for name in ("noisy", "peer"))
+    detail, peer = share["noisy"]["kept aside"] | share["refined"]["kept aside"], share["peer"]["kept aside"]
+    made = [f"{share[name]['scenes']} ({result})" for name, result in (("noisy", "`balanced`"), ("refined", "`high`"))]
+    drawn = [str(share[name]["drawn_frames"]) for name in ("noisy", "refined")]
     return {
-        "training": list_facts({"Random scenes": share["scenes"], "Frames of drawn textures": share["drawn_frames"]}),
+        "training": list_facts({"Random scenes": ", ".join(made), "Frames of drawn textures": ", ".join(drawn)}),
         "detail": make_shares(rename(detail, HALVES), "the result", "the noisy image"),
         "peer": make_shares(rename(peer, SETS), "Open Image Denoise", "ours"),
     }

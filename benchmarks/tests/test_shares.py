@@ -21,7 +21,7 @@ from benchmarks.training.candidates import (
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.combining import find_mixture
 from lobewise.denoising.evidence import find_share_taken_back
-from lobewise.denoising.networks import unpack_network
+from lobewise.denoising.networks import NAMES, unpack_network
 from lobewise.denoising.stages import start_run
 from lobewise.settings import DenoiseSettings
 from tests.streaming.frames import make_scene
@@ -77,11 +77,11 @@ def test_they_take_what_is_nearer(tmp_path: Path, rng: np.random.Generator) -> N
     words = ["--cache", str(tmp_path), "--steps", "200", "-o", str(output), "--results", str(results)]
     shares.main(words)
     told = json.loads(results.read_text())
-    assert (told["scenes"], told["scenes_kept_aside"]) == (6, 1)
-    assert told["noisy"]["kept aside"]["high all 64 spp"]["over_image"] < 0.4
+    assert {(told[name]["scenes"], told[name]["scenes_kept_aside"]) for name in NAMES} == {(6, 1)}
+    assert told["refined"]["kept aside"]["high all 64 spp"]["over_image"] < 0.4
     assert told["peer"]["kept aside"]["peer all 64 spp"]["over_image"] < 0.6
     with np.load(output) as arrays:
-        noisy, peer = (unpack_network(arrays, kind) for kind in ("noisy", "peer"))
+        noisy, peer = (unpack_network(arrays, kind) for kind in ("refined", "peer"))
         # What else the file holds stays.
         np.testing.assert_array_equal(arrays["other"], 1.0)
     found = make_candidates(8, rng)

@@ -4,15 +4,16 @@
     python -m benchmarks.training.textures --cache FOLDER
     python -m benchmarks.training.shares --cache FOLDER
 
-"noisy" tells how much of the noisy image a result of `balanced` or `high` takes back. "peer" tells how much of our
-image, which took back what the first network says, and of the noisy one enter that of Open Image Denoise. A fifth of
-the scenes is kept aside and tells the errors. Drawn textures train the first alone. The weights go into the package's
-file. Needs ``lobewise[train]``.
+"noisy" tells how much of the noisy image a result of `balanced` takes back, "refined" how much a result of `high`.
+"peer" tells how much of the image of `high`, after "refined", and of the noisy image enters the image of Open Image
+Denoise. A fifth of the scenes is kept aside and tells the errors. Drawn textures do not train "peer". The weights go
+into the package's file; ``--networks`` names those to train, and the others stay. Needs ``lobewise[train]``.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from lobewise.denoising.combining import find_level, see_mixture
 from lobewise.denoising.evidence import find_share_taken_back
-from lobewise.denoising.networks import WEIGHTS, pack_network
+from lobewise.denoising.networks import NAMES, WEIGHTS, load_networks, pack_network
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
 
@@ -33,7 +34,8 @@ STEPS = 9000
 MAX_LEVEL = 4.0
 """The level that differences are relative to is drawn up to so many times the mean luminance: where light is divided by
 albedo it is larger."""
-FILTERED = ("balanced", "high")
+FILTERED = {"noisy": "balanced", "refined": "high"}
+"""The quality whose results each network mixes with the noisy image."""
 
 Array = NDArray[np.float32]
 
@@ -47,22 +49,18 @@ def describe_group(found: Candidates) -> tuple[str, str]:
     return guides, f"{FEW_SPP[0]} to {FEW_SPP[-1]} spp" if few else f"{found.spp} spp"
 
 
-def list_noisy(found: Candidates, rng: np.random.Generator) -> list[Examples]:
-    """Return examples for the network "noisy": each result, and the noisy image."""
-    examples = []
-    for name in FILTERED:
-        image = getattr(found, name)
-        level = find_level(image) * MAX_LEVEL ** rng.random()
-        rows = find_detail(image, found.noisy, halves=found.halves, level=level, shared=found.kind == "shared")
-        seen = np.concatenate([features for _, features in rows])
-        references = found.reference_a, found.reference_b
-        images = image, found.noisy
-        group = name, *describe_group(found)
-        examples.append(make_examples(found.seed, group, seen, images, references, found.clean, rng))
-    return examples
+def make_noisy(found: Candidates, quality: str, rng: np.random.Generator) -> Examples:
+    """Return the example for the network of a quality: its result, and the noisy image."""
+    image = getattr(found, quality)
+    level = find_level(image) * MAX_LEVEL ** rng.random()
+    rows = find_detail(image, found.noisy, halves=found.halves, level=level, shared=found.kind == "shared")
+    seen = np.concatenate([features for _, features in rows])
+    references = found.reference_a, found.reference_b
+    group = quality, *describe_group(found)
+    return make_examples(found.seed, group, seen, (image, found.noisy), references, found.clean, rng)
 
 
-def list_peer(found: Candidates, network: Network, rng: np.random.Generator) -> list[Examples]:
+def make_peer(found: Candidates, network: Network, rng: np.random.Generator) -> Examples:
     """Return the example for the network "peer": the image of Open Image Denoise, ours, and the noisy one."""
     shared = found.kind == "shared"
     share = find_share_taken_back(
@@ -74,7 +72,7 @@ def list_peer(found: Candidates, network: Network, rng: np.random.Generator) -> 
     references = found.reference_a, found.reference_b
     images = found.peer, ours, found.noisy
     group = "peer", found.kind, describe_group(found)[1]
-    return [make_examples(found.seed, group, seen, images, references, found.clean, rng)]
+    return make_examples(found.seed, group, seen, images, references, found.clean, rng)
 
 
 def train_aside(examples: Sequence[Examples], steps: int, seed: int) -> tuple[ShareNetwork, dict[str, object]]:
@@ -84,6 +82,27 @@ def train_aside(examples: Sequence[Examples], steps: int, seed: int) -> tuple[Sh
     network = train(shown, steps, seed)
     tables = {"trained": measure(network, shown), "kept aside": measure(network, aside)}
     return network, tables
+
+
+def train_all(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[dict[str, Network], dict[str, object]]:
+    """Return the trained networks and their errors, by name."""
+    rng, networks, errors = np.random.default_rng(arguments.seed), {}, {}
+    for name, quality in FILTERED.items():
+        if name in arguments.networks:
+            examples = [make_noisy(read_candidates(path), quality, rng) for path in paths]
+            network, errors[name] = train_aside(examples, arguments.steps, arguments.seed)
+            networks[name] = network.export()
+            print(name, errors[name]["kept aside"], flush=True)
+    if "peer" in arguments.networks:
+        first = networks.get("refined") or load_networks()["refined"]
+        # Of drawn textures Open Image Denoise loses more than of rendered ones: they would teach to distrust it. Of
+        # frames without guides its image is taken as it is.
+        rendered = [path for path in paths if not path.stem.endswith((DRAWN, COLOR))]
+        examples = [make_peer(read_candidates(path), first, rng) for path in rendered]
+        network, errors["peer"] = train_aside(examples, arguments.steps, arguments.seed)
+        networks["peer"] = network.export()
+        print("peer", errors["peer"]["kept aside"], flush=True)
+    return networks, errors
 
 
 def replace_networks(path: Path, networks: dict[str, Network]) -> dict[str, Array]:
@@ -98,11 +117,12 @@ def replace_networks(path: Path, networks: dict[str, Network]) -> dict[str, Arra
 
 
 def main(words: list[str] | None = None) -> None:
-    """Train both networks, one after the other, and write them with their errors."""
+    """Train the networks, one after the other, and write them with their errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="folder that candidates.py filled")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--networks", nargs="+", choices=NAMES, default=NAMES, help="those to train")
     default = ROOT / "src" / "lobewise" / "denoising" / WEIGHTS
     parser.add_argument("-o", "--output", type=Path, default=default)
     parser.add_argument("--results", type=Path, default=RESULTS / "shares.json")
@@ -110,33 +130,24 @@ def main(words: list[str] | None = None) -> None:
     import torch
 
     torch.set_num_threads(1)
-    paths, rng = sorted(arguments.cache.glob("*.npz")), np.random.default_rng(arguments.seed)
-    examples = [each for path in paths for each in list_noisy(read_candidates(path), rng)]
-    noisy, noisy_ratios = train_aside(examples, arguments.steps, arguments.seed)
-    print("noisy", noisy_ratios["kept aside"], flush=True)
-    first = noisy.export()
-    # Of drawn textures Open Image Denoise loses more than of rendered ones: they would teach to distrust it. Of frames
-    # without guides its image is taken as it is.
-    rendered = [path for path in paths if not path.stem.endswith((DRAWN, COLOR))]
-    drawn = sum(path.stem.endswith(DRAWN) for path in paths)
-    examples = [each for path in rendered for each in list_peer(read_candidates(path), first, rng)]
-    peer, peer_ratios = train_aside(examples, arguments.steps, arguments.seed)
-    print("peer", peer_ratios["kept aside"], flush=True)
-    replace_networks(arguments.output, {"noisy": first, "peer": peer.export()})
-    seeds = {each.seed for each in examples}
+    paths = sorted(arguments.cache.glob("*.npz"))
+    networks, errors = train_all(paths, arguments)
+    replace_networks(arguments.output, networks)
+    seeds = {int(path.stem.split("-")[0]) for path in paths if not path.stem.endswith(DRAWN)}
+    before = json.loads(arguments.results.read_text()) if arguments.results.exists() else {}
+    frames = {
+        "scenes": len(seeds),
+        "scenes_kept_aside": sum(map(is_validation, seeds)),
+        "drawn_frames": sum(path.stem.endswith(DRAWN) for path in paths),
+        "steps": arguments.steps,
+        "machine": describe_machine(),
+    }
+    what = (
+        "squared relative error of the mixture over that of the image which others enter, and over that of the noisy "
+        "image: geometric means, and the largest of any image; without the references' noise"
+    )
     write_json(
-        arguments.results,
-        {
-            "what": "squared relative error of the mixture over that of the image which others enter, and over "
-            "that of the noisy image: geometric means, and the largest of any image; without the references' noise",
-            "scenes": len(seeds),
-            "scenes_kept_aside": sum(map(is_validation, seeds)),
-            "drawn_frames": drawn,
-            "steps": arguments.steps,
-            "noisy": noisy_ratios,
-            "peer": peer_ratios,
-            "machine": describe_machine(),
-        },
+        arguments.results, {**before, "what": what, **{name: {**frames, **found} for name, found in errors.items()}}
     )
 
 

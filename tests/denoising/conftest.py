@@ -20,4 +20,4 @@ def unshared(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as the filters made them: no detail is taken back."""
-    monkeypatch.setattr(stages, "take_back_noisy", lambda frame, image, noisy, parts, *_: list(parts))
+    monkeypatch.setattr(stages, "take_back_noisy", lambda frame, image, noisy, parts, *_, **__: list(parts))

@@ -438,8 +438,8 @@ class TestWeights:
 
     def test_the_shipped_networks_fit(self):
         found = load_networks()
-        assert sorted(found) == ["noisy", "peer"]
-        shares = {"noisy": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
+        assert sorted(found) == ["noisy", "peer", "refined"]
+        shares = {"noisy": (detail.COUNT, 2), "refined": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
         for kind, network in found.items():
             inputs, candidates = shares[kind]
             assert network.mean.shape == network.scale.shape == (inputs,)

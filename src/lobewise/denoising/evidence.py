@@ -28,7 +28,13 @@ Rows = NDArray[np.float64]
 
 
 def take_back_noisy(
-    frame: Frame, image: FloatArray, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], level: float
+    frame: Frame,
+    image: FloatArray,
+    noisy: Sequence[FloatArray],
+    parts: Sequence[FloatArray],
+    level: float,
+    *,
+    refined: bool = False,
 ) -> list[FloatArray]:
     """Return the filtered parts, mixed with the noisy parts where the filter removed detail.
 
@@ -44,10 +50,13 @@ def take_back_noisy(
         The filtered layers. Values that are not finite stay.
     level : float
         Mean light of the samples of the whole image, radiance over albedo, > 0.
+    refined : bool
+        Whether the refining network made the image.
     """
     image, color, halves = blacken_bad(image), frame.radiance.color, find_image_halves(frame)
     shared = frame.noise_is_shared
-    share = find_share_taken_back(image, color, load_networks()["noisy"], halves=halves, level=level, shared=shared)
+    network = load_networks()["refined" if refined else "noisy"]
+    share = find_share_taken_back(image, color, network, halves=halves, level=level, shared=shared)
     if halves is not None:
         # Halves prove lost detail on textures that the network has not seen, too.
         floor = (DARK_SHARE * level) ** 2

@@ -13,9 +13,9 @@ from lobewise.frame import FloatArray
 
 WEIGHTS = "weights.npz"
 """File of the arrays, beside this module."""
-NAMES = ("noisy", "peer")
-""""noisy" says how much of the noisy image a result takes back. "peer" mixes a result with the image of Open Image
-Denoise."""
+NAMES = ("noisy", "refined", "peer")
+""""noisy" says how much of the noisy image a filtered image takes back, "refined" how much an image takes back that the
+refining network made. "peer" mixes a result with the image of Open Image Denoise."""
 
 
 @cache

@@ -218,7 +218,8 @@ def refine(state: FrameRun) -> FrameRun:
 def take_back(state: FrameRun) -> FrameRun:
     """Take the noisy image back where it has less error than the filtered one."""
     found = state.filtered
-    parts = take_back_noisy(state.frame, found.image, found.noisy, found.parts, max(found.levels))
+    level, refined = max(found.levels), found.is_refined
+    parts = take_back_noisy(state.frame, found.image, found.noisy, found.parts, level, refined=refined)
     return replace(state, found=replace(found, parts=parts, image=compose(state.frame, parts, found.rest)))
 
 
