@@ -13,6 +13,7 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import combining, denoise
 from lobewise.denoising.automatic import ask, choose_quality
+from lobewise.denoising.recipe import FEATURES_SOFTENED
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.frame import Frame, GBuffer, Radiance
@@ -185,9 +186,15 @@ def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], pre
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)])
     assert not present
-    assert result.method.endswith("quality high (Open Image Denoise knows no features of your own)")
+    assert result.settings["quality"] == "balanced"
+    assert result.method.endswith("neither Open Image Denoise nor the network of 'high' knows features of your own)")
+    assert FEATURES_SOFTENED not in result.notes
     assert denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], with_oidn=True).settings["with_oidn"] is True
     assert len(present) == 1
+    asked = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], quality="high")
+    assert asked.settings["quality"] == "high"
+    assert FEATURES_SOFTENED in asked.notes
+    assert FEATURES_SOFTENED not in denoise(frame, **CHEAP, quality="high").notes
 
 
 @pytest.mark.usefixtures("absent")

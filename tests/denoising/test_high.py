@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import combining, denoise, stages
-from lobewise.denoising.automatic import choose_quality, resolve_guided
+from lobewise.denoising import combining, denoise, evidence, stages
+from lobewise.denoising.automatic import choose_quality, resolve_all, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.networks import load_networks, pack_network, unpack_network
-from lobewise.denoising.planning.frame_plans import find_reach
+from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY, find_reach
+from lobewise.denoising.stages import start_run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise import agreement, detail
@@ -453,3 +454,30 @@ class TestWeights:
                 assert array.dtype == np.float32
                 assert np.isfinite(array).all()
             assert (network.scale > 0.0).all()
+
+
+@pytest.mark.parametrize(("quality", "name"), [("balanced", "noisy"), ("high", "refined")])
+def test_each_quality_takes_back_by_its_own_network(quality: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    class Recorded(dict[str, Network]):
+        def __getitem__(self, key: str) -> Network:
+            asked.append(key)
+            return super().__getitem__(key)
+
+    monkeypatch.setattr(evidence, "load_networks", lambda: Recorded(load_networks()))
+    denoise(make_frame((24, 24)), quality=quality)
+    assert asked == [name]
+
+
+def test_all_light_of_a_refined_layer_takes_part_in_sharing() -> None:
+    shares = {}
+    for quality in ("balanced", "high"):
+        frame = make_frame((24, 24))
+        run = start_run(frame, resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False)))
+        found = run.run(run.plan.stages[: run.plan.stages.index(TAKE_BACK_NOISY)]).filtered
+        shares[quality] = np.concatenate(
+            [taker[layer.mask] for taker, layer in zip(found.find_takers(), found.layers, strict=True)]
+        )
+    assert shares["balanced"].min() < 1.0
+    assert set(np.unique(shares["high"])) <= {0.0, 1.0}

@@ -25,6 +25,9 @@ DEFAULT_SIMILARITY: Similarity = "ggx"
 DEFAULT_QUALITY: Quality = "high"
 """Quality of "auto" for the full form. Of our qualities it has the least mean error on every measured set of scenes
 (docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
+FEATURES_QUALITY: Quality = "balanced"
+"""Quality of "auto" for the full form where the caller has features of its own: the network of "high" does not read
+them, and softens edges that only they tell (tests/test_examples.py)."""
 BETA_DIFFUSE, BETA_SPECULAR = 2.0, 1.0
 """Exponents of the lobe similarity that "auto" stands for where the passes are guided by the noise."""
 GUIDED_TAU = 0.01
@@ -60,7 +63,8 @@ def ask(
     whole : bool
         Whether the image is denoised as a whole; Open Image Denoise needs whole images.
     with_features : bool
-        Whether the caller compares pixels by features of its own, which Open Image Denoise does not read.
+        Whether the caller compares pixels by features of its own, which neither Open Image Denoise nor the network of
+        "high" reads.
 
     Raises
     ------
@@ -69,7 +73,10 @@ def ask(
     """
     asked = change_settings(settings or DenoiseSettings(), changes)
     with_oidn = asked.asks_for_oidn or (whole and not with_features and leaves_oidn_open(asked) and has_oidn())
-    return replace(asked, quality=choose_quality(asked), with_oidn=with_oidn)
+    quality = choose_quality(asked)
+    if with_features and asked.quality == "auto" and not asked.asks_for_oidn and asked.form == "full":
+        quality = FEATURES_QUALITY
+    return replace(asked, quality=quality, with_oidn=with_oidn)
 
 
 def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features: bool = False) -> str:
@@ -85,7 +92,7 @@ def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features
     if not leaves_oidn_open(settings):
         return ""
     if with_features:
-        return "Open Image Denoise knows no features of your own"
+        return "neither Open Image Denoise nor the network of 'high' knows features of your own"
     return explain_no_oidn() if whole else "Open Image Denoise takes whole images, and this one is denoised in bands"
 
 

@@ -17,6 +17,7 @@ from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import find_support
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
+from lobewise.denoising.planning.frame_plans import REFINE
 from lobewise.denoising.stages import Filtered, FrameRun, join_parts, name_layers, start_run
 from lobewise.errors import require_kind
 from lobewise.features import Feature
@@ -29,6 +30,11 @@ from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+FEATURES_SOFTENED = (
+    "The network of the quality 'high' does not read features of your own, and softens edges that only they tell: the "
+    "quality 'balanced' keeps these edges."
+)
 
 
 def denoise(
@@ -56,7 +62,8 @@ def denoise(
         Parameters; by default those that won the comparison, and Open Image Denoise where it is installed.
     features : sequence of Feature
         More distributions that two pixels must share, of your own or from `lobewise.features`; their
-        similarities multiply the others in every layer. With any, Open Image Denoise is used only if it is asked for.
+        similarities multiply the others in every layer. With any, "auto" is "balanced", and Open Image Denoise is
+        used only if it is asked for: neither it nor the network of "high" reads them.
     **changes
         Single parameters, by name, that replace those of ``settings``.
 
@@ -135,7 +142,7 @@ def describe_filtering(state: FrameRun, before: Filtered) -> tuple[str, ...]:
 
     ``before`` are the layers before the light that bounding took was shared out.
     """
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = (FEATURES_SOFTENED,) if state.features and REFINE in state.plan.stages else ()
     share_bounded = find_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(state.frame, before.image, state.bad), share_bounded)
