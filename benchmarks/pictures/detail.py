@@ -18,7 +18,7 @@ from benchmarks.users.__main__ import make_shot
 from benchmarks.users.scenes import find_scenes
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.planning.frame_plans import FILTER_LAYERS
+from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
 from lobewise.denoising.stages import start_run
 from lobewise.frame import Frame
 from lobewise.guides.usable import bound_guides
@@ -44,7 +44,8 @@ def filter_alone(frame: Frame) -> NDArray[np.float32]:
     """Return what the quality "high" makes of a frame before detail is taken back."""
     frame = bound_guides(frame)
     settings = resolve_all(frame, DenoiseSettings(quality="high", with_oidn=False))
-    return start_run(frame, settings).run((FILTER_LAYERS,)).total
+    run = start_run(frame, settings)
+    return run.run(run.plan.stages[: run.plan.stages.index(TAKE_BACK_NOISY)]).total
 
 
 def join(panels: list[NDArray[np.uint8]], axis: int) -> NDArray[np.uint8]:
