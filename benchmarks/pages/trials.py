@@ -93,7 +93,12 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
     ]
     seconds = trials["seconds at 1920x1080, two threads, best of three"]
     light = trials["light shared out"]
-    ways = ("up to half the mean", "in proportion to all light", "where light is missing")
+    ways = (
+        "up to half the mean",
+        "in proportion to all light",
+        "a twentieth in proportion, more up to half the mean",
+        "where light is missing",
+    )
     shared = [
         [f"{guides}, {spp} spp", f"{before:.3f}", *(f"{light[way][guides][spp]:.3f}" for way in ways)]
         for guides, row in light["light before"].items()

@@ -21,7 +21,7 @@ from lobewise.filters.refinement.shape import LAYERS
 from tests.filters.test_refinement import make_images
 from tests.streaming.frames import make_scene
 
-NAMES = ("refinement", "refinement_batches", "refinement_model")
+NAMES = ("refinement", "refinement_batches", "refinement_model", "refinement_resident")
 
 
 @pytest.fixture
@@ -120,6 +120,14 @@ def test_errors_count_for_every_crop_alike(program: Any, torch: Any) -> None:
     assert find_loss(better, before, reference) < find_loss(found, before, reference)
 
 
+def test_light_that_is_lost_everywhere_counts(program: Any, torch: Any) -> None:
+    reference = torch.ones(2, 3, 16, 16)
+    darker = torch.full_like(reference, 0.9)
+    apart = torch.stack([torch.full((3, 16, 16), level) for level in (0.9, 1.1)])
+    bias = [float(program.refinement.find_bias(found, reference)) for found in (reference, darker, apart)]
+    np.testing.assert_allclose(bias, [0.0, 0.1 / 1.02, 0.0], atol=1e-6)
+
+
 def test_crops_stay_true(program: Any, frames: Path) -> None:
     stored = program.refinement_batches.read_frame(frames / name_file(1, 4, "all"))
     images = program.refinement_batches.cut(stored, 4, 8, 16, 16)
@@ -161,3 +169,45 @@ def test_shared_samples_are_a_blur() -> None:
     assert shared.noise_is_shared
     assert shared.half_a is None
     assert np.abs(np.diff(shared.radiance.color, axis=0)).mean() < np.abs(np.diff(frame.radiance.color, axis=0)).mean()
+
+
+def test_resident_crops_are_those_of_the_frames(program: Any, torch: Any, frames: Path) -> None:
+    torch.manual_seed(2)
+    shown, _ = program.refinement.find_frames(frames)
+    resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
+    batch = program.refinement_resident.draw_resident(resident, 64, 128)
+    stored = [program.refinement_batches.read_frame(path) for paths in shown.values() for path in paths]
+    sums = [{name: image.astype(np.float32).sum() for name, image in each.images.items()} for each in stored]
+    ratios = {round(float(each["filtered"] / each["reference"]), 4) for each in sums}
+    found = batch.images["filtered"].sum((1, 2, 3)) / batch.images["reference"].sum((1, 2, 3))
+    assert {round(float(each), 4) for each in found} == ratios
+    lengths = torch.linalg.norm(batch.images["normal"], dim=1)
+    known = batch.known["normal"][:, 0, 0, 0] > 0
+    assert 0 < known.sum() < 64
+    assert torch.isfinite(lengths).all()
+    assert (lengths[~known] == 0).all()
+
+
+def test_turns_keep_lengths_and_mirror_half(program: Any, torch: Any) -> None:
+    torch.manual_seed(1)
+    turns = program.refinement_resident.draw_turns(200, torch.device("cpu"))
+    torch.testing.assert_close(turns @ turns.transpose(1, 2), torch.eye(3).expand(200, 3, 3), atol=1e-5, rtol=0)
+    assert 60 < (torch.linalg.det(turns) > 0).sum() < 140
+
+
+def test_the_resident_trainer_lowers_the_loss_and_goes_on(program: Any, torch: Any, frames: Path) -> None:
+    shown, _ = program.refinement.find_frames(frames)
+    resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
+    state = program.refinement.make_state(1)
+    trainer = program.refinement_resident.ResidentTrainer(state, resident, 8, 16)
+    losses = [float(trainer.take_step(1e-3, 0.9)) for _ in range(15)]
+    assert sum(losses[-4:]) < sum(losses[:4])
+    path = frames.parent / "resident.pt"
+    program.refinement.save_checkpoint(path, state)
+    again = program.refinement.make_state(2)
+    program.refinement.load_checkpoint(path, again)
+    assert again.steps == 15
+    train(program, frames, 1, "--checkpoint", str(path))
+    more = program.refinement_resident.ResidentTrainer(again, resident, 8, 32)
+    assert float(more.take_step(1e-4, 0.9)) < losses[0]
+    assert {float(each["step"]) for each in again.optimiser.state_dict()["state"].values()} == {16.0}

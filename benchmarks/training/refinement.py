@@ -5,6 +5,7 @@
 Frames are those of `refinement_frames.py`, also while that program runs. A fifth of the scenes is kept aside: the error
 on them, over that of Open Image Denoise with the same guides, is printed and added to a curve. Every run begins with a
 high learning rate and ends with a low one. What is judged and exported are weights averaged over the last steps.
+``--device cuda`` trains on a GPU, many times as many crops a second; the frames must fit in its memory.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import signal
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,14 +29,16 @@ from torch import Tensor
 
 from benchmarks.common import RESULTS, write_json
 from benchmarks.training.frames import is_validation
-from benchmarks.training.refinement_batches import draw_batch, make_whole, read_frame
+from benchmarks.training.refinement_batches import CROP, draw_batch, make_whole, read_frame
 from benchmarks.training.refinement_frames import DRAWN, parse_file_name
 from benchmarks.training.refinement_model import RefiningNetwork
+from benchmarks.training.refinement_resident import ResidentTrainer, load_frames
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 
 CURVE = RESULTS / "refinement_curve.json"
 BATCH = 4
+"""Crops of a step, unless ``--batch`` tells another number."""
 RATE, LAST_RATE_SHARE, WARM_STEPS = 1e-3, 0.02, 200
 """Learning rate at its highest, what is left of it at the end of a run, and steps until it is reached."""
 MOMENTS = 0.9, 0.99
@@ -49,6 +52,9 @@ BLOCK_SIDES_PIXELS = 8, 32
 the median of a pixel's light, given its noisy neighbourhood, is below the mean."""
 BLOCKS_WEIGHT = 0.5
 """Weight of the error of blocks of one size, beside the error of pixels."""
+BIAS_WEIGHT = 1.0
+"""Weight of the mean relative difference of light over all crops of a step. Errors of single crops pull towards dark
+images; this mean does not, because crops that are too bright by chance count against those that are too dark."""
 TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.05
 """Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
 CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
@@ -79,13 +85,24 @@ def find_loss(found: Tensor, before: Tensor, reference: Tensor) -> Tensor:
     """
     with torch.no_grad():
         level = find_crop_losses(before, reference)
-    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
+    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean() + find_bias(
+        found, reference
+    )
+
+
+def find_bias(found: Tensor, reference: Tensor) -> Tensor:
+    """Return how far the light of all crops together is from that of the references."""
+    before, after = (image[_get_inner()].mean((1, 2, 3)) for image in (reference, found))
+    return BIAS_WEIGHT * ((after - before) / (before + 0.02)).mean().abs()
+
+
+def _get_inner() -> tuple[Any, ...]:
+    return ..., slice(BORDER, -BORDER), slice(BORDER, -BORDER)
 
 
 def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     """Return how far each crop is from its reference: relative, squared relative, of the slopes, and of blocks."""
-    inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
-    found, reference = found[inner], reference[inner]
+    found, reference = (image[_get_inner()] for image in (found, reference))
     # A dark result may not make its own error large: what errors are relative to has no gradient.
     level = found.detach().abs()
     relative = (found - reference).abs() / (level + reference + 0.04)
@@ -107,16 +124,21 @@ def find_block_losses(found: Tensor, reference: Tensor, side: int) -> Tensor:
     return total
 
 
-def find_rate(share: float, steps: int) -> float:
+def find_rate(share: float, steps: int, highest: float = RATE) -> float:
     """Return the learning rate after a share of a run, and some steps of it."""
     fall = 0.5 * (1.0 + math.cos(math.pi * share))
-    return RATE * min(1.0, (steps + 1) / WARM_STEPS) * (LAST_RATE_SHARE + (1.0 - LAST_RATE_SHARE) * fall)
+    return highest * min(1.0, (steps + 1) / WARM_STEPS) * (LAST_RATE_SHARE + (1.0 - LAST_RATE_SHARE) * fall)
 
 
-def make_state(seed: int, *, compares: bool = True) -> State:
+def find_averaging(steps: int) -> float:
+    """Return the share of the averaged weights that a step keeps, after some steps."""
+    return min(MAX_AVERAGING, (1 + steps) / (10 + steps))
+
+
+def make_state(seed: int, *, compares: bool = True, device: str = "cpu") -> State:
     """Return an untrained network."""
     torch.manual_seed(seed)
-    network = RefiningNetwork(compares=compares)
+    network = RefiningNetwork(compares=compares).to(device)
     return State(network, copy.deepcopy(network).eval(), torch.optim.Adam(network.parameters(), RATE, betas=MOMENTS))
 
 
@@ -130,10 +152,13 @@ def save_checkpoint(path: Path, state: State) -> None:
 
 
 def load_checkpoint(path: Path, state: State) -> None:
-    """Go on with what a run before wrote."""
-    told: dict[str, Any] = torch.load(path, weights_only=True)
+    """Go on with what a run before wrote, on any device."""
+    told: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
     for name in ("network", "average", "optimiser"):
         getattr(state, name).load_state_dict(told[name])
+    for group in state.optimiser.param_groups:
+        # A trainer on a GPU keeps its rate there.
+        group.update(lr=RATE, capturable=False)
     state.steps, state.minutes = told["steps"], told["minutes"]
 
 
@@ -147,7 +172,7 @@ def load_weights(path: Path, state: State) -> None:
 
 def export_weights(path: Path, state: State) -> None:
     """Write the averaged weights as half floats."""
-    arrays = {name: each.numpy().astype(np.float16) for name, each in state.average.state_dict().items()}
+    arrays = {name: each.cpu().numpy().astype(np.float16) for name, each in state.average.state_dict().items()}
     temporary = path.with_name(path.name + ".tmp")
     with temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -175,18 +200,18 @@ def find_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Pat
     return shown, aside
 
 
-def take_step(state: State, shown: dict[str, list[Path]], seed: int, rate: float) -> float:
-    """Train on one batch; return its loss, NaN where the step was left out."""
+def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: int, batch: int, side: int) -> float:
+    """Train on some crops; return their loss, NaN where the step was left out."""
     # Every step has random numbers of its own, so that a run that goes on draws what it would have drawn.
     rng = np.random.default_rng([seed, state.steps])
     names = [name for name in SHARES if shown.get(name)]
     shares = np.array([SHARES[name] for name in names])
-    drawn = rng.choice(len(names), BATCH, p=shares / shares.sum())
-    batch = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng)
+    drawn = rng.choice(len(names), batch, p=shares / shares.sum())
+    crops = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng, side)
     for group in state.optimiser.param_groups:
         group["lr"] = rate
-    images = batch.images
-    loss = find_loss(state.network(batch), images["filtered"] + images["rest"], images["reference"])
+    images = crops.images
+    loss = find_loss(state.network(crops), images["filtered"], images["reference"])
     state.optimiser.zero_grad()
     state.steps += 1
     loss.backward()
@@ -195,7 +220,7 @@ def take_step(state: State, shown: dict[str, list[Path]], seed: int, rate: float
         print(f"step {state.steps}: the loss is not finite; the step is left out", flush=True)
         return math.nan
     state.optimiser.step()
-    kept = min(MAX_AVERAGING, (1 + state.steps) / (10 + state.steps))
+    kept = find_averaging(state.steps)
     with torch.no_grad():
         for mean, each in zip(state.average.parameters(), state.network.parameters(), strict=True):
             mean.lerp_(each, 1.0 - kept)
@@ -218,7 +243,7 @@ def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]]) -> Er
             rows, columns = found.shape[1:]
             reference = batch.images["reference"][0]
             peer = torch.from_numpy(stored.images["peer"][:, :rows, :columns].astype(np.float32))
-            before = (batch.images["filtered"] + batch.images["rest"])[0]
+            before = batch.images["filtered"][0]
             own, base, other = (_measure(image, reference) for image in (found, before, peer))
             for key, value in ((f"{stored.spp}", own / other), ("mean", own / other), ("before", base / other)):
                 logs[guides][key].append(math.log(max(value, 1e-9)))
@@ -234,7 +259,7 @@ def _measure(image: Tensor, reference: Tensor) -> float:
 
 def judge(state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path) -> None:
     """Print the errors of the averaged weights on frames kept aside, and add them to the curve."""
-    errors = measure_errors(state.average, aside)
+    errors = measure_errors(copy.deepcopy(state.average).cpu(), aside)
     print(f"after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
     for guides, found in errors.items():
         print(f"  {guides:8}" + "".join(f" {key} {value:.2f}" for key, value in found.items()), flush=True)
@@ -250,24 +275,38 @@ def judge(state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path
     write_json(curve, {"metric": metric, "points": [*points, point]})
 
 
+def make_step(state: State, shown: dict[str, list[Path]], arguments: argparse.Namespace) -> Callable[[float], float]:
+    """Return the function that takes a step at a learning rate and returns the loss."""
+    if arguments.device == "cpu":
+        return lambda rate: take_step(
+            state, shown, rate, seed=arguments.seed, batch=arguments.batch, side=arguments.crop
+        )
+    frames = load_frames(shown, {name: SHARES[name] for name in shown}, torch.device(arguments.device))
+    trainer = ResidentTrainer(state, frames, arguments.batch, arguments.crop)
+    return lambda rate: float(trainer.take_step(rate, find_averaging(state.steps + 1)))
+
+
 def run(state: State, arguments: argparse.Namespace) -> None:
     """Train until the run's minutes or steps are over; what ends it early loses no step."""
     shown, aside = find_frames(arguments.frames)
     print(f"{sum(map(len, shown.values()))} files to train on, {sum(map(len, aside.values()))} kept aside", flush=True)
     spent = saved = judged = 0.0
     losses: list[float] = []
+    step = make_step(state, shown, arguments)
     try:
         while (
             share := len(losses) / arguments.steps if arguments.steps else spent / max(arguments.minutes, 1e-9)
         ) < 1.0:
             began = time.perf_counter()
-            losses.append(take_step(state, shown, arguments.seed, find_rate(share, len(losses))))
+            losses.append(step(find_rate(share, len(losses), arguments.rate)))
             passed = (time.perf_counter() - began) / 60.0
             spent, state.minutes = spent + passed, state.minutes + passed
             if len(losses) % STEPS_BETWEEN_REPORTS == 0:
                 mean = np.nanmean(losses[-STEPS_BETWEEN_REPORTS:])
                 print(f"step {state.steps}, {spent:.1f} min: {mean:.4f}", flush=True)
-                shown, aside = find_frames(arguments.frames)
+                if arguments.device == "cpu":
+                    shown, aside = find_frames(arguments.frames)
+                    step = make_step(state, shown, arguments)
             if spent - saved >= CHECKPOINT_MINUTES:
                 saved = spent
                 save_checkpoint(arguments.checkpoint, state)
@@ -289,6 +328,10 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=150.0, help="of training, in this run")
     parser.add_argument("--steps", type=int, help="in this run, in place of minutes")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--batch", type=int, default=BATCH, help="crops of a step")
+    parser.add_argument("--crop", type=int, default=CROP, help="rows and columns of a crop, a multiple of 16")
+    parser.add_argument("--rate", type=float, default=RATE, help="learning rate at its highest")
+    parser.add_argument("--device", default="cpu", help="of PyTorch: cpu, or cuda with all frames in its memory")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--start", type=Path, help="exported weights to begin with, where there is no checkpoint")
     parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
@@ -301,7 +344,7 @@ def main(words: Sequence[str] | None = None) -> None:
     """Train, judge, write."""
     arguments = parse_arguments(words)
     torch.set_num_threads(arguments.threads)
-    state = make_state(arguments.seed, compares=not arguments.no_guides)
+    state = make_state(arguments.seed, compares=not arguments.no_guides, device=arguments.device)
     if arguments.checkpoint.exists():
         load_checkpoint(arguments.checkpoint, state)
         print(f"going on after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)

@@ -12,12 +12,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from benchmarks.training.frames import make_half
 from benchmarks.training.refinement_frames import parse_file_name
 from benchmarks.training.refinement_model import MULTIPLE, Batch
 
 Array = NDArray[np.float32]
 CROP = 128
-"""Rows and columns of a crop, where a frame has as many."""
+"""Rows and columns of a crop, unless ``--crop`` tells another number, where a frame has as many."""
 KEPT_FRAMES = 400
 CHANNELS = {
     "noisy": 3,
@@ -28,14 +29,15 @@ CHANNELS = {
     "roughness": 1,
     "specular_share": 1,
     "change": 3,
-    "rest": 3,
     "lobe": 4,
     "reference": 3,
 }
-LIGHTS = ("noisy", "filtered", "change", "rest", "reference")
+LIGHTS = ("noisy", "filtered", "change", "reference")
 COLORS = (*LIGHTS, "albedo")
 EXPOSURE_SPREAD, BRIGHTNESS_SPREAD = 0.7, 0.5
 """Standard deviations of natural logarithms: of what all light of a crop is multiplied by, and its brightness alone."""
+LOG_DEPTH_SPREAD = 0.3
+"""Standard deviation of what is added to the mean logarithm of a crop's depth."""
 CHANGE_DROPPED_SHARE = 0.2
 """Share of the crops with halves that come without them."""
 
@@ -73,7 +75,11 @@ def read_frame(path: Path) -> Stored:
         for name in arrays.files:
             each = arrays[name]
             images[name] = each[None] if each.ndim == 2 else np.ascontiguousarray(np.moveaxis(each, -1, 0))
-    noisy = images["noisy"].astype(np.float32) + (images["rest"].astype(np.float32) if "rest" in images else 0.0)
+    if "rest" in images:
+        # The network reads all light; files have the light of lamps and of the sky apart.
+        rest = images.pop("rest").astype(np.float32)
+        images |= {name: make_half(images[name] + rest) for name in ("noisy", "filtered")}
+    noisy = images["noisy"].astype(np.float32)
     depth = images["depth"].astype(np.float32) if "depth" in images else None
     return Stored(
         images, find_brightness(noisy), find_mean_log_depth(depth), is_shared(told[0], told[1]), told[2], told[1]
@@ -134,18 +140,18 @@ def _column(values: Sequence[float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float32).view(-1, 1, 1, 1)
 
 
-def draw_batch(paths: Sequence[Path], rng: np.random.Generator) -> Batch:
-    """Return a crop of each of some frames."""
+def draw_batch(paths: Sequence[Path], rng: np.random.Generator, most: int = CROP) -> Batch:
+    """Return a crop of each of some frames, of at most so many rows and columns."""
     crops, numbers = [], []
     for path in paths:
         stored = read_frame(path)
         rows, columns = stored.images["noisy"].shape[1:]
-        side = min(CROP, rows, columns)
+        side = min(most, rows, columns)
         images = cut(stored, int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1)), side, side)
         factor = vary(images, rng)
         brightness = stored.brightness * factor * float(np.exp(rng.normal(0.0, BRIGHTNESS_SPREAD)))
         crops.append(images)
-        numbers.append((brightness, stored.log_depth + float(rng.normal(0.0, 0.3)), stored.shared))
+        numbers.append((brightness, stored.log_depth + float(rng.normal(0.0, LOG_DEPTH_SPREAD)), stored.shared))
     return join(crops, numbers)
 
 

@@ -46,7 +46,7 @@ class Batch:
     Parameters
     ----------
     images : dict of str to tensor
-        By the names of `RefinementInputs`, with "rest" and "reference".
+        By the names of `RefinementInputs`, with "lobe" and "reference".
     known : dict of str to tensor
         1 where a crop has the image of this name, (batch, 1, 1, 1).
     brightness, log_depth : tensor, (batch, 1, 1, 1)
@@ -165,11 +165,11 @@ class RefiningNetwork(nn.Module):
         """Return the refined frames, (batch, 3, rows, columns)."""
         prepared = prepare(batch)
         # Half the digits are enough to learn from, and some processors compute them twice as fast.
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.training):
+        with torch.autocast(prepared.planes.device.type, torch.bfloat16, self.training, cache_enabled=False):
             logits = [head(each) for head, each in zip(self.heads, self.find_features(prepared.planes), strict=True)]
         vectors = prepared.vectors if self.compares else None
         light = filter_pyramid(prepared.noisy, prepared.filtered, [each.float() for each in logits], vectors)
-        return light * prepared.tint + batch.images["rest"]
+        return light * prepared.tint
 
 
 def count_logits(level: int) -> int:
@@ -258,7 +258,7 @@ def gather_coarse(sums: Tensor, weights: Tensor) -> Tensor:
     """Return weighted sums over the 3x3 pixels of the level above around each pixel's parent."""
     padded = functional.pad(sums, (1, 1, 1, 1))
     rows, columns = sums.shape[-2:]
-    total = torch.zeros((*sums.shape[:2], 2 * rows, 2 * columns), dtype=sums.dtype)
+    total = torch.zeros((*sums.shape[:2], 2 * rows, 2 * columns), dtype=sums.dtype, device=sums.device)
     for k in range(COARSE_TAPS):
         v, u = divmod(k, 3)
         total = torch.addcmul(total, weights[:, k : k + 1], enlarge(padded[..., v : v + rows, u : u + columns]))

@@ -12,11 +12,10 @@ import pytest
 
 from lobewise import peers
 from lobewise.denoising import combining, denoise, evidence, stages
-from lobewise.denoising.automatic import choose_quality, resolve_all, resolve_guided
+from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.networks import load_networks, pack_network, unpack_network
-from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY, find_reach
-from lobewise.denoising.stages import start_run
+from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise import agreement, detail
@@ -155,7 +154,28 @@ class TestContract:
         plain = denoise(frame, **CHEAP)
         light = [each.image - each.diffuse - each.specular for each in (lit, plain)]
         np.testing.assert_allclose((light[0] - light[1])[20, 20], 7.0, rtol=1e-5)
-        np.testing.assert_allclose(lit.image[:5], color[:5], rtol=1e-6)
+        # The network smooths the two rows of the background that are next to the surface.
+        np.testing.assert_allclose(lit.image[:3], color[:3], rtol=1e-6)
+
+    @pytest.mark.usefixtures("trusted")
+    def test_the_edge_of_a_lamp_is_smoothed_and_its_inside_stays(self, rng):
+        truth = np.full((48, 48, 3), 0.3, np.float32)
+        truth[10:34, 12:40] = 20.0
+        truth[10:34, 12] = 6.2
+        hits = rng.binomial(16, 0.3, (24, 1)).astype(np.float32) / 16.0
+        color = truth.copy()
+        color[10:34, 12] = 0.3 + 19.7 * hits
+        normal = np.where(truth > 1.0, 0.0, [0.0, 0.0, 1.0]).astype(np.float32)
+        normal[10:34, 12, 2] = 1.0 - hits[:, 0]
+        wall = np.minimum(color, np.float32(0.3))
+        black = np.zeros_like(wall)
+        albedos = {"diffuse_albedo": np.ones_like(wall), "specular_albedo": black}
+        guides, light = GBuffer(normal=normal, depth=np.ones((48, 48)), **albedos), Radiance(color, wall, black)
+        result = denoise(Frame(radiance=light, gbuffer=guides), **CHEAP)
+        before, after = (np.abs(image - truth)[10:34, 12].mean() for image in (color, result.image))
+        assert after < 0.8 * before
+        np.testing.assert_allclose(result.image[13:31, 16:37], truth[13:31, 16:37], rtol=1e-5)
+        assert (result.diffuse + result.specular <= result.image * (1.0 + 1e-5)).all()
 
     def test_bad_background_is_refilled_from_the_screen(self):
         frame = make_frame(normal=np.zeros((*SHAPE, 3)), depth=np.zeros(SHAPE))
@@ -468,16 +488,3 @@ def test_each_quality_takes_back_by_its_own_network(quality: str, name: str, mon
     monkeypatch.setattr(evidence, "load_networks", lambda: Recorded(load_networks()))
     denoise(make_frame((24, 24)), quality=quality)
     assert asked == [name]
-
-
-def test_all_light_of_a_refined_layer_takes_part_in_sharing() -> None:
-    shares = {}
-    for quality in ("balanced", "high"):
-        frame = make_frame((24, 24))
-        run = start_run(frame, resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False)))
-        found = run.run(run.plan.stages[: run.plan.stages.index(TAKE_BACK_NOISY)]).filtered
-        shares[quality] = np.concatenate(
-            [taker[layer.mask] for taker, layer in zip(found.find_takers(), found.layers, strict=True)]
-        )
-    assert shares["balanced"].min() < 1.0
-    assert set(np.unique(shares["high"])) <= {0.0, 1.0}

@@ -2,10 +2,10 @@
 
 A filter that is guided by the noise loses light: fireflies are bounded, and pixels brighter than their neighbours count
 less. So the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. The lost
-light of a layer is shared out over its pixels, in proportion to their light. Where a filter may leave spots that are
-too bright, light above `MAX_TAKER` of the layer's mean takes no more. A network leaves no such spots, and it loses most
-light where light is bright and noisy, so all light takes its part. The samples do not tell where most of the lost light
-belongs, so it goes everywhere, too thin to be seen.
+light of a layer is shared out over its pixels, in proportion to their light. The samples do not tell where most of the
+lost light belongs, so it goes everywhere, too thin to be seen. A filter may leave spots that are too bright, so light
+above `MAX_TAKER` of the layer's mean takes no more. A network leaves no spots, and it loses a little light wherever
+light is noisy: up to the gain `MAX_GAIN_REFINED`, all light of a refined layer takes its part.
 
 The user is told of a loss if the mean changed by much more than its noise. Fireflies are light of the scene that few
 samples found: a mean without them is too dark, and a mean with them is noisy. The share of the fireflies does not tell
@@ -16,6 +16,7 @@ sqrt(k) standard errors. Source of the residual: `lobewise.filters.noise.residua
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -48,6 +49,8 @@ others: they tell nothing of the mean, and would make the image several times as
 MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
 """Largest gain of the light that takes part in sharing, and largest gain of all light. The rest of the lost light goes
 to all light in proportion."""
+MAX_GAIN_REFINED = 0.05
+"""Gain up to which all light of a refined layer takes part (docs/research/refinement.md)."""
 MAX_FALL = 0.5
 """Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128
@@ -56,7 +59,7 @@ ROWS_AT_ONCE = 128
 Rows = NDArray[np.float64]
 
 
-def find_takers(layer: Layer, part: FloatArray, level: float, *, refined: bool = False) -> FloatArray:
+def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     """Return the share of each pixel's light that takes part in sharing, (height, width), in [0, 1].
 
     Pixels outside of the layer take nothing.
@@ -69,12 +72,8 @@ def find_takers(layer: Layer, part: FloatArray, level: float, *, refined: bool =
         The filtered layer. Pixels that are not finite or negative take nothing.
     level : float
         Mean light of the layer's samples, over albedo.
-    refined : bool
-        Whether a network refined the layer: then all light takes part (docs/research/refinement.md).
     """
     light = _add_channels(np.where(find_good(part)[..., None], part, np.float32(0.0)))
-    if refined:
-        return (layer.mask & (light > 0.0)).astype(np.float32)
     bound = np.full_like(light, 3.0)
     if layer.albedo is not None:
         bound = _add_channels(np.where(find_good(layer.albedo)[..., None], layer.albedo, np.float32(0.0)))
@@ -83,15 +82,24 @@ def find_takers(layer: Layer, part: FloatArray, level: float, *, refined: bool =
     return np.minimum(share, 1.0).astype(np.float32)
 
 
-def sum_missing(layer: Layer, part: FloatArray, taker: FloatArray, rows: slice = slice(None)) -> Rows:
+def sum_missing(
+    layer: Layer,
+    part: FloatArray,
+    taker: FloatArray,
+    rows: slice = slice(None),
+    *,
+    uncounted: NDArray[np.bool_] | None = None,
+) -> Rows:
     """Return sums over the good pixels of each row, (rows, 5), from which `find_gain` computes the gain.
 
     The sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that
-    takes part in sharing; all light of the pixels that take part. Light is the sum of the three channels.
+    takes part in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
+    ``uncounted``, (height, width), are left out.
     """
     found = []
-    for noisy, done, share in zip(layer.radiance[rows], part[rows], taker[rows], strict=True):
-        good = find_good(noisy) & find_good(done)
+    counted = itertools.repeat(True) if uncounted is None else ~uncounted[rows]
+    for noisy, done, share, known in zip(layer.radiance[rows], part[rows], taker[rows], counted, strict=False):
+        good = find_good(noisy) & find_good(done) & known
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
         missing = before - after
         sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
@@ -112,8 +120,8 @@ class Gain(NamedTuple):
         return float(self.takers * taking + self.all * whole)
 
 
-def find_gain(rows: Rows) -> Gain:
-    """Return the gain of a layer.
+def find_gain(rows: Rows, *, refined: bool = False) -> Gain:
+    """Return the gain of a layer; ``refined`` says whether the network refined it.
 
     The standard error of the missing light is the root of the sum of its squares. Where k equal fireflies are all that
     is missing, the share ``1 - 1/k^2`` of it is shared out. Pixels grow by at most `MAX_GAIN_PER_FIREFLY` for each
@@ -128,8 +136,10 @@ def find_gain(rows: Rows) -> Gain:
     most = MAX_GAIN_PER_FIREFLY * fireflies
     if missing < 0.0:
         return Gain(all=-min(shared / whole, most, MAX_FALL))
-    takers = min(shared / taking, most, MAX_TAKERS_GAIN)
-    return Gain(takers, min((shared - takers * taking) / whole, most, MAX_GAIN))
+    first = min(shared / whole, most, MAX_GAIN_REFINED) if refined else 0.0
+    shared -= first * whole
+    takers = min(shared / taking, most - first, MAX_TAKERS_GAIN)
+    return Gain(takers, first + min((shared - takers * taking) / whole, most - first, MAX_GAIN))
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain) -> FloatArray:

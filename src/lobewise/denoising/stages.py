@@ -29,7 +29,8 @@ from lobewise.denoising.planning.frame_plans import (
     describe_frame,
     plan_frame,
 )
-from lobewise.denoising.refining.network import refine_parts
+from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
+from lobewise.denoising.refining.network import find_factor
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.denoising.running import run_guided, run_plain
 from lobewise.features import Feature
@@ -57,12 +58,16 @@ class Filtered:
         Factor by which the light outside of the layers was multiplied; None for 1.
     rest : (height, width, 3), optional
         Light that is in no part, emission and background; None where light is not told apart.
+    noisy_rest : (height, width, 3), optional
+        The same before the network refined it.
     noisy : sequence of (height, width, 3)
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     levels : sequence of float
         Mean light of the samples of every layer, over the albedo; empty with the quality "fast".
     is_refined : bool
         Whether the network refined the image.
+    uncounted : (height, width), bool, optional
+        Pixels that do not tell how much light the layers lost: there the network moved light between them and the rest.
     """
 
     layers: Sequence[Layer]
@@ -72,14 +77,29 @@ class Filtered:
     tallies: Sequence[NDArray[np.float64]] = ()
     gain: FloatArray | None = None
     rest: FloatArray | None = None
+    noisy_rest: FloatArray | None = None
     noisy: Sequence[FloatArray] = ()
     levels: Sequence[float] = ()
     is_refined: bool = False
+    uncounted: NDArray[np.bool_] | None = None
 
     def find_takers(self) -> list[FloatArray]:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
         layers = zip(self.layers, self.parts, self.levels, strict=False)
-        return [find_takers(*each, refined=self.is_refined) for each in layers]
+        return [find_takers(*each) for each in layers]
+
+    def sum_missing(self, takers: Sequence[FloatArray], rows: slice = slice(None)) -> list[NDArray[np.float64]]:
+        """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
+        layers = zip(self.layers, self.parts, takers, strict=False)
+        return [sum_missing(*each, rows, uncounted=self.uncounted) for each in layers]
+
+    def find_gains(self) -> tuple[FloatArray, ...]:
+        """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
+        gains = () if self.gain is None else (self.gain[..., None],)
+        if self.rest is None or self.noisy_rest is None or self.rest is self.noisy_rest:
+            return gains
+        lit = self.noisy_rest > 0.0
+        return *gains, np.divide(self.rest, self.noisy_rest, out=np.ones_like(self.rest), where=lit)
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
@@ -200,35 +220,52 @@ def filter_halves(state: FrameRun) -> Filtered:
         tallies=[each.bounded.tally for each in noisy],
         gain=gain,
         rest=rest,
+        noisy_rest=rest,
         noisy=[join_halves(each) for each in noisy],
         levels=[each.level for each in noisy],
     )
 
 
 def refine(state: FrameRun) -> FrameRun:
-    """Refine the sum of the layers by the network, and scale the layers so that they still sum to the image."""
+    """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
     found, frame = state.filtered, state.frame
     whole = measure_whole(frame, found.levels) if state.whole is None else state.whole
-    surface = np.logical_or.reduce([layer.mask for layer in found.layers])
-    parts = refine_parts(frame, found.noisy, found.parts, surface, whole, state.settings.device)
-    image = compose(frame, parts, found.rest)
-    return replace(state, found=replace(found, parts=parts, image=image, is_refined=True))
+    surface, rest = np.logical_or.reduce([layer.mask for layer in found.layers]), found.rest
+    seen = edges = None
+    others: list[FloatArray] = []
+    if rest is not None:
+        shining = find_shining(rest, found.parts)
+        surface, seen, edges = surface & ~shining, ~find_small(shining)[..., None], find_edges(shining)
+        others = [np.where(seen, rest, np.float32(0.0))]
+    factor = find_factor(frame, [*found.noisy, *others], [*found.parts, *others], whole, state.settings.device)
+    factor[~find_refined(surface)] = 1.0
+    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels of a part stay bad
+        parts = [part * factor for part in found.parts]
+    if rest is not None and seen is not None:
+        rest = np.where(seen, rest * factor, rest)
+    image = compose(frame, parts, rest)
+    return replace(state, found=replace(found, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges))
 
 
 def take_back(state: FrameRun) -> FrameRun:
     """Take the noisy image back where it has less error than the filtered one."""
     found = state.filtered
     level, refined = max(found.levels), found.is_refined
-    parts = take_back_noisy(state.frame, found.image, found.noisy, found.parts, level, refined=refined)
-    return replace(state, found=replace(found, parts=parts, image=compose(state.frame, parts, found.rest)))
+    noisy, parts = found.noisy, found.parts
+    if found.rest is not None and found.noisy_rest is not None:
+        noisy, parts = [*noisy, found.noisy_rest], [*parts, found.rest]
+    mixed = take_back_noisy(state.frame, found.image, noisy, parts, level, refined=refined)
+    rest = mixed.pop() if len(mixed) > len(found.parts) else None
+    image = compose(state.frame, mixed, rest)
+    return replace(state, found=replace(found, parts=mixed, rest=rest, image=image))
 
 
 def keep_light(state: FrameRun) -> FrameRun:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
     found = state.filtered
     takers = found.find_takers()
-    rows = [sum_missing(*each) for each in zip(found.layers, found.parts, takers, strict=True)]
-    gains = [find_gain(each) for each in rows]
+    rows = found.sum_missing(takers)
+    gains = [find_gain(each, refined=found.is_refined) for each in rows]
     lost = find_share_missing(rows, gains)
     if not any(map(any, gains)):
         return replace(state, energy_lost=lost)
@@ -243,8 +280,7 @@ def fill(state: FrameRun) -> FrameRun:
     """Fill the pixels without a value."""
     found = state.filtered
     image = fill_holes(found.image, found.find_holes(state.bad), state.frame, state.settings.device)
-    gains = () if found.gain is None else (found.gain[..., None],)
-    return replace(state, image=image, gains=gains)
+    return replace(state, image=image, gains=found.find_gains())
 
 
 def mix_peer(state: FrameRun) -> FrameRun:
@@ -252,7 +288,7 @@ def mix_peer(state: FrameRun) -> FrameRun:
     frame, found, image = state.frame, state.filtered, state.total
     peer = denoise_with_peer(frame, image)
     with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
-        noisy = compose(frame, found.noisy, found.rest)
+        noisy = compose(frame, found.noisy, found.noisy_rest)
     mixed = choose_between(frame, image, peer, noisy)
     image, parts, gain = share_out(mixed, image, found.parts)
     return replace(state, found=replace(found, parts=parts), image=image, gains=(*state.gains, gain))

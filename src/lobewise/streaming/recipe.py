@@ -38,7 +38,6 @@ from lobewise.denoising.light_loss import (
     find_gain,
     find_share_missing,
     sum_light,
-    sum_missing,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
@@ -176,7 +175,7 @@ def denoise_file(
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         whole = measure().whole if guided else None
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
-        seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED)
+        seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         kept = KeptBands(waiting)
         bad_count = _filter(reader, kept, chosen, whole, bands, tell, seen)
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
@@ -233,6 +232,8 @@ class _Seen:
 
     measures_light: bool
     """Whether bounding took so much from fireflies that the light before and after is compared."""
+    refined: bool
+    """Whether the network refines the layers."""
     light: list[Rows] = field(default_factory=list)
     blurred: list[Rows] = field(default_factory=list)
     missing: list[list[Rows]] = field(default_factory=list)
@@ -255,7 +256,7 @@ class _Seen:
 
     def find_gains(self) -> list[Gain]:
         """Return the gain of every layer."""
-        return [find_gain(rows) for rows in self.join_missing()]
+        return [find_gain(rows, refined=self.refined) for rows in self.join_missing()]
 
     def find_share_missing(self) -> float:
         """Return the share of the light that is missing after sharing."""
@@ -346,7 +347,7 @@ def _filter_band(
     found = filter_frame(frame, settings, (), whole)
     bad = find_bad_pixels(frame)
     takers = found.find_takers()
-    seen.missing.append([sum_missing(*each, core) for each in zip(found.layers, found.parts, takers, strict=False)])
+    seen.missing.append(found.sum_missing(takers, core))
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
     if not get_quality(settings.quality).reads_halves:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_layer
 from lobewise.denoising.planning.steps import LayerPlan
+from lobewise.denoising.refining.lamps import REACH as LAMPS_REACH
 from lobewise.filters.noise.detail import REACH as DETAIL_REACH
 from lobewise.filters.refinement.shape import REACH as REFINEMENT_REACH
 from lobewise.frame import Frame, GBuffer
@@ -34,7 +35,7 @@ class Stage:
 
 
 FILTER_LAYERS = Stage("filter", "filter every layer by its plan", 0)
-REFINE = Stage("refine", "refine the image by the network that weighs neighbours", REFINEMENT_REACH)
+REFINE = Stage("refine", "refine the image by the network that weighs neighbours", REFINEMENT_REACH + LAMPS_REACH)
 TAKE_BACK_NOISY = Stage("take back", "take the noisy image back where the filter removed detail", DETAIL_REACH)
 KEEP_LIGHT = Stage("keep light", "share out the light that bounding took from fireflies")
 FILL_HOLES = Stage("fill holes", "fill bad pixels that no layer reached from their neighbours")

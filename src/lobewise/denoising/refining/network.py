@@ -1,4 +1,4 @@
-"""The refining network: its weights, and the layers that it scales."""
+"""The refining network: its weights, and what it makes of a frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.denoising.refining.inputs import collect_inputs, find_lobes
 from lobewise.denoising.refining.whole_image import WholeImage
@@ -28,22 +27,15 @@ def load_weights() -> FloatArray:
         return flatten_weights({name: arrays[name].astype(np.float32) for name in arrays.files})
 
 
-def refine_parts(
-    frame: Frame,
-    noisy: Sequence[FloatArray],
-    parts: Sequence[FloatArray],
-    surface: NDArray[np.bool_],
-    whole: WholeImage,
-    device: str,
-) -> list[FloatArray]:
-    """Return the filtered layers, scaled to the refined image.
+def find_factor(
+    frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], whole: WholeImage, device: str
+) -> FloatArray:
+    """Return the refined light over the filtered light, (height, width, 3); 0 where the filtered light is black.
 
     Parameters
     ----------
     frame, noisy, parts
-        As in `collect_inputs`.
-    surface : (height, width), bool
-        Where a layer was filtered. Other pixels stay as they are.
+        As in `collect_inputs`; with the light that no surface scatters as the last of both, where there is any.
     whole : WholeImage
     device : str
         A name from `list_devices`.
@@ -58,8 +50,5 @@ def refine_parts(
         shared=frame.noise_is_shared,
         device=device,
     )
-    scattered = inputs.filtered > MAX_BLACK_RADIANCE
-    factor = np.divide(refined, inputs.filtered, out=np.zeros_like(inputs.filtered), where=scattered)
-    factor[~surface] = 1.0
-    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels of a part stay bad
-        return [part * factor for part in parts]
+    lit = inputs.filtered > MAX_BLACK_RADIANCE
+    return np.divide(refined, inputs.filtered, out=np.zeros_like(inputs.filtered), where=lit)
