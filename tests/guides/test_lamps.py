@@ -34,6 +34,41 @@ def test_the_edge_of_a_lamp_belongs_to_it(rng: np.random.Generator) -> None:
     assert find_lamps(wall)[19, 40:60].all()
 
 
+def make_dark_wall(rng: np.random.Generator) -> np.ndarray:
+    """Return a noisy dark wall with four pixels that are alike by chance."""
+    wall = 0.01 * rng.gamma(4.0, 0.25, (64, 96, 3)).astype(np.float32)
+    wall[20:22, 40:42] = 0.5
+    return wall
+
+
+@pytest.mark.parametrize("place", [(20, 43), (19, 42), (23, 41), (18, 38)])
+def test_a_firefly_beside_alike_pixels_is_no_edge(rng: np.random.Generator, place: tuple[int, int]) -> None:
+    wall = make_dark_wall(rng)
+    wall[place] = 121.0
+    found = find_lamps(wall)
+    assert found[20:22, 40:42].all()
+    assert not found[place]
+
+
+def test_the_edge_of_an_uneven_lamp_may_be_a_little_brighter(rng: np.random.Generator) -> None:
+    wall = make_dark_wall(rng)
+    # Three of four samples hit the lamp inside, all four beside it.
+    wall[20:22, 42] = 0.5 * 4.0 / 3.0
+    assert find_lamps(wall)[20:22, 40:43].all()
+
+
+def test_an_edge_is_as_bright_as_its_lamp_before_division_by_the_albedo(rng: np.random.Generator) -> None:
+    light, albedo = make_dark_wall(rng), np.full((64, 96, 3), 0.8, np.float32)
+    albedo[20:22, 40:42] = 0.1
+    # Divided by its albedo, the first is as bright as the lamp, the second is ten times as bright.
+    light[20, 42], light[21, 42] = 0.5, 5.0
+    albedo[21, 42] = 0.01
+    found = find_lamps(light * albedo, albedo)
+    assert found[20:22, 40:42].all()
+    assert not found[20, 42]
+    assert found[21, 42]
+
+
 def test_even_light_noise_and_sparks_are_no_lamps(rng: np.random.Generator) -> None:
     assert not find_lamps(np.ones((40, 40, 3), np.float32)).any()
     assert not find_lamps(rng.gamma(0.1, 10.0, (64, 64, 3)).astype(np.float32)).any()

@@ -7,6 +7,8 @@ alike, while neighbouring pixels of noisy light differ. So lamps are found in th
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,14 @@ MIN_EDGE_CONTRAST = 2.0
 """Smallest ratio for pixels at the edge of a lamp: the lamp covers them in part, or a pixel filter spreads it there."""
 EDGE_WIDTH = 2
 """Width of the edge of a lamp, pixels."""
+MAX_EDGE_EXCESS = 1.5
+"""Largest ratio of an edge's radiance to that of the brightest pixel inside the lamp within `EDGE_WIDTH`.
+
+A lamp covers its edge in part, so the edge is no brighter than the lamp. But windows have gradients, and few samples
+count a lamp in steps: pixels that two of three samples hit are alike too, and their lamp is half as bright again. A
+firefly beside pixels that are alike by chance is far brighter. (19 scenes, 1 to 64 samples, `balanced` and `high`: with
+1.5 no error grows by more than 1 %; with 1.03 errors grow by up to 16 %, because windows and bright lamps are cut up.)
+"""
 MEAN_RADIUS = 3
 """Radius of the square over which noisy light is averaged, pixels."""
 COMPARED_RADIUS = 32
@@ -35,26 +45,37 @@ LEVEL_RATIO = 1.5
 Mask = NDArray[np.bool_]
 
 
-def find_lamps(light: FloatArray) -> Mask:
+@np.errstate(invalid="ignore", over="ignore")
+def find_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
     """Return which pixels show lamps or their edges, (height, width).
 
     Parameters
     ----------
-    light : array, shape (height, width, 3)
-        Linear radiance, divided by the albedo if it is known. Pixels that are NaN, infinite or negative show no lamp.
+    color : array, shape (height, width, 3)
+        Linear radiance. Pixels that are NaN, infinite or negative show no lamp.
+    albedo : array, shape (height, width, 3), optional
+        Positive albedo. Lamps are compared with their surroundings after division by it, so that textures are no noise.
     """
+    light = color if albedo is None else color / albedo
     good: Mask = np.asarray((np.isfinite(light) & (light >= 0.0)).all(axis=-1))
-    light = np.where(good[..., None], light, np.float32(0.0))
+    light, color = (np.where(good[..., None], image, np.float32(0.0)) for image in (light, color))
     bright = light.mean(axis=-1)
     around = _average(bright, MEAN_RADIUS)
     lamps = _outshine(bright, around, _find_smooth(light) & (bright > 0.0), MIN_CONTRAST)
     if not lamps.any():
         return lamps
-    near = lamps
-    for _ in range(EDGE_WIDTH):
-        near = _grow(near)
     # The mean around an edge contains the lamp itself, so edges are compared with means further away.
-    return lamps | _outshine(bright, around, near & ~lamps, MIN_EDGE_CONTRAST)
+    return lamps | _outshine(bright, around, _find_edges(color, lamps), MIN_EDGE_CONTRAST)
+
+
+def _find_edges(color: FloatArray, lamps: Mask) -> Mask:
+    """Return which pixels are near enough to a lamp for its edge, and not too bright.
+
+    Radiance is compared, without division: coverage mixes radiance, and the albedo of a lamp says nothing of its light.
+    """
+    radiance = color.mean(axis=-1)
+    brightest = _find_maximum(np.where(lamps, radiance, np.float32(0.0)), EDGE_WIDTH)
+    return np.asarray((brightest > 0.0) & (radiance <= MAX_EDGE_EXCESS * brightest) & ~lamps)
 
 
 def _find_smooth(light: FloatArray) -> Mask:
@@ -78,9 +99,12 @@ def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: 
     return found
 
 
-def _grow(mask: Mask) -> Mask:
-    """Return a mask grown by one pixel in all eight directions."""
-    return np.asarray(_average(mask.astype(np.float32), 1) > 0.05)
+def _find_maximum(image: FloatArray, radius: int) -> FloatArray:
+    """Return the maximum over a square around each pixel of an image that is nowhere negative."""
+    height, width = image.shape
+    padded, steps = np.pad(image, radius), range(2 * radius + 1)
+    rows = reduce(np.maximum, (padded[i : i + height] for i in steps))
+    return np.asarray(reduce(np.maximum, (rows[:, i : i + width] for i in steps)))
 
 
 def _average(image: FloatArray, radius: int) -> FloatArray:

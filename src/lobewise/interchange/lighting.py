@@ -234,9 +234,8 @@ def keep_lamps(frame: Frame) -> tuple[Frame, int]:
     if frame.radiance.parts is not None or guides.normal is None:
         return frame, 0
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
-    albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else np.float32(1.0)
-    with np.errstate(invalid="ignore", over="ignore"):
-        lamps = find_lamps(frame.radiance.color / albedo)
+    albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else None
+    lamps = find_lamps(frame.radiance.color, albedo)
     if not lamps.any():
         return frame, 0
     normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
