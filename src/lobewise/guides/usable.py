@@ -26,8 +26,11 @@ ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_spe
 ALPHAS = ("alpha_u", "alpha_v")
 MAX_NORMAL_LENGTH = 1.5
 """Longest normal that is taken as it is. Longer ones would give cosines far above 1; means are shorter than 1."""
-MAX_NEIGHBOURS_WITHOUT_NORMAL = 2
-"""Neighbours, of eight. With more, a pixel without a normal belongs to a region without normals, such as a lamp."""
+MAX_NEIGHBOURS_WITHOUT_NORMAL = 1
+"""Neighbours within `NEIGHBOURS_RADIUS`. With more, a pixel without a normal belongs to a region without normals, such
+as a lamp: also where the region is a line, or ends in one."""
+NEIGHBOURS_RADIUS = 2
+"""Pixels to the furthest neighbour, in each direction."""
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
 
@@ -146,13 +149,12 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
 
 
 def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return how many of the eight neighbours of each pixel lie in a mask."""
-    padded = np.pad(mask.astype(np.intp), 1)
+    """Return how many neighbours of each pixel lie in a mask."""
+    padded = np.pad(mask.astype(np.intp), NEIGHBOURS_RADIUS)
     height, width = mask.shape
-    shifts = [(down, right) for down in range(3) for right in range(3) if (down, right) != (1, 1)]
-    return np.asarray(
-        np.sum([padded[down : down + height, right : right + width] for down, right in shifts], axis=0), np.intp
-    )
+    shifts = range(2 * NEIGHBOURS_RADIUS + 1)
+    square = [padded[down : down + height, right : right + width] for down in shifts for right in shifts]
+    return np.asarray(np.sum(square, axis=0) - mask, np.intp)
 
 
 def _is_long(normal: FloatArray | None) -> bool:
