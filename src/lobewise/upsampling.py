@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.denoising.layers import Layer, find_exact_light, find_support, find_surface, make_layers, make_rest_layers
 from lobewise.denoising.planning.layer_plans import plan_upsampling
 from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
@@ -86,18 +86,20 @@ def upsample(
         tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)
         layers, reach = [Layer(frame.radiance.color, None, everywhere, tent)], 1
     else:
-        layers, reach = (
-            [*make_layers(frame, chosen, features), *make_rest_layer(frame, chosen, features)],
-            chosen.radius,
-        )
+        layers = [*make_layers(frame, chosen, features), *make_rest_layers(frame, chosen, features)]
+        reach = chosen.radius
     plan = plan_upsampling(reach, frame.scale)
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
     image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
+    exact = None if bilinear else find_exact_light(frame)
     apart = not bilinear and frame.radiance.parts is not None
-    # The rest, emission and background, is compared by place alone, so its support says nothing about lobes.
+    # Emission and background are compared by place alone, so their support says nothing about lobes.
     lobes = 2 if apart else 1
     weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
+    if exact is not None:
+        # Nothing is scattered where there is no surface.
+        image, supported = image + exact, supported | ~find_surface(frame)
     holes = ~supported | ~find_good(image)
     image = fill_holes(image, holes, frame, chosen.device)
     return Result(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from lobewise.errors import InputError
 from lobewise.frame import GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
+from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
 from tests.denoising.test_denoising import SHAPE, make_frame
 
@@ -65,6 +67,49 @@ def test_emission_and_background_come_along() -> None:
     image = upsample(make_sparse(sky, 4, (1, 2)), beta=16.0).image
     np.testing.assert_allclose(image[:12], 0.125, rtol=1e-3)
     assert rel_mse(image[12:], truth[12:]) < 1e-3
+
+
+def make_lit_frame(rng: np.random.Generator, *, apart: bool = True) -> tuple[Any, Any]:
+    """Return a frame with a detailed sky and a lamp, and its emission, which is free of noise."""
+    frame, truth = make_clean_frame()
+    emission = np.zeros_like(truth)
+    emission[:10] = rng.uniform(0.1, 2.0, (10, SHAPE[1], 3))
+    emission[20:25, 30:37] = 40.0
+    guides = {name: np.array(getattr(frame.gbuffer, name)) for name in ("depth", "normal", "position")}
+    for guide in guides.values():
+        guide[:10] = 0.0
+    scattered = truth.copy()
+    scattered[:10] = 0.0
+    dark = np.zeros_like(truth)
+    light = Radiance(scattered + emission, dark, scattered) if apart else Radiance(scattered + emission)
+    gbuffer = replace(frame.gbuffer, **guides, mean_emission=emission)
+    return frame.with_changes(gbuffer=gbuffer, radiance=light), emission
+
+
+@pytest.mark.parametrize("over_time", [False, True])
+def test_light_without_noise_is_taken_from_the_guides(over_time: bool, rng: np.random.Generator) -> None:
+    frame, emission = make_lit_frame(rng)
+    sparse = make_sparse(frame, 4, (1, 2))
+    result = TemporalFilter(radius=5).add(sparse) if over_time else upsample(sparse)
+    truth = frame.radiance.color
+    np.testing.assert_array_equal(result.image[:10], emission[:10])
+    lamp = np.s_[20:25, 30:37]
+    np.testing.assert_allclose(result.image[lamp] - emission[lamp], truth[lamp] - emission[lamp], rtol=0.1)
+    ring = result.image[17:28, 27:40].copy()
+    ring[3:8, 3:10] = 0.0
+    assert ring.max() < 1.2
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_the_sky_takes_no_light_of_surfaces_and_surfaces_none_of_the_sky(apart: bool, rng: np.random.Generator) -> None:
+    frame, _ = make_lit_frame(rng, apart=apart)
+    flat = np.where(np.arange(SHAPE[0])[:, None, None] < 10, np.float32(5.0), frame.radiance.color)
+    flat[20:25, 30:37] = frame.radiance.color[19, 30]
+    light = replace(frame.radiance, color=np.asarray(flat, np.float32))
+    frame = frame.with_changes(gbuffer=replace(frame.gbuffer, mean_emission=None), radiance=light)
+    image = upsample(make_sparse(frame, 4, (1, 2))).image
+    np.testing.assert_allclose(image[:10], 5.0, rtol=1e-4)
+    assert image[10:].max() < 1.2
 
 
 def test_result_describes_itself() -> None:

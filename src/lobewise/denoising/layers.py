@@ -30,7 +30,7 @@ from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surfac
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_similarity
-from lobewise.sparse_frame import AnyFrame
+from lobewise.sparse_frame import AnyFrame, SparseFrame
 
 Mask = NDArray[np.bool_]
 
@@ -249,19 +249,42 @@ def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
     return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_WHOLE_ALBEDO)))
 
 
-def make_rest_layer(frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:
-    """Return emission and background, which no lobe scattered, as a layer that is compared by place alone."""
+def make_rest_layers(frame: SparseFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:
+    """Return the light of a sparse frame that no lobe scattered, as layers that are compared by place alone.
+
+    They are "rest" on surfaces and "background" beside them. A frame that knows this light at every pixel has none (see
+    `find_exact_light`). Where the light is not split, only the background is told apart.
+    """
     color, parts = frame.radiance.color, frame.radiance.parts
+    if find_exact_light(frame) is not None:
+        return []
+    surface = find_surface(frame)
     if parts is None:
-        return []
-    with np.errstate(invalid="ignore", over="ignore"):
-        rest = color - np.maximum(parts[0], np.float32(0.0)) - np.maximum(parts[1], np.float32(0.0))
-    # Drop the remainders of rounding.
-    rest = np.where(rest > 1e-4 * color, rest, np.float32(0.0))
-    if not (rest > 0.0).any():
-        return []
-    everywhere = np.ones(frame.shape, dtype=bool)
-    return [Layer(rest, None, everywhere, (*make_position_features(frame, settings), *features))]
+        layers = {"background": (color, ~surface)}
+    else:
+        with np.errstate(invalid="ignore", over="ignore"):
+            rest = color - np.maximum(parts[0], np.float32(0.0)) - np.maximum(parts[1], np.float32(0.0))
+        # Drop the remainders of rounding.
+        rest = np.where(rest > 1e-4 * color, rest, np.float32(0.0))
+        layers = {"rest": (rest, surface), "background": (rest, ~surface)}
+    shared = (*make_position_features(frame, settings), *features)
+    return [
+        Layer(light, None, mask, shared, name)
+        for name, (light, mask) in layers.items()
+        if (light[mask[frame.shaded]] > 0.0).any()
+    ]
+
+
+def find_exact_light(frame: AnyFrame) -> FloatArray | None:
+    """Return the light that no lobe scattered at every pixel of a sparse frame, finite and >= 0; None if it is unknown.
+
+    It has no noise, so that it is not filtered. Without light split by lobe, nobody knows which part of the samples it
+    is.
+    """
+    emission = frame.gbuffer.mean_emission
+    if emission is None or frame.radiance.parts is None or not isinstance(frame, SparseFrame):
+        return None
+    return np.where((emission >= 0.0) & (emission <= np.finfo(np.float32).max), emission, np.float32(0.0))
 
 
 def find_support(layers: Sequence[Layer], outputs: Sequence[Support]) -> tuple[FloatArray, FloatArray]:

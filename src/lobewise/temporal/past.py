@@ -61,7 +61,7 @@ class HistoryReprojection:
     allowance : array, shape (height, width), or None
         Argument of `make_validation_features` for this frame.
     share : float
-        Share of the pixels that found their history, 0 to 1.
+        Share of the surface pixels that found their history, 0 to 1.
     """
 
     def __init__(
@@ -88,14 +88,15 @@ class HistoryReprojection:
         self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
         # Measure how much of the image continues on a layer that is compared by place and normal alone.
-        name = next((name for name in ("rest", "diffuse") if name in past.sums), None)
-        if name is None:
-            found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
+        if "diffuse" in past.sums:
+            found = self._found["diffuse"] = self._find("diffuse", past.sums["diffuse"])
         else:
-            found = self._found[name] = self._find(name, past.sums[name])
+            found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         if found is not None:
             near = _find_near(self._places[0], MAX_STEP * max(guides.shape))
-            self.share = float(np.mean((found[..., AGREEMENT] > MIN_AGREEMENT) & near))
+            again, surface = (found[..., AGREEMENT] > MIN_AGREEMENT) & near, self.validation["rest"].mask
+            # A frame of sky alone is no cut.
+            self.share = float(np.mean(again[surface])) if surface.any() else 1.0
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
             self.validation = make_validation_features(guides, settings, temporal, None, apart)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.layers import Layer, find_support, make_layers, make_rest_layer
+from lobewise.denoising.layers import Layer, find_exact_light, find_support, find_surface, make_layers, make_rest_layers
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.running import run_with_history
 from lobewise.denoising.stages import compose, find_rest, keep_unfiltered
 from lobewise.errors import require_choice, require_kind
 from lobewise.features import Feature
+from lobewise.filters.compositing import average_emission
 from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, Result
@@ -177,7 +178,7 @@ class TemporalFilter:
         layers = make_layers(frame, chosen, features)
         named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
         if isinstance(frame, SparseFrame):
-            named |= zip(("rest",), make_rest_layer(frame, chosen, features), strict=False)
+            named |= {layer.name: layer for layer in make_rest_layers(frame, chosen, features)}
         return named
 
     @staticmethod
@@ -193,20 +194,28 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             with np.errstate(invalid="ignore", over="ignore"):
                 total = np.asarray(sum(output.image for output in told), dtype=np.float32)
+            exact = find_exact_light(frame)
+            supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in told])
+            if exact is not None:
+                # Nothing is scattered where there is no surface.
+                total, supported = total + exact, supported | ~find_surface(frame)
             good = find_good(total)
             image, *images = (_put_side_by_side(part) for part in (total, *(output.image for output in told)))
             parts = dict(zip(outputs, images, strict=True))
-            holes = ~(good & np.logical_or.reduce([output.weight_sum > 0.0 for output in told]))
+            holes = ~(good & supported)
             bad = spread(frame, bad)
         else:
             parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
-            image = compose(frame, list(parts.values()), find_rest(frame))
+            rest, emission = find_rest(frame), frame.gbuffer.mean_emission
+            if rest is not None and emission is not None:
+                rest = average_emission(rest, emission, frame.spp)
+            image = compose(frame, list(parts.values()), rest)
             good = find_good(image)
             holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
         if not good.all():
             parts = {name: blacken_bad(part) for name, part in parts.items()}
         image = fill_holes(image, holes, frame, chosen.device)
-        lobes = [name for name in layers if name != "rest"]
+        lobes = [name for name in layers if name not in ("rest", "background")]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
             image=image,

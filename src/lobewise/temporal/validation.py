@@ -95,7 +95,7 @@ class ValidationFeatures:
 def make_validation_features(
     guides: Guides, settings: ResolvedSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
 ) -> dict[str, ValidationFeatures]:
-    """Return the features of the layers ``diffuse``, ``specular`` (``color`` without parts) and ``rest``.
+    """Return the features of all layers: ``diffuse`` and ``specular``, or ``color``; ``rest`` and ``background``.
 
     Parameters
     ----------
@@ -112,7 +112,6 @@ def make_validation_features(
     """
     frame = guides.frame
     surface = find_surface(frame)
-    everywhere = np.ones(guides.shape, dtype=bool)
     normal = guides.gbuffer.require("normal", "a history")
     position = guides.places[0] if guides.is_placed else None
     # Put the background far away, facing the camera: it then matches itself and no surface.
@@ -121,7 +120,8 @@ def make_validation_features(
         backdrop = put_backdrop(surface, normal, position, guides.camera, BACKGROUND_DISTANCE)
     plane = _make_plane(guides, temporal, surface, allowance, backdrop)
     facing = NormalFeature(backdrop.facing, settings.normal_exponent)
-    validation = {"rest": ValidationFeatures(everywhere, (*plane, facing))}
+    masks = {"rest": surface, "background": ~surface}
+    validation = {name: ValidationFeatures(mask, (*plane, facing)) for name, mask in masks.items()}
     same = replace(
         settings,
         beta=temporal.beta,
