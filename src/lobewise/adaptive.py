@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising import denoise, find_bad_pixels
+from lobewise.denoising.layers import find_exact_light, find_surface
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.sparse_frame import AnyFrame
@@ -16,22 +17,42 @@ from lobewise.sparse_frame import AnyFrame
 Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
 """Takes rows and columns of pixels and returns their radiance, of shape (count, 1), as `render_pixels` does."""
 
+CONTRAST_RADIUS_PIXELS = 2
+DARK_LEVEL, DARK_SQUARED = 0.1, 0.02
+"""Light over the image's mean, and its square, below which differences of light count less."""
+FLAT_CONTRAST = 0.001
+"""Variance of the logarithm of light that a flat part counts as having."""
+MIN_EFFECTIVE_SAMPLES, MIN_LEVEL = 0.1, 1e-30
+"""Effective samples and mean light that smaller ones count as."""
+
 
 def find_unsupported(
-    result: Result, *, budget: float = 0.05, least: float = 0.05, quality: float = 0.5
+    result: Result,
+    *,
+    budget: float = 0.05,
+    least: float = 0.05,
+    quality: float = 0.5,
+    frame: AnyFrame | None = None,
 ) -> NDArray[np.bool_]:
     """Return which pixels to shade again, shape (height, width).
+
+    With ``frame`` the pixels of weight below ``least`` come first, then those whose expected error is largest: their
+    noise times the contrast around them. The noise is the variance of the result over its squared light, or the
+    inverse of the effective samples where the result tells no variance. Blurred edges and small highlights have
+    contrast. Pixels without a surface are never taken.
 
     Parameters
     ----------
     result : Result
-        A result of `lobewise.upsample` or `lobewise.denoise`.
+        A result of `lobewise.upsample`, `lobewise.denoise` or `lobewise.TemporalFilter.add`.
     budget : float
-        Largest share of the pixels, 0 to 1; the pixels of lowest weight sum are taken.
+        Largest share of the pixels, 0 to 1; without ``frame``, the pixels of lowest weight sum are taken.
     least : float
         Weight sum below which a pixel is shaded again; a sample that matches fully has the weight 1.
     quality : float
-        Share of the median weight sum below which a pixel is shaded again, >= 0.
+        Share of the median weight sum below which a pixel is shaded again, >= 0; without ``frame``.
+    frame : Frame or SparseFrame, optional
+        The frame of the result.
 
     Raises
     ------
@@ -49,6 +70,8 @@ def find_unsupported(
             )
     weight = result.weight_sum
     count = int(budget * weight.size)
+    if frame is not None:
+        return _find_uncertain(result, frame, count, least)
     median = float(np.median(weight))
     wanted = (weight < least) | (weight < quality * median)
     if np.count_nonzero(wanted) > count:
@@ -61,6 +84,47 @@ def find_unsupported(
     return np.asarray(wanted)
 
 
+def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:
+    """Return the pixels of surfaces that have no support, then those of the largest expected error."""
+    exact = find_exact_light(frame)
+    with np.errstate(invalid="ignore"):
+        light = (result.image if exact is None else result.image - exact).mean(axis=-1)
+    light = np.where(np.isfinite(light), np.maximum(light, np.float32(0.0)), np.float32(0.0))
+    level = max(float(light.mean(dtype=np.float64)), MIN_LEVEL)
+    relative = np.asarray(light / level, np.float32)
+    if result.variance is None:
+        noise = 1.0 / np.maximum(result.effective_samples, MIN_EFFECTIVE_SAMPLES)
+    else:
+        noise = result.variance / level**2 / (relative**2 + DARK_SQUARED)
+    expected = noise * (_find_contrast(relative) + np.float32(FLAT_CONTRAST))
+    expected = np.where(np.isfinite(expected), expected, np.float32(0.0))
+    # Pixels without support come first, those of the lowest weight before others.
+    lacking = result.weight_sum < least
+    order = np.where(lacking, expected.max(initial=0.0) * (2.0 - result.weight_sum / max(least, 1e-30)) + 1.0, expected)
+    order[~find_surface(frame)] = -1.0
+    chosen = np.zeros(order.size, dtype=bool)
+    # A stable order: pixels of equal rank are taken by place, so that every machine chooses the same pixels.
+    ranked = np.argsort(-order, axis=None, kind="stable")[:count]
+    chosen[ranked[order.flat[ranked] > 0.0]] = True
+    return chosen.reshape(order.shape)
+
+
+def _find_contrast(relative: FloatArray) -> FloatArray:
+    """Return the variance of the logarithm of light in the square around each pixel, (height, width)."""
+    side = 2 * CONTRAST_RADIUS_PIXELS + 1
+    logarithm = np.log(relative + np.float32(DARK_LEVEL))
+    height, width = logarithm.shape
+    padded = np.pad(logarithm, CONTRAST_RADIUS_PIXELS, mode="edge")
+    sums = np.zeros((2, height, width), np.float32)
+    for down in range(side):
+        for across in range(side):
+            there = padded[down : down + height, across : across + width]
+            sums[0] += there
+            sums[1] += there * there
+    mean, square = sums / np.float32(side * side)
+    return np.asarray(np.maximum(square - mean * mean, np.float32(0.0)))
+
+
 def recompute(
     result: Result,
     shade: Shade,
@@ -70,6 +134,7 @@ def recompute(
     budget: float = 0.05,
     least: float = 0.05,
     quality: float = 0.5,
+    filter_new: bool = True,
 ) -> Result:
     """Shade the least supported pixels again, and merge the new radiance with the result.
 
@@ -91,6 +156,8 @@ def recompute(
         The frame of the result: its guides tell which new pixels are alike.
     budget, least, quality
         See `find_unsupported`.
+    filter_new : bool
+        Whether the new radiance is filtered among the new pixels, where there is a frame.
 
     Returns
     -------
@@ -106,7 +173,8 @@ def recompute(
         raise InputError(
             "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
         )
-    where = np.nonzero(find_unsupported(result, budget=budget, least=least, quality=quality))
+    rules = {"budget": budget, "least": least, "quality": quality}
+    where = np.nonzero(find_unsupported(result, **rules, frame=frame))
     count = where[0].size
     settings = {**result.settings, "recomputed": int(count)}
     if count == 0:
@@ -119,10 +187,15 @@ def recompute(
             got=f"shape {new.color.shape}",
             action="return one for each pixel",
         )
+    exact = None if frame is None else find_exact_light(frame)
+    if exact is not None and new.diffuse is not None and new.specular is not None:
+        new = replace(new, color=new.diffuse + new.specular)
     worth = np.full((count, 1), samples, np.float32)
-    if frame is not None:
+    if frame is not None and filter_new:
         new, gathered = _filter_among(new, frame, where, samples)
         worth = worth * np.maximum(gathered, np.float32(1.0))[:, None]
+    if exact is not None and new.diffuse is not None:
+        new = replace(new, color=new.color + exact[where][:, None])
     weight = result.weight_sum[where][:, None]
     image = _merge(result.image, new.color, where, weight, worth)
     diffuse, specular = (

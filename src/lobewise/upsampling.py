@@ -97,9 +97,10 @@ def upsample(
     lobes = 2 if apart else 1
     weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
     supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
-    if exact is not None:
+    image = image if exact is None else image + exact
+    if apart and not any(layer.name == "background" for layer in layers):
         # Nothing is scattered where there is no surface.
-        image, supported = image + exact, supported | ~find_surface(frame)
+        supported = supported | ~find_surface(frame)
     holes = ~supported | ~find_good(image)
     image = fill_holes(image, holes, frame, chosen.device)
     return Result(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -130,19 +131,54 @@ def test_count_is_checked() -> None:
         recompute(make_result(0.0), lambda rows, columns: Radiance(np.ones((1, 1, 3))), samples=1.0)
 
 
+def test_pixels_without_support_come_first_then_those_of_the_largest_expected_error() -> None:
+    frame, _ = make_clean_frame()
+    shape = frame.shape
+    image = np.ones((*shape, 3), np.float32)
+    image[20:23, 20:23] = 3.0
+    weight = np.full(shape, 10.0, np.float32)
+    weight[30, 30] = 0.01
+    noisy, sky = np.ones(shape, np.float32), np.s_[:6]
+    noisy[2:12, 40:50] = 50.0
+    depth, normal = frame.gbuffer.depth.copy(), frame.gbuffer.normal.copy()
+    depth[sky], normal[sky] = 0.0, 0.0
+    frame = frame.with_changes(gbuffer=replace(frame.gbuffer, depth=depth, normal=normal, position=None))
+    result = Result(image, weight, weight.copy(), np.zeros(shape, bool), {}, 0.0, variance=0.01 * noisy)
+    chosen = [find_unsupported(result, frame=frame, budget=count / weight.size) for count in (1.5, 50.5, 120.5)]
+    assert np.argwhere(chosen[0]).tolist() == [[30, 30]]
+    assert chosen[1][18:25, 18:25].sum() > 30
+    assert chosen[2][6:12, 40:50].all()
+    assert not any(mask[sky].any() for mask in chosen)
+
+
+def test_new_light_of_a_lamp_is_not_spread() -> None:
+    frame, truth = make_clean_frame()
+    emission = np.zeros_like(truth)
+    emission[20:24, 30:34] = 50.0
+    light = Radiance(truth + emission, np.zeros_like(truth), truth)
+    frame = frame.with_changes(gbuffer=replace(frame.gbuffer, mean_emission=emission), radiance=light)
+    sparse = make_sparse(frame, 4)
+
+    def shade(rows: Any, columns: Any) -> Radiance:
+        return Radiance(*(getattr(light, name)[rows, columns][:, None] for name in ("color", "diffuse", "specular")))
+
+    again = recompute(upsample(sparse), shade, samples=4.0, frame=sparse, budget=0.4)
+    assert np.abs(again.image - light.color).max() < 1.0
+
+
 def test_new_pixels_are_filtered_among_themselves() -> None:
     frame, truth = make_clean_frame()
     result = upsample(make_sparse(frame, 4))
     rng = np.random.default_rng(5)
 
     def shade(rows: Any, columns: Any) -> Radiance:
-        color = truth[rows, columns][:, None] * rng.gamma(2.0, 0.5, (len(rows), 1, 1))
+        color = truth[rows, columns][:, None] * rng.gamma(0.5, 2.0, (len(rows), 1, 1))
         return Radiance(color, diffuse=np.zeros_like(color), specular=color)
 
-    mask = find_unsupported(result, budget=0.3, quality=10.0)
-    options: dict[str, Any] = {"samples": 1.0, "budget": 0.3, "quality": 10.0}
-    alone = recompute(result, shade, **options)
-    together = recompute(result, shade, frame=frame, **options)
+    mask = find_unsupported(result, budget=0.3, frame=frame)
+    options: dict[str, Any] = {"samples": 1.0, "budget": 0.3, "frame": frame}
+    alone = recompute(result, shade, filter_new=False, **options)
+    together = recompute(result, shade, **options)
     assert rel_mse(together.image, truth, mask) < 0.7 * rel_mse(alone.image, truth, mask)
     np.testing.assert_array_equal(together.image[~mask], result.image[~mask])
     assert (together.weight_sum[mask] >= alone.weight_sum[mask]).all()
@@ -152,11 +188,11 @@ def test_a_new_pixel_without_a_like_counts_as_it_is() -> None:
     frame, truth = make_clean_frame()
     result = upsample(make_sparse(frame, 4))
     one = 1.5 / result.weight_sum.size
-    mask = find_unsupported(result, budget=one, quality=10.0)
+    mask = find_unsupported(result, budget=one, frame=frame)
     assert mask.sum() == 1
     shade = lambda rows, columns: Radiance(truth[rows, columns][:, None])  # noqa: E731
-    options: dict[str, Any] = {"samples": 4.0, "budget": one, "quality": 10.0}
-    alone, together = recompute(result, shade, **options), recompute(result, shade, frame=frame, **options)
+    options: dict[str, Any] = {"samples": 4.0, "budget": one, "frame": frame}
+    alone, together = recompute(result, shade, filter_new=False, **options), recompute(result, shade, **options)
     np.testing.assert_allclose(together.image[mask], alone.image[mask], rtol=1e-3)
-    bad = recompute(result, lambda rows, columns: Radiance(np.full((1, 1, 3), np.nan)), frame=frame, **options)
+    bad = recompute(result, lambda rows, columns: Radiance(np.full((1, 1, 3), np.nan)), **options)
     np.testing.assert_array_equal(bad.image, result.image)

@@ -268,7 +268,7 @@ class Session:
         again = None
         with _watch(seconds, "adaptive"):
             if settings.adaptive > 0.0 and settings.scale > 1:
-                result, again = self._repair(chain, shared, method, result)
+                result, again = self._repair(chain, shared, method, result, sparse)
         with _watch(seconds, "composite"):
             direct = self._settle_direct(chain, shared)
             indirect = chain.resting.add_indirect(result.image, sparse, again)
@@ -314,7 +314,9 @@ class Session:
         chain.temporal.reset()
         return upsample(sparse, chain.chosen, bilinear=unfiltered)
 
-    def _repair(self, chain: _Chain, shared: _Shared, method: Any, result: Result) -> tuple[Result, Again | None]:
+    def _repair(
+        self, chain: _Chain, shared: _Shared, method: Any, result: Result, sparse: SparseFrame
+    ) -> tuple[Result, Again | None]:
         """Return the result with its least supported pixels shaded again, and the new samples."""
         spp = chain.settings.spp
         again: list[Again] = []
@@ -327,7 +329,8 @@ class Session:
 
         # Only the sum is shown, so diffuse and specular light need no repair.
         whole = replace(result, diffuse=None, specular=None)
-        mended = recompute(whole, shade, samples=1.0, budget=chain.settings.adaptive)
+        budget = chain.settings.adaptive
+        mended = recompute(whole, shade, samples=1.0, budget=budget, frame=sparse, filter_new=False)
         return mended, again[0] if again else None
 
     def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:

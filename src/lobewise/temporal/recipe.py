@@ -196,9 +196,10 @@ class TemporalFilter:
                 total = np.asarray(sum(output.image for output in told), dtype=np.float32)
             exact = find_exact_light(frame)
             supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in told])
-            if exact is not None:
+            total = total if exact is None else total + exact
+            if frame.radiance.parts is not None and "background" not in layers:
                 # Nothing is scattered where there is no surface.
-                total, supported = total + exact, supported | ~find_surface(frame)
+                supported = supported | ~find_surface(frame)
             good = find_good(total)
             image, *images = (_put_side_by_side(part) for part in (total, *(output.image for output in told)))
             parts = dict(zip(outputs, images, strict=True))
