@@ -25,6 +25,7 @@ from benchmarks.pages import (
     results,
     streaming,
     trials,
+    upsampling,
     users,
     virtual_lights,
 )
@@ -55,6 +56,7 @@ PAGES = {
     "docs/research/refinement.md": Source(trials.make_refinement_figures, ("refinement_trials",)),
     "docs/results.md": Source(results.make_figures, ("similarities", "filters", "paper_table", "upsampling")),
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
+    "docs/upsampling.md": Source(upsampling.make_sky_figures, ("skies",)),
     "docs/users_results.md": Source(users.make_figures, ("users",)),
     "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights",)),
 }

@@ -139,3 +139,32 @@ def make_upsampling_figures(data: dict[str, Any]) -> dict[str, str]:
         ),
         "history-time": make_speed_table(parts["speed"]),
     }
+
+
+def make_sky_figures(skies: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/upsampling.md: errors of scenes with lamps and skies in view."""
+    scenes = skies["scenes"]
+    methods = list(next(iter(scenes.values()))["errors"])
+    errors = [
+        [name, *(f"{cells['errors'][method]['all']:.4f}" for method in methods)] for name, cells in scenes.items()
+    ]
+    shining = [
+        [name, *(f"{cells['errors'][method]['lamps and sky']:.4f}" for method in methods)]
+        for name, cells in scenes.items()
+    ]
+    again = [
+        [
+            name,
+            f"{100.0 * held['share of the error']:.0f} %",
+            f"{held['error before']:.4f}",
+            f"{held['error after']:.4f}",
+        ]
+        for name, cells in scenes.items()
+        for held in [cells["shaded again"]]
+    ]
+    return {
+        "sky-errors": make_table(["all pixels", *methods], errors),
+        "sky-lamps": make_table(["lamps and sky", *methods], shining),
+        "sky-again": make_table(["5 % shaded again", "of the error", "before", "after"], again),
+        "sky-run": list_facts({"Machine": describe_run(skies)}),
+    }
