@@ -104,10 +104,14 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         for guides, row in light["light before"].items()
         for spp, before in row.items()
     ]
+    longer = trials["longer training"]["errors"]
+    guides = list(next(iter(longer.values())))
+    trained = [[name, *(f"{row[each]:.3f}" for each in guides)] for name, row in longer.items()]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
         "similarities": make_table(["guides", "`balanced`", "with similarities", "without"], rows),
         "light": make_table(["guides", "light before", *ways], shared),
+        "longer": make_table(["weights", *guides], trained),
         "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }

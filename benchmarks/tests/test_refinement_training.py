@@ -120,12 +120,14 @@ def test_errors_count_for_every_crop_alike(program: Any, torch: Any) -> None:
     assert find_loss(better, before, reference) < find_loss(found, before, reference)
 
 
-def test_light_that_is_lost_everywhere_counts(program: Any, torch: Any) -> None:
-    reference = torch.ones(2, 3, 16, 16)
-    darker = torch.full_like(reference, 0.9)
-    apart = torch.stack([torch.full((3, 16, 16), level) for level in (0.9, 1.1)])
-    bias = [float(program.refinement.find_bias(found, reference)) for found in (reference, darker, apart)]
-    np.testing.assert_allclose(bias, [0.0, 0.1 / 1.02, 0.0], atol=1e-6)
+def test_exported_weights_may_be_a_mean_of_old_and_new(program: Any, torch: Any, tmp_path: Path) -> None:
+    first, second = program.refinement.make_state(1), program.refinement.make_state(2)
+    old, both = tmp_path / "old.npz", tmp_path / "both.npz"
+    program.refinement.export_weights(old, first)
+    program.refinement.export_weights(both, second, old, 0.25)
+    with np.load(both) as arrays:
+        mean = 0.75 * first.average.stem.weight.detach().numpy() + 0.25 * second.average.stem.weight.detach().numpy()
+        np.testing.assert_allclose(arrays["stem.weight"], mean, atol=2e-3)
 
 
 def test_crops_stay_true(program: Any, frames: Path) -> None:

@@ -52,9 +52,6 @@ BLOCK_SIDES_PIXELS = 8, 32
 the median of a pixel's light, given its noisy neighbourhood, is below the mean."""
 BLOCKS_WEIGHT = 0.5
 """Weight of the error of blocks of one size, beside the error of pixels."""
-BIAS_WEIGHT = 1.0
-"""Weight of the mean relative difference of light over all crops of a step. Errors of single crops pull towards dark
-images; this mean does not, because crops that are too bright by chance count against those that are too dark."""
 TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.05
 """Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
 CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
@@ -85,24 +82,13 @@ def find_loss(found: Tensor, before: Tensor, reference: Tensor) -> Tensor:
     """
     with torch.no_grad():
         level = find_crop_losses(before, reference)
-    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean() + find_bias(
-        found, reference
-    )
-
-
-def find_bias(found: Tensor, reference: Tensor) -> Tensor:
-    """Return how far the light of all crops together is from that of the references."""
-    before, after = (image[_get_inner()].mean((1, 2, 3)) for image in (reference, found))
-    return BIAS_WEIGHT * ((after - before) / (before + 0.02)).mean().abs()
-
-
-def _get_inner() -> tuple[Any, ...]:
-    return ..., slice(BORDER, -BORDER), slice(BORDER, -BORDER)
+    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
 
 
 def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     """Return how far each crop is from its reference: relative, squared relative, of the slopes, and of blocks."""
-    found, reference = (image[_get_inner()] for image in (found, reference))
+    inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
+    found, reference = found[inner], reference[inner]
     # A dark result may not make its own error large: what errors are relative to has no gradient.
     level = found.detach().abs()
     relative = (found - reference).abs() / (level + reference + 0.04)
@@ -170,9 +156,15 @@ def load_weights(path: Path, state: State) -> None:
     state.average.load_state_dict(told)
 
 
-def export_weights(path: Path, state: State) -> None:
-    """Write the averaged weights as half floats."""
-    arrays = {name: each.cpu().numpy().astype(np.float16) for name, each in state.average.state_dict().items()}
+def export_weights(path: Path, state: State, start: Path | None = None, share: float = 1.0) -> None:
+    """Write the averaged weights as half floats; of those that the run began with, 1 minus the share."""
+    arrays = {name: each.cpu().numpy() for name, each in state.average.state_dict().items()}
+    if start is not None and share < 1.0:
+        with np.load(start) as old:
+            arrays = {
+                name: share * each + (1.0 - share) * old[name].astype(np.float32) for name, each in arrays.items()
+            }
+    arrays = {name: each.astype(np.float16) for name, each in arrays.items()}
     temporary = path.with_name(path.name + ".tmp")
     with temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -336,6 +328,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--start", type=Path, help="exported weights to begin with, where there is no checkpoint")
     parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
     parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
+    parser.add_argument("--mix", type=float, default=1.0, help="share of the new weights, beside those of --start")
     parser.add_argument("--export", type=Path, help="write the weights as half floats")
     return parser.parse_args(words)
 
@@ -352,7 +345,7 @@ def main(words: Sequence[str] | None = None) -> None:
         load_weights(arguments.start, state)
     run(state, arguments)
     if arguments.export is not None:
-        export_weights(arguments.export, state)
+        export_weights(arguments.export, state, arguments.start, arguments.mix)
         print(f"wrote {arguments.export}", flush=True)
 
 
