@@ -102,27 +102,36 @@ def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -
     lacking = result.weight_sum < least
     order = np.where(lacking, expected.max(initial=0.0) * (2.0 - result.weight_sum / max(least, 1e-30)) + 1.0, expected)
     order[~find_surface(frame)] = -1.0
-    chosen = np.zeros(order.size, dtype=bool)
-    # A stable order: pixels of equal rank are taken by place, so that every machine chooses the same pixels.
-    ranked = np.argsort(-order, axis=None, kind="stable")[:count]
-    chosen[ranked[order.flat[ranked] > 0.0]] = True
-    return chosen.reshape(order.shape)
+    order = np.where(order > 0.0, order, 0.0).ravel()
+    if count < np.count_nonzero(order):
+        limit = np.partition(order, order.size - count)[order.size - count] if count else np.inf
+        # Pixels of equal rank are taken by place, so that every machine chooses the same pixels.
+        equal = np.flatnonzero(order == limit)
+        chosen = order > limit
+        chosen[equal[: count - np.count_nonzero(chosen)]] = True
+    else:
+        chosen = order > 0.0
+    return chosen.reshape(light.shape)
 
 
 def _find_contrast(relative: FloatArray) -> FloatArray:
     """Return the variance of the logarithm of light in the square around each pixel, (height, width)."""
     side = 2 * CONTRAST_RADIUS_PIXELS + 1
     logarithm = np.log(relative + np.float32(DARK_LEVEL))
-    height, width = logarithm.shape
-    padded = np.pad(logarithm, CONTRAST_RADIUS_PIXELS, mode="edge")
-    sums = np.zeros((2, height, width), np.float32)
-    for down in range(side):
-        for across in range(side):
-            there = padded[down : down + height, across : across + width]
-            sums[0] += there
-            sums[1] += there * there
-    mean, square = sums / np.float32(side * side)
+    # Without the mean of all, squares of bright or dark images would lose digits.
+    logarithm -= logarithm.mean(dtype=np.float64).astype(np.float32)
+    mean, square = (_sum_square(each) / np.float32(side * side) for each in (logarithm, logarithm * logarithm))
     return np.asarray(np.maximum(square - mean * mean, np.float32(0.0)))
+
+
+def _sum_square(image: FloatArray) -> FloatArray:
+    """Return the sum over the square around each pixel; pixels at the border are repeated outside."""
+    for axis, length in enumerate(image.shape):
+        border = [(CONTRAST_RADIUS_PIXELS, CONTRAST_RADIUS_PIXELS) if k == axis else (0, 0) for k in (0, 1)]
+        padded = np.pad(image, border, mode="edge")
+        parts = [padded.take(range(k, k + length), axis) for k in range(2 * CONTRAST_RADIUS_PIXELS + 1)]
+        image = np.add.reduce(parts, dtype=np.float32)
+    return image
 
 
 def recompute(
