@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from lobewise.denoising.refining.lamps import NEAR_PIXELS, find_edges, find_refined, find_shining, find_small
+from lobewise.denoising.refining.lamps import (
+    NEAR_PIXELS,
+    find_edges,
+    find_refined,
+    find_shining,
+    find_small,
+    widen_mask,
+)
 
 
 def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:
@@ -41,3 +49,11 @@ def test_two_pixels_on_both_sides_of_an_edge_are_refined() -> None:
     inside = ~find_refined(~lamp)
     assert np.array_equal(inside, make_mask((slice(12, 28), slice(12, 28))))
     assert np.array_equal(find_edges(lamp), make_mask((slice(8, 32), slice(8, 32))))
+
+
+@pytest.mark.parametrize("pixels", [0, 1, 2, 3, 5, 9, 50])
+def test_a_mask_grows_by_any_width(pixels: int, rng: np.random.Generator) -> None:
+    mask = rng.random((23, 31)) < 0.01
+    rows, columns = np.indices(mask.shape)
+    near = [np.maximum(abs(rows - y), abs(columns - x)) <= pixels for y, x in np.argwhere(mask)]
+    assert np.array_equal(widen_mask(mask, pixels), np.logical_or.reduce(near))
