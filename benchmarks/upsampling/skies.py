@@ -167,16 +167,33 @@ def run_over_time(shot: Shot, **settings: Any) -> Result:
     return [temporal.add(frame) for frame in shot.sparse][-1]
 
 
-def shade_again(shot: Shot, result: Result) -> tuple[Result, NDArray[np.bool_]]:
-    """Return a result whose most uncertain pixels have radiance of the whole last frame, and these pixels."""
-    frame, light = shot.sparse[-1], shot.frames[-1].radiance
+def shade_again(
+    shot: Shot, result: Result, number: int = -1, history: lobewise.TemporalFilter | None = None
+) -> tuple[Result, NDArray[np.bool_]]:
+    """Return a result whose most uncertain pixels have radiance of a whole frame, by its number, and these pixels."""
+    frame, light = shot.sparse[number], shot.frames[number].radiance
 
     def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
         names = ("color", "diffuse", "specular")
         return Radiance(*(getattr(light, name)[rows, columns][:, None] for name in names))
 
-    again = lobewise.recompute(result, shade, samples=1.0, frame=frame, budget=BUDGET)
-    return again, lobewise.find_unsupported(result, frame=frame, budget=BUDGET)
+    chosen = lobewise.find_unsupported(result, frame=frame, budget=BUDGET)
+    again = lobewise.recompute(result, shade, samples=1.0, frame=frame, budget=BUDGET, history=history)
+    return again, chosen
+
+
+def run_with_memory(shot: Shot, *, keeps: bool) -> tuple[FloatArray, float]:
+    """Return the last frame after 5 % were shaded again in every frame, and the share that the frame before had chosen.
+
+    ``keeps`` says whether what is shaded again enters the history.
+    """
+    temporal, before, repeats = lobewise.TemporalFilter(), None, []
+    for number, frame in enumerate(shot.sparse):
+        again, chosen = shade_again(shot, temporal.add(frame), number, temporal if keeps else None)
+        if before is not None:
+            repeats.append(np.count_nonzero(chosen & before) / max(np.count_nonzero(chosen), 1))
+        before = chosen
+    return again.image, float(np.mean(repeats))
 
 
 def measure_shot(shot: Shot) -> tuple[dict[str, Any], dict[str, FloatArray]]:
@@ -187,6 +204,7 @@ def measure_shot(shot: Shot) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     shining = emission.sum(axis=-1) > 0.5 * reference.sum(axis=-1)
     over_time = run_over_time(shot)
     again, chosen = shade_again(shot, over_time)
+    (_, repeats), (kept, fewer) = (run_with_memory(shot, keeps=each) for each in (False, True))
     images = {
         "bilinear": lobewise.upsample(last, bilinear=True).image,
         "normals, one frame": lobewise.upsample(last, similarity="normal").image,
@@ -194,6 +212,7 @@ def measure_shot(shot: Shot) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         "normals, over time": run_over_time(shot, similarity="normal").image,
         "over time": over_time.image,
         "over time, 5 % again": again.image,
+        "5 % again, kept": kept,
     }
     cells = {}
     for name, image in images.items():
@@ -208,6 +227,8 @@ def measure_shot(shot: Shot) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         "share of the error": _round(apart[chosen].sum() / apart.sum()),
         "error before": _round(apart[chosen].mean()),
         "error after": _round(measure_error(again.image, reference)[chosen].mean()),
+        "repeats": _round(repeats),
+        "repeats, kept": _round(fewer),
     }
     return {"errors": cells, "shaded again": held, "share of lamps and sky": _round(shining.mean())}, images
 

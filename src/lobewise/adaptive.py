@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,16 @@ from lobewise.sparse_frame import AnyFrame
 
 Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
 """Takes rows and columns of pixels and returns their radiance, of shape (count, 1), as `render_pixels` does."""
+
+
+class History(Protocol):
+    """What new radiance can be added to: a `lobewise.TemporalFilter`."""
+
+    def add_samples(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], radiance: Radiance, weights: FloatArray
+    ) -> None:
+        """Add radiance to the history of single pixels."""
+
 
 CONTRAST_RADIUS_PIXELS = 2
 DARK_LEVEL, DARK_SQUARED = 0.1, 0.02
@@ -144,6 +155,7 @@ def recompute(
     least: float = 0.05,
     quality: float = 0.5,
     filter_new: bool = True,
+    history: History | None = None,
 ) -> Result:
     """Shade the least supported pixels again, and merge the new radiance with the result.
 
@@ -167,6 +179,9 @@ def recompute(
         See `find_unsupported`.
     filter_new : bool
         Whether the new radiance is filtered among the new pixels, where there is a frame.
+    history : TemporalFilter, optional
+        What made the result. The new radiance enters its history, with its weight, so that the next frame need not
+        shade these pixels again.
 
     Returns
     -------
@@ -203,6 +218,8 @@ def recompute(
     if frame is not None and filter_new:
         new, gathered = _filter_among(new, frame, where, samples)
         worth = worth * np.maximum(gathered, np.float32(1.0))[:, None]
+    if history is not None:
+        history.add_samples(where[0], where[1], new, worth[:, 0])
     if exact is not None and new.diffuse is not None:
         new = replace(new, color=new.color + exact[where][:, None])
     weight = result.weight_sum[where][:, None]

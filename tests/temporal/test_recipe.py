@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from lobewise import TemporalFilter
+from lobewise.adaptive import find_unsupported, recompute
 from lobewise.denoising import denoise
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.features import ScreenFeature
+from lobewise.filters.history.sums import split_sums
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import find_disoccluded, rel_mse
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 from lobewise.upsampling import upsample
+from tests.denoising.test_upsampling import make_lit_frame
 from tests.temporal.scenes import make_camera, make_frame
 
 NOISE = 0.5
@@ -424,3 +427,58 @@ class TestSettings:
             result = active.add(frame if k % 2 else make_sparse(frame, 4))
         assert isinstance(make_sparse(frame, 4), SparseFrame)
         assert result.settings["history_share"] == 1.0
+
+
+class TestAddedSamples:
+    def test_a_pixel_that_was_shaded_again_keeps_its_light(self, rng):
+        frame, _ = make_lit_frame(rng)
+        sparse = make_sparse(frame, 4, (1, 2))
+        rows, columns = np.array([15, 16, 30]), np.array([20, 21, 40])
+        parts = {name: np.full((3, 1, 3), 9.0, np.float32) for name in ("diffuse", "specular")}
+        light = Radiance(parts["diffuse"] + parts["specular"], **parts)
+        images = []
+        for weight in (0.0, 1e6):
+            temporal = TemporalFilter()
+            temporal.add(sparse)
+            state = temporal.get_state()
+            before = {name: np.array(image) for name, image in state.items()}
+            temporal.add_samples(rows, columns, light, np.full(3, weight, np.float32))
+            assert all(state[name].tobytes() == image.tobytes() for name, image in before.items())
+            sums = split_sums(temporal._past.sums["specular"])
+            albedo = frame.gbuffer.specular_albedo
+            divisor = 1.0 if albedo is None else albedo[rows, columns, 0]
+            mean = sums.red[rows, columns] / sums.weight[rows, columns]
+            assert np.allclose(mean, 9.0 / divisor, rtol=1e-3) == (weight > 0.0)
+            images.append(temporal.add(sparse).image)
+        elsewhere = np.ones(images[0].shape[:2], bool)
+        elsewhere[13:19, 18:24] = elsewhere[28:33, 38:43] = False
+        np.testing.assert_allclose(images[0][elsewhere], images[1][elsewhere], rtol=1e-4)
+
+    def test_what_shades_again_tells_the_history(self, rng):
+        frame, _ = make_lit_frame(rng)
+        sparse = make_sparse(frame, 4, (1, 2))
+        temporal = TemporalFilter()
+        result = temporal.add(sparse)
+        before = split_sums(np.array(temporal._past.sums["specular"])).weight
+
+        def shade(y, x):
+            return Radiance(
+                *(getattr(frame.radiance, each)[y, x][:, None] for each in ("color", "diffuse", "specular"))
+            )
+
+        recompute(result, shade, samples=2.0, frame=sparse, history=temporal)
+        chosen = find_unsupported(result, frame=sparse)
+        grown = split_sums(temporal._past.sums["specular"]).weight > before
+        assert grown[chosen].all()
+        assert not grown[~chosen].any()
+
+    def test_there_must_be_a_frame_and_all_parts(self, rng):
+        frame, _ = make_lit_frame(rng)
+        temporal = TemporalFilter()
+        light = Radiance(np.ones((1, 1, 3), np.float32))
+        where = np.array([3]), np.array([4])
+        with pytest.raises(InputError, match="history: expected a frame before"):
+            temporal.add_samples(*where, light, np.ones(1, np.float32))
+        temporal.add(make_sparse(frame, 4))
+        with pytest.raises(InputError, match="radiance: expected diffuse"):
+            temporal.add_samples(*where, light, np.ones(1, np.float32))

@@ -16,12 +16,13 @@ from lobewise.denoising.layers import Layer, find_exact_light, find_support, fin
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.running import run_with_history
 from lobewise.denoising.stages import compose, find_rest, keep_unfiltered
-from lobewise.errors import require_choice, require_kind
+from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput
-from lobewise.filters.history.sums import split_sums
-from lobewise.frame import FloatArray, Frame, Result
+from lobewise.filters.history.sums import add_to_sums, split_sums
+from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 MAX_OWN_WEIGHT = 1e8
 """Weight of a pixel's own sample where shading has no noise. Beside it, samples of neighbours are lost in rounding."""
+UNSCATTERED = ("rest", "background")
+"""Layers of light that no lobe scattered."""
 BORROWED_ERROR = 0.005
 """Squared relative error of a neighbour's radiance as an estimate of the pixel's own radiance, without noise."""
 
@@ -90,10 +93,11 @@ class TemporalFilter:
         self._changes = spatial
         require_plain(self._settings or DenoiseSettings(**spatial), "a filter with history")
         self._past: Past | None = None
+        self._albedos: dict[str, FloatArray | None] = {}
 
     def reset(self) -> None:
         """Forget everything, as before the first frame."""
-        self._past = None
+        self._past, self._albedos = None, {}
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Return the history as arrays by name."""
@@ -108,7 +112,7 @@ class TemporalFilter:
             If `get_state` did not return ``state``.
         """
         require_kind("state", state, Mapping)
-        self._past = unpack_past(state) if state else None
+        self._past, self._albedos = unpack_past(state) if state else None, {}
 
     @property
     def history_length(self) -> FloatArray | None:
@@ -161,8 +165,43 @@ class TemporalFilter:
         }
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
         kept = {name: output.sums for name, output in outputs.items()}
+        self._albedos = {name: layer.albedo for name, layer in layers.items() if name not in UNSCATTERED}
         self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
         return replace(result, seconds=time.perf_counter() - start, notes=notes)
+
+    def add_samples(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], radiance: Radiance, weights: FloatArray
+    ) -> None:
+        """Add radiance that was shaded after the last frame to the history of single pixels.
+
+        The result of the last frame does not change; the next frame finds the radiance in the history.
+
+        Parameters
+        ----------
+        rows, columns : int arrays, shape (count,)
+            Pixels of the last frame, each at most once.
+        radiance : Radiance
+            Of shape (count, 1), with the parts that the frame has. Pixels that are not finite or negative add nothing.
+        weights : array, shape (count,)
+            How many samples of the frame each pixel's radiance is worth, >= 0.
+
+        Raises
+        ------
+        InputError
+            If there was no frame before, or the radiance lacks a part or has another size.
+        """
+        if self._past is None or not self._albedos:
+            raise InputError("history", expected="a frame before", got="none", action="call add first")
+        for name, albedo in self._albedos.items():
+            light = getattr(radiance, name)
+            if light is None or light.shape[:2] != (len(rows), 1):
+                expected = f"{name}, one for each of {len(rows)} pixels"
+                action = "pass all parts of the frame"
+                raise InputError("radiance", expected=expected, got=repr(radiance), action=action)
+            divisor = 1.0 if albedo is None else np.maximum(albedo[rows, columns], np.float32(ALBEDO_FLOOR))
+            self._past.sums[name] = add_to_sums(
+                self._past.sums[name], (rows, columns), light[:, 0] / divisor, weights, self.temporal.strictness
+            )
 
     def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
         sparse = isinstance(frame, SparseFrame)
@@ -216,7 +255,7 @@ class TemporalFilter:
         if not good.all():
             parts = {name: blacken_bad(part) for name, part in parts.items()}
         image = fill_holes(image, holes, frame, chosen.device)
-        lobes = [name for name in layers if name not in ("rest", "background")]
+        lobes = [name for name in layers if name not in UNSCATTERED]
         weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
         return Result(
             image=image,

@@ -12,6 +12,7 @@ from lobewise.backend.buffers import HostImage, download, lend, make_output
 from lobewise.backend.jit import Kernel
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import LUMINANCE
 
 
 class Sums(NamedTuple):
@@ -54,6 +55,35 @@ HISTORY_CHANNELS = len(Sums._fields)
 def split_sums(history: FloatArray) -> Sums:
     """Return views of the channels of a history (height, width, 7), by name."""
     return Sums(*np.moveaxis(history, -1, 0))
+
+
+def add_to_sums(
+    history: FloatArray, where: tuple[Any, Any], light: FloatArray, weight: FloatArray, growth: float
+) -> FloatArray:
+    """Return a history to which single pixels got a mean of samples each.
+
+    Parameters
+    ----------
+    history : array, shape (height, width, 7)
+    where : (rows, columns)
+    light : array, shape (count, 3)
+        Mean radiance over albedo. Means that are not finite or negative add nothing.
+    weight : array, shape (count,)
+        How many samples, that match fully, each mean stands for.
+    growth : float
+        Power of the number of frames that the weight of a sample is; see `accumulation_pass`.
+    """
+    good: Any = np.isfinite(light).all(axis=-1) & (light >= 0.0).all(axis=-1)
+    light = np.where(good[:, None], light, np.float32(0.0))
+    weight = np.where(good, weight, np.float32(0.0))
+    unit = np.maximum(history[(*where, Sums._fields.index("frames"))], np.float32(1.0)) ** np.float32(growth)
+    luminance = light @ np.array(LUMINANCE, np.float32)
+    total = weight * unit
+    added = [*(total * light[:, k] for k in range(3)), total, total * unit, total * luminance**2]
+    changed = np.copy(history, order="K")
+    for channel, value in enumerate(added):
+        changed[(*where, channel)] += value
+    return changed
 
 
 def count_host_lanes() -> int:
