@@ -11,11 +11,13 @@ import pytest
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError
+from lobewise.frame import Radiance
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.frames import STAGES
 from lobewise.interactive.views import VIEWS
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, make_orbit
+from lobewise.temporal import TemporalFilter
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
 
@@ -58,6 +60,22 @@ def test_frames_of_a_path(session: Session, path: list[Camera]) -> None:
         assert set(frame.seconds) == {*STAGES, "total"}
         assert frame.seconds["total"] == pytest.approx(sum(frame.seconds[name] for name in STAGES))
         assert 0 < frame.recomputed <= 0.05 * SIZE * SIZE
+
+
+@pytest.mark.parametrize("temporal", [True, False])
+def test_what_is_shaded_again_enters_the_history(
+    session: Session, path: list[Camera], temporal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    added = []
+    original = TemporalFilter.add_samples
+
+    def record(self: TemporalFilter, rows: Any, columns: Any, radiance: Radiance, weights: Any) -> None:
+        added.append(len(rows))
+        original(self, rows, columns, radiance, weights)
+
+    monkeypatch.setattr(TemporalFilter, "add_samples", record)
+    frames = [session.render(camera, replace(QUICK, temporal=temporal)) for camera in path[:2]]
+    assert added == ([frame.recomputed for frame in frames] if temporal else [])
 
 
 def test_the_same_calls_give_the_same_bits(session: Session, base: Session, path: list[Camera]) -> None:

@@ -318,19 +318,24 @@ class Session:
         self, chain: _Chain, shared: _Shared, method: Any, result: Result, sparse: SparseFrame
     ) -> tuple[Result, Again | None]:
         """Return the result with its least supported pixels shaded again, and the new samples."""
-        spp = chain.settings.spp
+        settings, spp = chain.settings, chain.settings.spp
+        remembers = settings.temporal and settings.similarity != UNFILTERED
         again: list[Again] = []
 
         def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
             # Draw other samples than those of the frame.
             radiance = self._shade(method, (rows, columns), spp, shared.seed ^ (1 << 31), (rows.size, 1))
             again.append((rows, columns, radiance.color[:, 0]))
+            if remembers:
+                chain.temporal.add_samples(rows, columns, radiance, np.ones(rows.size, np.float32))
             return radiance
 
         # Only the sum is shown, so diffuse and specular light need no repair.
         whole = replace(result, diffuse=None, specular=None)
-        budget = chain.settings.adaptive
-        mended = recompute(whole, shade, samples=1.0, budget=budget, frame=sparse, filter_new=False)
+        # A noisy sample counts little in this frame; over time it counts fully.
+        worth = min(1.0, spp * method.worth / MIN_PATHS_FOR_INTERPOLATION)
+        options: dict[str, Any] = {"samples": worth, "budget": settings.adaptive, "filter_new": False}
+        mended = recompute(whole, shade, frame=sparse, **options)
         return mended, again[0] if again else None
 
     def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
