@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from benchmarks.common import ROOT
 from benchmarks.users.__main__ import make_shot
-from benchmarks.users.scenes import find_scenes
+from benchmarks.users.scenes import Scene, find_scenes
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
 from lobewise.denoising.stages import start_run
-from lobewise.frame import Frame
+from lobewise.frame import FloatArray, Frame
 from lobewise.guides.usable import bound_guides
 from lobewise.io.png import encode_png
 from lobewise.peers import require_oidn
@@ -56,15 +56,24 @@ def join(panels: list[NDArray[np.uint8]], axis: int) -> NDArray[np.uint8]:
     return np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=axis)
 
 
-def main() -> None:
-    """Write docs/images/detail.png: noisy, `high` before and after detail is taken back, the default, reference."""
+def enlarge(image: FloatArray, exposure: float, part: tuple[slice, slice]) -> NDArray[np.uint8]:
+    """Return a part of an image as it is shown, every pixel as a square of `SCALE` pixels."""
+    return map_tones(image, exposure)[part].repeat(SCALE, axis=0).repeat(SCALE, axis=1)
+
+
+def ask_scenes(description: str | None) -> dict[str, Scene]:
+    """Return the scenes of the bench in the folders of the command line, by key."""
     require_oidn()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("frames", type=Path)
     parser.add_argument("--foreign", type=Path, required=True, help="frames of other renderers")
     asked = parser.parse_args()
-    scenes = {scene.key: scene for scene in find_scenes(asked.frames, asked.foreign)}
-    rows = []
+    return {scene.key: scene for scene in find_scenes(asked.frames, asked.foreign)}
+
+
+def main() -> None:
+    """Write docs/images/detail.png: noisy, `high` before and after detail is taken back, the default, reference."""
+    scenes, rows = ask_scenes(__doc__), []
     for key, spp, crop in CROPS:
         scene = scenes[key]
         shot = make_shot(scene, scene.read(spp), GUIDES, spp)
@@ -78,8 +87,7 @@ def main() -> None:
             reference,
         ]
         exposure = choose_exposure(reference)
-        panels = [map_tones(image, exposure)[crop].repeat(SCALE, axis=0).repeat(SCALE, axis=1) for image in images]
-        rows.append(join(panels, 1))
+        rows.append(join([enlarge(image, exposure, crop) for image in images], 1))
     picture = join(rows, 0)
     TARGET.write_bytes(encode_png(np.ascontiguousarray(picture)))
     print(f"{TARGET}: {picture.shape[1]}x{picture.shape[0]}, {TARGET.stat().st_size / 1e3:.0f} kB")

@@ -9,32 +9,28 @@ in which the error is largest: noisy, `balanced`, `high`, Open Image Denoise at 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, ROOT
-from benchmarks.pictures.detail import join
+from benchmarks.pictures.detail import ask_scenes, enlarge, join
 from benchmarks.users.__main__ import make_shot
 from benchmarks.users.guides import GUIDE_SETS
 from benchmarks.users.methods import run_oidn
-from benchmarks.users.scenes import Scene, find_scenes
+from benchmarks.users.scenes import Scene
 from benchmarks.users.summary import is_known, list_rows
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray
 from lobewise.io.png import encode_png
-from lobewise.peers import require_oidn
-from lobewise.reporting.display import choose_exposure, map_tones
+from lobewise.reporting.display import choose_exposure
 
 SPPS = 4, 16
 FRAMES_SHOWN = 3
 SIDE_PIXELS, STRIDE_PIXELS = 72, 8
 """Rows and columns of the part that is shown, and the distance of the parts that are compared."""
-SCALE = 3
 FOLDER = ROOT / "docs" / "images"
 
 
@@ -76,18 +72,12 @@ def draw_row(scene: Scene, guides: str, spp: int) -> NDArray[np.uint8]:
     high = denoise(shot.frame, quality="high").image
     images = [shot.frame.radiance.color, denoise(shot.frame, quality="balanced").image, high, run_oidn(shot, {})]
     part, exposure = choose_part(high, reference), choose_exposure(reference)
-    panels = [map_tones(image, exposure)[part] for image in (*images, reference)]
-    return join([panel.repeat(SCALE, axis=0).repeat(SCALE, axis=1) for panel in panels], 1)
+    return join([enlarge(image, exposure, part) for image in (*images, reference)], 1)
 
 
 def main() -> None:
     """Write docs/images/worst-GUIDES.png for every set of guides, and say which frames they show."""
-    require_oidn()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("frames", type=Path)
-    parser.add_argument("--foreign", type=Path, required=True, help="frames of other renderers")
-    asked = parser.parse_args()
-    scenes = {scene.key: scene for scene in find_scenes(asked.frames, asked.foreign)}
+    scenes = ask_scenes(__doc__)
     for guides in GUIDE_SETS:
         shown = list(list_worst(guides))
         picture = join([draw_row(scenes[key], guides, spp) for key, spp, _ in shown], 0)

@@ -330,7 +330,10 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
     parser.add_argument("--mix", type=float, default=1.0, help="share of the new weights, beside those of --start")
     parser.add_argument("--export", type=Path, help="write the weights as half floats")
-    return parser.parse_args(words)
+    arguments = parser.parse_args(words)
+    if arguments.mix < 1.0 and arguments.start is None:
+        parser.error("--mix needs the old weights: name them by --start")
+    return arguments
 
 
 def main(words: Sequence[str] | None = None) -> None:

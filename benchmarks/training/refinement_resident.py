@@ -27,6 +27,7 @@ from benchmarks.training.refinement_batches import (
     read_frame,
 )
 from benchmarks.training.refinement_model import Batch
+from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from benchmarks.training.refinement import State
@@ -63,13 +64,23 @@ class ResidentFrames:
 def load_frames(
     shown: Mapping[str, Sequence[Path]], shares: Mapping[str, float], device: torch.device
 ) -> ResidentFrames:
-    """Return the frames of some files, by set of guides, in the memory of a device; all are squares of one size."""
+    """Return the frames of some files, by set of guides, in the memory of a device.
+
+    Raises
+    ------
+    InputError
+        If the frames are not squares of one size.
+    """
     pixels, known, numbers, weights = [], [], [], []
     total = sum(shares[guides] for guides in shown)
     for guides, paths in shown.items():
         for path in paths:
             stored = read_frame.__wrapped__(path)
             rows, columns = stored.images["noisy"].shape[1:]
+            if rows != columns or (pixels and pixels[0].shape[-1] != rows * columns):
+                got = f"{columns}x{rows} pixels in {path.name}"
+                action = "make frames of one --size"
+                raise InputError("frames on a device", expected="squares of one size", got=got, action=action)
             images = [
                 torch.from_numpy(stored.images[name])
                 if name in stored.images

@@ -29,6 +29,7 @@ class History(Protocol):
 
 
 CONTRAST_RADIUS_PIXELS = 2
+"""Pixels to the edge of the square in which the contrast around a pixel is measured."""
 DARK_LEVEL, DARK_SQUARED = 0.1, 0.02
 """Light over the image's mean, and its square, below which differences of light count less."""
 FLAT_CONTRAST = 0.001
@@ -211,17 +212,16 @@ def recompute(
             got=f"shape {new.color.shape}",
             action="return one for each pixel",
         )
-    exact = None if frame is None else find_exact_light(frame)
-    if exact is not None and new.diffuse is not None and new.specular is not None:
-        new = replace(new, color=new.diffuse + new.specular)
     worth = np.full((count, 1), samples, np.float32)
     if frame is not None and filter_new:
         new, gathered = _filter_among(new, frame, where, samples)
         worth = worth * np.maximum(gathered, np.float32(1.0))[:, None]
     if history is not None:
         history.add_samples(where[0], where[1], new, worth[:, 0])
-    if exact is not None and new.diffuse is not None:
-        new = replace(new, color=new.color + exact[where][:, None])
+    exact = None if frame is None else find_exact_light(frame)
+    if exact is not None and new.parts is not None:
+        # The emission of new samples is noisy at the edges of lamps, and that of the frame is not.
+        new = replace(new, color=new.parts[0] + new.parts[1] + exact[where][:, None])
     weight = result.weight_sum[where][:, None]
     image = _merge(result.image, new.color, where, weight, worth)
     diffuse, specular = (

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.layers import Layer, find_exact_light, find_support, find_surface, make_layers, make_rest_layers
+from lobewise.denoising.layers import (
+    Layer,
+    describe_exact_light,
+    find_exact_light,
+    find_support,
+    find_surface,
+    make_layers,
+    make_rest_layers,
+)
 from lobewise.denoising.planning.layer_plans import plan_upsampling
 from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
@@ -73,7 +81,7 @@ def upsample(
     """
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
-    notes = tuple(map(str, find_unusable(frame)))
+    notes = (*map(str, find_unusable(frame)), *(() if bilinear else describe_exact_light(frame)))
     frame = bound_guides(frame)
     asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
     require_full(asked)

@@ -21,6 +21,7 @@ from lobewise.denoising.light_loss import (
     find_share_missing,
     find_takers,
     sum_light,
+    sum_missing,
 )
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
@@ -155,6 +156,18 @@ def test_all_light_of_a_refined_layer_takes_part_up_to_a_twentieth() -> None:
     gain = find_gain(much, refined=True)
     assert gain == (pytest.approx(60.0 / 400.0, rel=1e-3), pytest.approx(0.05))
     assert gain.sum_light(much) == pytest.approx(find_gain(much).sum_light(much))
+
+
+def test_pixels_that_do_not_count_tell_no_loss() -> None:
+    light = np.full((2, 4, 3), 1.0, np.float32)
+    layer = Layer(light, None, np.ones((2, 4), bool), ())
+    part, uncounted = 0.5 * light, np.zeros((2, 4), bool)
+    part[0, 0], uncounted[0, 0] = 30.0, True
+    taker = np.ones((2, 4), np.float32)
+    rows = sum_missing(layer, part, taker, uncounted=uncounted)
+    np.testing.assert_allclose(rows[:, 1], [3 * 1.5, 4 * 1.5])
+    np.testing.assert_allclose(sum_missing(layer, part, taker, slice(0, 1), uncounted=uncounted), rows[:1])
+    assert sum_missing(layer, part, taker)[0, 1] < 0.0
 
 
 def test_a_pixel_takes_by_its_light_up_to_half_the_mean() -> None:

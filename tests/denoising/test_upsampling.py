@@ -100,6 +100,23 @@ def test_light_without_noise_is_taken_from_the_guides(over_time: bool, rng: np.r
     assert ring.max() < 1.2
 
 
+@pytest.mark.parametrize("over_time", [False, True])
+def test_light_that_is_left_out_is_named(over_time: bool, rng: np.random.Generator) -> None:
+    frame, emission = make_lit_frame(rng)
+
+    def list_notes(known: Any) -> tuple[str, ...]:
+        sparse = make_sparse(frame.with_changes(gbuffer=replace(frame.gbuffer, mean_emission=known)), 4, (1, 2))
+        return (TemporalFilter().add(sparse) if over_time else upsample(sparse)).notes
+
+    assert list_notes(emission) == ()
+    lacking = emission.copy()
+    lacking[3, 4] = np.nan
+    (note,) = list_notes(lacking)
+    assert note.startswith("mean_emission is not finite or below 0 at 1 pixel:")
+    (note,) = list_notes(np.zeros_like(emission))
+    assert "is neither diffuse nor specular nor in mean_emission, and is left out" in note
+
+
 @pytest.mark.parametrize("apart", [False, True])
 def test_the_sky_takes_no_light_of_surfaces_and_surfaces_none_of_the_sky(apart: bool, rng: np.random.Generator) -> None:
     frame, _ = make_lit_frame(rng, apart=apart)

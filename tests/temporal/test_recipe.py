@@ -472,6 +472,17 @@ class TestAddedSamples:
         assert grown[chosen].all()
         assert not grown[~chosen].any()
 
+    def test_pixels_lie_in_the_frame(self, rng):
+        frame, _ = make_lit_frame(rng)
+        temporal = TemporalFilter()
+        temporal.add(make_sparse(frame, 4))
+        ones = np.ones((1, 1, 3), np.float32)
+        for row, column in ((-1, 0), (0, frame.width)):
+            with pytest.raises(InputError, match="pixels: expected rows and columns of"):
+                temporal.add_samples(
+                    np.array([row]), np.array([column]), Radiance(2 * ones, ones, ones), np.ones(1, np.float32)
+                )
+
     def test_there_must_be_a_frame_and_all_parts(self, rng):
         frame, _ = make_lit_frame(rng)
         temporal = TemporalFilter()
@@ -482,3 +493,27 @@ class TestAddedSamples:
         temporal.add(make_sparse(frame, 4))
         with pytest.raises(InputError, match="radiance: expected diffuse"):
             temporal.add_samples(*where, light, np.ones(1, np.float32))
+
+
+class TestLightWithoutNoise:
+    def test_emission_of_samples_is_averaged_with_that_of_the_guides(self, rng):
+        frame, emission = make_lit_frame(rng)
+        noisy = replace(frame.radiance, color=frame.radiance.color + emission)
+        frame = frame.with_changes(radiance=noisy, spp=4)
+        image = TemporalFilter(similarity="normal").add(frame).image
+        lamp = np.s_[21:24, 31:36]
+        # Sixteen rays of the guides count beside four samples, which hit the lamp twice as often as they should.
+        assert (np.abs(image - 1.2 * emission)[lamp] < 1.5).all()
+
+    def test_a_frame_of_sky_alone_is_no_cut(self, rng):
+        frame, _ = make_lit_frame(rng)
+        nothing = {name: np.zeros_like(getattr(frame.gbuffer, name)) for name in ("depth", "normal", "position")}
+        dark = np.zeros_like(frame.radiance.color)
+        light = Radiance(dark + 0.5, dark, dark)
+        guides = replace(frame.gbuffer, **nothing, mean_emission=dark + np.float32(0.5))
+        sky = make_sparse(frame.with_changes(gbuffer=guides, radiance=light), 4)
+        temporal = TemporalFilter()
+        for _ in range(2):
+            result = temporal.add(sky)
+        assert result.settings["history_share"] == 1.0
+        np.testing.assert_array_equal(result.image, 0.5)

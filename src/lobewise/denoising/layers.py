@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.features import (
     AsgFeature,
     BandLimitFeature,
@@ -34,6 +35,9 @@ from lobewise.sparse_frame import AnyFrame, SparseFrame
 
 Mask = NDArray[np.bool_]
 
+MAX_SHARE_UNTOLD = 0.1
+"""Share of a frame's light above which the user is told that it is left out. At edges of lamps the emission of samples
+is noisy, so that small shares tell nothing."""
 MIN_WHOLE_ALBEDO = 10.0 * ALBEDO_FLOOR
 """Albedo below which light that is not split by lobe is not divided by it."""
 MIN_HIT_DISTANCE = 2.0
@@ -253,10 +257,10 @@ def make_rest_layers(frame: SparseFrame, settings: ResolvedSettings, features: S
     """Return the light of a sparse frame that no lobe scattered, as layers that are compared by place alone.
 
     They are "rest" on surfaces and "background" beside them. A frame that knows this light at every pixel has none (see
-    `find_exact_light`). Where the light is not split, only the background is told apart.
+    `knows_exact_light`). Where the light is not split, only the background is told apart.
     """
     color, parts = frame.radiance.color, frame.radiance.parts
-    if find_exact_light(frame) is not None:
+    if knows_exact_light(frame):
         return []
     surface = find_surface(frame)
     if parts is None:
@@ -275,16 +279,46 @@ def make_rest_layers(frame: SparseFrame, settings: ResolvedSettings, features: S
     ]
 
 
-def find_exact_light(frame: AnyFrame) -> FloatArray | None:
-    """Return the light that no lobe scattered at every pixel of a sparse frame, finite and >= 0; None if it is unknown.
+def knows_exact_light(frame: AnyFrame) -> bool:
+    """Return whether a sparse frame knows at every pixel the light that no lobe scattered.
 
-    It has no noise, so that it is not filtered. Without light split by lobe, nobody knows which part of the samples it
-    is.
+    Without light split by lobe, nobody knows which part of the samples it is.
+    """
+    known = frame.gbuffer.mean_emission is not None and frame.radiance.parts is not None
+    return known and isinstance(frame, SparseFrame)
+
+
+def find_exact_light(frame: AnyFrame) -> FloatArray | None:
+    """Return the light that no lobe scattered at every pixel, finite and >= 0; None where `knows_exact_light` is not.
+
+    It has no noise, so that it is not filtered. Pixels of `GBuffer.mean_emission` that are not finite or negative count
+    as black.
     """
     emission = frame.gbuffer.mean_emission
-    if emission is None or frame.radiance.parts is None or not isinstance(frame, SparseFrame):
+    if emission is None or not knows_exact_light(frame):
         return None
-    return np.where((emission >= 0.0) & (emission <= np.finfo(np.float32).max), emission, np.float32(0.0))
+    return np.where(find_good(emission)[..., None], emission, np.float32(0.0))
+
+
+def describe_exact_light(frame: SparseFrame) -> tuple[str, ...]:
+    """Return what a user should know of the light that is taken from `GBuffer.mean_emission`, one sentence each."""
+    exact, notes = find_exact_light(frame), []
+    if exact is None or frame.gbuffer.mean_emission is None or frame.radiance.parts is None:
+        return ()
+    if bad := int(np.count_nonzero(~find_good(frame.gbuffer.mean_emission))):
+        pixels = f"{bad} pixel{'s' if bad > 1 else ''}"
+        notes.append(f"mean_emission is not finite or below 0 at {pixels}: no emission or background is shown there.")
+    total, first, second, rest = (
+        float(np.sum(each, where=find_good(each)[..., None], dtype=np.float64))
+        for each in (frame.radiance.color, *frame.radiance.parts, exact[frame.shaded])
+    )
+    if total - first - second - rest > MAX_SHARE_UNTOLD * total:
+        share = 100.0 * (total - first - second - rest) / total
+        notes.append(
+            f"{share:.2g} % of the light of the samples is neither diffuse nor specular nor in mean_emission, and is "
+            "left out: without mean_emission, light beside diffuse and specular is interpolated."
+        )
+    return tuple(notes)
 
 
 def find_support(layers: Sequence[Layer], outputs: Sequence[Support]) -> tuple[FloatArray, FloatArray]:

@@ -205,9 +205,7 @@ def filter_halves(state: FrameRun) -> Filtered:
     noisy = make_noisy_layers(frame, settings, state.features, None if state.whole is None else state.whole.levels)
     clean = [run_guided(frame, each, settings, state.plan.layers[each.name]) for each in noisy]
     parts = [each.image for each in clean]
-    rest, share = find_rest(frame), frame.gbuffer.object_share
-    if rest is not None and frame.gbuffer.mean_emission is not None:
-        rest = average_emission(rest, frame.gbuffer.mean_emission, frame.spp)
+    rest, share = find_averaged_rest(frame), frame.gbuffer.object_share
     gain = None
     if rest is not None and share is not None:
         gain = share_out_specks(rest, share, device=settings.device)
@@ -352,6 +350,12 @@ def find_rest(frame: Frame) -> FloatArray | None:
         for part in noisy[1:]:
             rest = rest - np.maximum(part, np.float32(0.0))
     return np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
+
+
+def find_averaged_rest(frame: Frame) -> FloatArray | None:
+    """Return what `find_rest` does, averaged with `GBuffer.mean_emission` where the frame has it."""
+    rest, emission = find_rest(frame), frame.gbuffer.mean_emission
+    return rest if rest is None or emission is None else average_emission(rest, emission, frame.spp)
 
 
 def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:

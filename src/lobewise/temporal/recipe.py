@@ -12,13 +12,20 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
-from lobewise.denoising.layers import Layer, find_exact_light, find_support, find_surface, make_layers, make_rest_layers
+from lobewise.denoising.layers import (
+    Layer,
+    describe_exact_light,
+    find_exact_light,
+    find_support,
+    find_surface,
+    make_layers,
+    make_rest_layers,
+)
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.running import run_with_history
-from lobewise.denoising.stages import compose, find_rest, keep_unfiltered
+from lobewise.denoising.stages import compose, find_averaged_rest, keep_unfiltered
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
-from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.sums import add_to_sums, split_sums
@@ -149,6 +156,8 @@ class TemporalFilter:
         start = time.perf_counter()
         require_kind("frame", frame, Frame, SparseFrame)
         notes = tuple(map(str, find_unusable(frame)))
+        if isinstance(frame, SparseFrame):
+            notes += describe_exact_light(frame)
         frame = bound_guides(frame)
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
@@ -188,10 +197,14 @@ class TemporalFilter:
         Raises
         ------
         InputError
-            If there was no frame before, or the radiance lacks a part or has another size.
+            If there was no frame before, a pixel lies outside of it, or the radiance lacks a part or has another size.
         """
         if self._past is None or not self._albedos:
             raise InputError("history", expected="a frame before", got="none", action="call add first")
+        height, width = self._past.guides.shape
+        if not all(((each >= 0) & (each < most)).all() for each, most in ((rows, height), (columns, width))):
+            expected = f"rows and columns of {width}x{height}"
+            raise InputError("pixels", expected=expected, got="others", action="pass pixels of the last frame")
         for name, albedo in self._albedos.items():
             light = getattr(radiance, name)
             if light is None or light.shape[:2] != (len(rows), 1):
@@ -246,10 +259,7 @@ class TemporalFilter:
             bad = spread(frame, bad)
         else:
             parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
-            rest, emission = find_rest(frame), frame.gbuffer.mean_emission
-            if rest is not None and emission is not None:
-                rest = average_emission(rest, emission, frame.spp)
-            image = compose(frame, list(parts.values()), rest)
+            image = compose(frame, list(parts.values()), find_averaged_rest(frame))
             good = find_good(image)
             holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
         if not good.all():
