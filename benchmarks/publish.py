@@ -43,7 +43,9 @@ PAGES = {
     "README.md": Source(users.make_readme_figures, ("users",)),
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
-    "docs/interactive.md": Source(interactive.make_figures, ("interactive_quality", "interactive", "viewer")),
+    "docs/interactive.md": Source(
+        interactive.make_figures, ("interactive_quality", "interactive", "viewer", "interactive_again")
+    ),
     "docs/materials.md": Source(materials.make_figures, ("fit_materials",)),
     "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),
     "docs/performance.md": Source(performance.make_figures, ("filters", "roofline", "scaling")),

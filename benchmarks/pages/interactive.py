@@ -94,7 +94,19 @@ def make_viewer_facts(viewer: dict[str, Any]) -> str:
     )
 
 
-def make_figures(quality: dict[str, Any], stages: dict[str, Any], viewer: dict[str, Any]) -> dict[str, str]:
+def make_again_table(again: dict[str, Any]) -> str:
+    """Return the errors with and without re-computation, and with its samples in the history."""
+    rows = [
+        [f"`{scene}`, {method.replace('_', ' ')}", *(f"{error:.4f}" for error in errors.values())]
+        for scene, methods in again["scenes"].items()
+        for method, errors in methods.items()
+    ]
+    return make_table(["last of ten frames", "without", "samples forgotten", "samples kept"], rows)
+
+
+def make_figures(
+    quality: dict[str, Any], stages: dict[str, Any], viewer: dict[str, Any], again: dict[str, Any]
+) -> dict[str, str]:
     """Return the figures of docs/interactive.md by place."""
     tables = "\n\n".join(
         f"Rays on {'the CPU' if device == 'cpu' else device}:\n\n{make_stage_table(stages, device)}"
@@ -113,6 +125,7 @@ def make_figures(quality: dict[str, Any], stages: dict[str, Any], viewer: dict[s
             }
         ),
         "rates": make_rate_table(viewer),
+        "again": make_again_table(again),
         "viewer": make_viewer_facts(viewer),
         "errors": make_quality_table(quality),
         "ratios": make_table(
