@@ -47,6 +47,7 @@ CASES = {
     "measured light": each_shape("test_noise_guides.test_light_is_measured_as_defined(SHAPE, True)"),
     "fireflies": each_shape("test_fireflies.test_against_the_definition(SHAPE, True)"),
     "reprojection": each_shape("test_reprojection.test_own_places_give_the_past_back(SHAPE)"),
+    "vectors that move": "test_reprojection.test_vectors_that_move_together_agree_with_oracle((), (-5.25, 1.0))",
     "two places": "test_reprojection.test_of_two_places_the_better_counts_more(('plane', 'ggx'), 1)",
     "accumulation": each_shape("test_accumulation.test_agrees_with_the_definition(1, (0, 0), SHAPE)", [(1, 1), (3, 5)]),
     "sampled accumulation": each_shape("test_accumulation.test_agrees_with_the_definition(2, (1, 0), SHAPE)", [(3, 5)]),

@@ -116,6 +116,20 @@ def test_of_two_places_the_better_counts_more(kinds: tuple[str, ...], virtual_fr
         np.testing.assert_allclose(out, expected, rtol=4.0 * tolerance, atol=1e-6, err_msg=str(shape))
 
 
+@pytest.mark.parametrize("kinds", [(), ("plane", "ggx", "hit_distance")], ids="+".join)
+@pytest.mark.parametrize("step", [(0.0, 0.0), (0.3, -0.6), (-5.25, 1.0), (200.0, 0.5)], ids=str)
+def test_vectors_that_move_together_agree_with_oracle(kinds: tuple[str, ...], step: tuple[float, float]) -> None:
+    # Wide enough for vectors whose pixels all move alike, beside vectors that cross a seam of the motion or the border.
+    shape = (7, 151)
+    past, places = make_past(shape), make_grid(shape) + np.array(step, np.float32)
+    places[:, 70:] += np.float32(1.4)
+    masks, features = (make_random_mask(shape, 1), make_random_mask(shape, 2)), make_pair(kinds, shape)
+    out = run_reprojection(past, places, masks, features)
+    expected = reproject_reference(past, places, masks, features)
+    tolerance = 2.0 * (RELATIVE["ggx"] if kinds else DEFAULT_RELATIVE)
+    np.testing.assert_allclose(out, expected, rtol=tolerance, atol=1e-6)
+
+
 @pytest.mark.parametrize("shape", SIZES, ids=str)
 def test_own_places_give_the_past_back(shape: tuple[int, int]) -> None:
     # These compare differences, so that the logarithm of a pixel with itself is 0 exactly.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, LobewiseError, require_kind
-from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection import reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
@@ -115,13 +115,11 @@ class HistoryReprojection:
         if old is None or not new.fits(old):
             return None
         assert self._places is not None
-        masks = old.mask, new.mask
         surface, virtual = self._places
         # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
-        features = old.surface, new.surface
         memory, device = self._temporal.memory, self._device
-        return run_reprojection(sums, surface, masks, features, virtual=second, memory=memory, device=device)
+        return reproject(sums, surface, old.pixels, new.pixels, virtual=second, memory=memory, device=device)
 
 
 def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from lobewise.denoising.automatic import estimate_spp, expect_noise, require_ful
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import (
     Layer,
+    Support,
     describe_exact_light,
-    find_exact_light,
     find_support,
     find_surface,
+    knows_exact_light,
     make_layers,
     make_rest_layers,
 )
@@ -28,6 +29,7 @@ from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput
+from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.usable import bound_guides, find_unusable
@@ -242,42 +244,53 @@ class TemporalFilter:
         bad: NDArray[np.bool_],
         share: float,
     ) -> Result:
-        told = list(outputs.values())
+        support: Support
         if isinstance(frame, SparseFrame):
-            with np.errstate(invalid="ignore", over="ignore"):
-                total = np.asarray(sum(output.image for output in told), dtype=np.float32)
-            exact = find_exact_light(frame)
-            supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in told])
-            total = total if exact is None else total + exact
-            if frame.radiance.parts is not None and "background" not in layers:
-                # Nothing is scattered where there is no surface.
-                supported = supported | ~find_surface(frame)
-            good = find_good(total)
-            image, *images = (_put_side_by_side(part) for part in (total, *(output.image for output in told)))
-            parts = dict(zip(outputs, images, strict=True))
-            holes = ~(good & supported)
+            joined = support = _join_sparse(frame, layers, outputs)
+            image, holes, variance = joined.image, joined.holes, joined.variance
+            parts = dict(zip(layers, joined.parts, strict=False))
             bad = spread(frame, bad)
         else:
+            told = list(outputs.values())
             parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
             image = compose(frame, list(parts.values()), find_averaged_rest(frame))
             good = find_good(image)
             holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
-        if not good.all():
-            parts = {name: blacken_bad(part) for name, part in parts.items()}
-        image = fill_holes(image, holes, frame, chosen.device)
-        lobes = [name for name in layers if name not in UNSCATTERED]
-        weight_sum, effective_samples = find_support([layers[name] for name in lobes], [outputs[n] for n in lobes])
+            if not good.all():
+                parts = {name: blacken_bad(part) for name, part in parts.items()}
+            support = Gathered(*find_support(list(layers.values()), told))
+            variance = np.asarray(sum(output.variance for output in told), dtype=np.float32)
         return Result(
-            image=image,
+            image=fill_holes(image, holes, frame, chosen.device),
             diffuse=parts.get("diffuse"),
             specular=parts.get("specular"),
-            weight_sum=weight_sum,
-            effective_samples=effective_samples,
+            weight_sum=support.weight_sum,
+            effective_samples=support.effective_samples,
             bad_pixels=bad,
             settings={**asdict(chosen), "history_share": share},
             seconds=0.0,
-            variance=np.asarray(sum(output.variance for output in told), dtype=np.float32),
+            variance=variance,
         )
+
+
+class Gathered(NamedTuple):
+    """What the filters of a frame's layers gathered at every pixel, (height, width) each."""
+
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+
+
+def _join_sparse(frame: SparseFrame, layers: dict[str, Layer], outputs: dict[str, AccumulatedOutput]) -> JoinedLayers:
+    """Return the sum of a sparse frame's layers and of the light that it knows exactly."""
+    lobes = [layer for name, layer in layers.items() if name not in UNSCATTERED]
+    # Nothing is scattered where there is no surface.
+    is_empty_beside = frame.radiance.parts is not None and "background" not in layers
+    return join_layers(
+        list(outputs.values()),
+        [(layer.mask, layer.albedo) for layer in lobes],
+        exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
+        surface=find_surface(frame) if is_empty_beside else None,
+    )
 
 
 def find_own_weight(frame: AnyFrame) -> float:
@@ -286,11 +299,3 @@ def find_own_weight(frame: AnyFrame) -> float:
     noise = 0.0 if without_noise else expect_noise(estimate_spp(frame))
     own = 1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
     return min(own, MAX_OWN_WEIGHT)
-
-
-def _put_side_by_side(image: FloatArray) -> FloatArray:
-    """Return an image whose channels lie side by side; channel by channel, which NumPy is several times faster at."""
-    interleaved = np.empty(image.shape, np.float32)
-    for channel in range(image.shape[2]):
-        interleaved[..., channel] = image[..., channel]
-    return interleaved

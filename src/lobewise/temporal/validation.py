@@ -14,6 +14,7 @@ from lobewise.denoising.automatic import can_use_hits
 from lobewise.denoising.layers import find_surface, make_specular_features
 from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
 from lobewise.filters.cross_pass import describe_structure
+from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
 from lobewise.guides.surfaces import (
     Backdrop,
@@ -78,6 +79,11 @@ class ValidationFeatures:
     mask: NDArray[np.bool_]
     surface: tuple[Feature, ...]
     virtual: tuple[Feature, ...] = ()
+
+    @cached_property
+    def pixels(self) -> ComparedPixels:
+        """The pixels, ready to be compared. They are prepared once, for this frame and the next."""
+        return prepare_pixels(self.mask, self.surface)
 
     def fits(self, other: ValidationFeatures) -> bool:
         """Return whether both have the same kinds of features and one size."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import halide as hl
@@ -14,13 +15,54 @@ from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
-from lobewise.filters.history.reprojection_pass import make_reprojection
-from lobewise.filters.history.sums import HISTORY_CHANNELS, run_planes, widen
-from lobewise.filters.schedules.reprojection import schedule_reprojection
+from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
+from lobewise.filters.history.sums import count_host_lanes, run_planes, split_history, widen
+from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
+from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
 
 
-@device_scope()
+@dataclass(frozen=True, repr=False)
+class ComparedPixels:
+    """The pixels of a frame as a reprojection compares them.
+
+    Parameters
+    ----------
+    features : tuple of Feature
+    mask : array, shape (height, columns), uint8
+        Nonzero where a pixel has meaning; at least as wide as a vector.
+    planes : array, shape (count, height, columns), optional
+        What the features compare, computed once per pixel; None if no feature has arrays.
+    shape : (int, int)
+        Height and width of the frame.
+    """
+
+    features: tuple[Feature, ...]
+    mask: NDArray[np.uint8]
+    planes: FloatArray | None
+    shape: tuple[int, int]
+
+
+def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> ComparedPixels:
+    """Return the pixels of a frame, ready to be compared with those of the frame before and after.
+
+    Raises
+    ------
+    InputError
+        If an array of a feature has another size than the mask.
+    """
+    shape = (mask.shape[0], mask.shape[1])
+    wide = widen(take_mask(mask))
+    if not any(feature.get_arrays() for feature in features):
+        return ComparedPixels(tuple(features), wide, None, shape)
+    arrays = {name: widen(download(image)) for name, image in give_features("own", features, shape).items()}
+    key = "preparation", *map(describe_structure, features)
+    kernel = get_kernel("cpu", key, partial(_make_preparation, features))
+    size = (shape[0], wide.shape[1])
+    planes = run_planes(kernel, "cpu", {"mask": wide, **arrays}, give_scalars(features), size)
+    return ComparedPixels(tuple(features), wide, np.moveaxis(planes, -1, 0), shape)
+
+
 def run_reprojection(
     past: FloatArray,
     places: FloatArray,
@@ -56,34 +98,45 @@ def run_reprojection(
     array, shape (height, width, 8)
         The sums, and the agreement, 0 to 1 (up to the error of `exp2`).
     """
-    height, width = size = (masks[1].shape[0], masks[1].shape[1])
+    before, now = (prepare_pixels(mask, each) for mask, each in zip(masks, features, strict=True))
+    return reproject(past, places, before, now, virtual=virtual, memory=memory, device=device)
+
+
+@device_scope()
+def reproject(
+    past: FloatArray,
+    places: FloatArray,
+    before: ComparedPixels,
+    now: ComparedPixels,
+    *,
+    virtual: tuple[FloatArray, int] | None = None,
+    memory: float = 1.0,
+    device: str = "cpu",
+) -> FloatArray:
+    """Gather the history of every pixel from the prepared pixels of both frames; see `run_reprojection`."""
+    size = now.shape
     virtual_from = None if virtual is None else virtual[1]
-    before: dict[str, HostImage] = {"mask_before": take_mask(masks[0]), **_take("before", features[0], size)}
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
-    now: dict[str, HostImage] = {name: take_image(name, way, (*size, 2)) for name, way in ways.items()}
-    now |= {"mask": take_mask(masks[1]), **_take("own", features[1], size)}
-    images = {name: image.reshape(height * width, *image.shape[2:]) for name, image in before.items()}
-    images |= {"past": _flatten_history(past, size), **{name: widen(image) for name, image in now.items()}}
-    numbers = {"memory": memory, "width_before": width, "height_before": height, **give_scalars(features[1])}
-    key = "reprojection", virtual_from, *map(describe_structure, features[1])
-    kernel = get_kernel(device, key, partial(_make_scheduled, features[1], virtual_from))
+    images: dict[str, HostImage] = {name: widen(take_image(name, way, (*size, 2))) for name, way in ways.items()}
+    images |= {"past": split_history(past, before.shape), "mask": now.mask, "mask_before": before.mask}
+    if now.planes is not None and before.planes is not None:
+        images |= {"planes": now.planes, "planes_before": before.planes}
+    numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
+    key = "reprojection", virtual_from, *map(describe_structure, now.features)
+    kernel = get_kernel(device, key, partial(_make_reprojection, now.features, virtual_from))
     return run_planes(kernel, device, images, numbers, size)
 
 
-def _make_scheduled(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
-    """Return a reprojection, ready to be compiled."""
-    funcs = make_reprojection(features, virtual_from)
-    schedule_reprojection(funcs, target)
+def _make_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
+    """Return the kernel of `prepare_pixels`, ready to be compiled."""
+    funcs = make_preparation(features)
+    schedule_preparation(funcs, count_host_lanes())
     return Scheduled([funcs.out], funcs.signature)
 
 
-def _take(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, FloatArray]:
-    return {name: download(image) for name, image in give_features(prefix, features, size).items()}
-
-
-def _flatten_history(past: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Return sums (height * width, 7) that lie channel by channel in memory, without a copy if they do already."""
-    planes = np.moveaxis(past, -1, 0)
-    if past.shape != (*size, HISTORY_CHANNELS) or past.dtype != np.float32 or not planes[0].flags.c_contiguous:
-        planes = np.ascontiguousarray(np.moveaxis(take_image("past", past, (*size, HISTORY_CHANNELS)), -1, 0))
-    return np.moveaxis(planes.reshape(HISTORY_CHANNELS, size[0] * size[1]), 0, -1)
+def _make_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
+    """Return the kernel of `reproject`, ready to be compiled."""
+    lanes = max(count_lanes(target), 1)
+    funcs = make_reprojection(features, virtual_from, lanes)
+    schedule_reprojection(funcs, lanes)
+    return Scheduled([funcs.out], funcs.signature)

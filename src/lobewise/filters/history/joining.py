@@ -1,0 +1,126 @@
+"""Join the layers of a sparse frame, pixel by pixel, in one pass over memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import halide as hl
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend import expressions
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
+from lobewise.filters.history.accumulation import AccumulatedOutput
+from lobewise.frame import FloatArray
+
+
+@dataclass(frozen=True)
+class JoinedLayers:
+    """The sum of all layers, and how well it is supported.
+
+    Parameters
+    ----------
+    image : array, shape (height, width, 3)
+        Sum of all layers and of the exact light.
+    parts : tuple of array, shape (height, width, 3)
+        The layers that lobes scattered, 0 where a layer is not finite or negative; empty if there is only one.
+    weight_sum, effective_samples : array, shape (height, width)
+        Those of the least supported layer that reflects anything at a pixel.
+    variance : array, shape (height, width)
+        Sum of the layers' variances.
+    holes : bool array, shape (height, width)
+        Pixels that no sample supports, or whose sum is not finite or negative.
+    """
+
+    image: FloatArray
+    parts: tuple[FloatArray, ...]
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+    variance: FloatArray
+    holes: NDArray[np.bool_]
+
+
+def join_layers(
+    outputs: Sequence[AccumulatedOutput],
+    lobes: Sequence[tuple[NDArray[np.bool_], FloatArray | None]],
+    *,
+    exact: FloatArray | None = None,
+    surface: NDArray[np.bool_] | None = None,
+) -> JoinedLayers:
+    """Return the sum of the layers of a frame.
+
+    Parameters
+    ----------
+    outputs : sequence of AccumulatedOutput
+        One for each layer; the layers that lobes scattered come first.
+    lobes : sequence of (mask, albedo)
+        Pixels that have the light of a layer, and its albedo or None, for each layer that lobes scattered.
+    exact : array, shape (height, width, 3), optional
+        Light without noise that is added; pixels that are not finite or negative add nothing.
+    surface : bool array, shape (height, width), optional
+        Where it is False nothing is scattered, so that the pixel needs no support.
+    """
+    images: dict[str, Any] = {"exact": exact, "surface": surface}
+    for number, output in enumerate(outputs):
+        images |= {f"mean{number}_{k}": output.image[..., k] for k in range(COLORS)}
+        images |= {f"variance{number}": output.variance, f"weight{number}": output.weight_sum}
+    for number, (mask, albedo) in enumerate(lobes):
+        images |= {f"effective{number}": outputs[number].effective_samples}
+        images |= {f"mask{number}": mask, f"albedo{number}": albedo}
+    image, *parts, support, holes = run_pointwise(_define_joined, images, {}, len(outputs), len(lobes))
+    weight_sum, effective, variance = (np.ascontiguousarray(support[..., k]) for k in range(3))
+    return JoinedLayers(image, tuple(parts), weight_sum, effective, variance, holes)
+
+
+def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
+    zero = hl.f32(0.0)
+    means = [[grid.read_one(f"mean{number}_{k}") for k in range(COLORS)] for number in range(layers)]
+    total = [_add([mean[k] for mean in means]) for k in range(COLORS)]
+    if grid.has("exact"):
+        exact = grid.read("exact")
+        good = expressions.is_good(exact)
+        total = [value + hl.select(good, more, zero) for value, more in zip(total, exact, strict=True)]
+    weights = [grid.read_one(f"weight{number}") for number in range(layers)]
+    supported = reduce(or_, (weight > zero for weight in weights))
+    if grid.has("surface"):
+        supported = supported | (grid.read_one("surface") == 0)
+    parts = []
+    for mean in means[:lobes] if lobes > 1 else []:
+        usable = expressions.is_good(mean)
+        parts.append([hl.select(usable, value, zero) for value in mean])
+    support = [*_find_support(grid, weights, lobes), _add([grid.read_one(f"variance{n}") for n in range(layers)])]
+    holes = hl.u8(~(supported & expressions.is_good(total)))
+    return [total, *parts, support, [holes]]
+
+
+def _add(values: Sequence[hl.Expr]) -> hl.Expr:
+    return sum(values[1:], values[0])
+
+
+def _find_support(grid: Grid, weights: Sequence[hl.Expr], lobes: int) -> list[hl.Expr]:
+    """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
+
+    Where no layer's lobe reflects (a light, the background) those of the first layer count.
+    """
+    total, effective = weights[0], grid.read_one("effective0")
+    known = _is_reflecting(grid, 0)
+    for number in range(1, lobes):
+        here = _is_reflecting(grid, number)
+        weaker = here & (~known | (weights[number] < total))
+        total = hl.select(weaker, weights[number], total)
+        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
+        known = known | here
+    return [total, effective]
+
+
+def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
+    """Return whether a layer's lobe reflects more than `ALBEDO_FLOOR` of the light."""
+    there = grid.read_one(f"mask{number}") != 0
+    if not grid.has(f"albedo{number}"):
+        return there
+    return there & reduce(or_, (tint > hl.f32(ALBEDO_FLOOR) for tint in grid.read(f"albedo{number}")))
