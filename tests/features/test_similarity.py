@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.features import Feature, NormalFeature, PositionFeature, ScreenFeature, SgMixtureFeature
+from lobewise.features import (
+    Feature,
+    GgxFeature,
+    NormalFeature,
+    PositionFeature,
+    ScreenFeature,
+    SgMixtureFeature,
+    SplitGgxFeature,
+    SplitLobe,
+)
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 from tests.features.frames import KINDS, make_covariances, make_feature
@@ -99,6 +108,37 @@ def test_what_is_unknown_is_neutral(kind: str, rng: np.random.Generator) -> None
     assert weights.min() >= 0.0
     assert weights.max() <= 1.0 + ABOVE_ONE
     assert len(feature.neutral) == sum(1 if array.ndim == 2 else array.shape[2] for array in feature.get_arrays())
+
+
+def split(feature: GgxFeature) -> SplitGgxFeature:
+    """Return the feature with its covariances split by NumPy's eigenvectors."""
+    xx, xy, xz, yy, yz, zz = np.moveaxis(feature.covariance.astype(np.float64), -1, 0)
+    matrix = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
+    values, vectors = np.linalg.eigh(matrix)
+    large, small = values[..., 2], values[..., 1]
+    t = np.sqrt(large - small)[..., None] * vectors[..., :, 2]
+    planes = (*np.moveaxis(feature.axis, -1, 0), *np.moveaxis(t, -1, 0), large, small)
+    lobe = SplitLobe(*(np.ascontiguousarray(plane, np.float32) for plane in planes))
+    return SplitGgxFeature(lobe, feature.beta, feature.hits)
+
+
+@pytest.mark.parametrize("kind", ["ggx", "ggx_hits"])
+def test_split_covariances_are_as_similar(kind: str, rng: np.random.Generator) -> None:
+    feature, pairs = make_feature(kind, SHAPE), draw_pairs(rng, SHAPE, COUNT)
+    assert isinstance(feature, GgxFeature)
+    np.testing.assert_allclose(weigh(split(feature), pairs), weigh(feature, pairs), rtol=2e-3, atol=1e-5)
+
+
+def test_split_covariances_that_are_unknown_are_neutral(rng: np.random.Generator) -> None:
+    feature = make_feature("ggx", SHAPE)
+    assert isinstance(feature, GgxFeature)
+    whole, pairs, known = split(feature), draw_pairs(rng, SHAPE, COUNT), rng.random(SHAPE) < 0.5
+    lobe = SplitLobe(*(np.where(known, plane, np.float32(np.nan)) for plane in whole.lobe))
+    weights, logs = compare(replace(whole, lobe=lobe), pairs, [known[each] for each in pairs])
+    both = known[pairs[0]] & known[pairs[1]]
+    np.testing.assert_array_equal(weights[both], weigh(whole, pairs)[both])
+    assert np.isfinite(logs).all()
+    assert len(whole.neutral) == len(whole.get_arrays())
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])

@@ -9,7 +9,13 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
-from lobewise.guides.lobe_fields import SPREAD_TURNS, make_covariance_field, make_sg_field, spread_lobes
+from lobewise.guides.lobe_fields import (
+    SPREAD_TURNS,
+    make_covariance_field,
+    make_sg_field,
+    make_split_field,
+    spread_lobes,
+)
 from lobewise.lobes.band_limit import default_tau
 from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.roughness import sg_sharpness_from_ggx
@@ -311,6 +317,37 @@ def test_normals_that_face_away_are_bent_until_they_do_not(camera):
     assert (np.diff(np.log(field.determinant[0])) < 0.5).all()
     beyond = angle[0, :, 0] > np.pi / 2.0
     assert (field.determinant[0, beyond] > 0.0).all()
+
+
+@pytest.mark.parametrize("anisotropic", [False, True])
+def test_split_lobes_are_the_lobes_of_every_band_limit(guides, camera, anisotropic):
+    if not anisotropic:
+        del guides["alpha_v"]
+    guides["lobe_kind"][:2], guides["normal"][2] = LobeKind.NONE, np.nan
+    taus = (TAU, 0.3)
+    split = make_split_field(GBuffer(**guides), camera, taus)
+    for tau in taus:
+        field = make_covariance_field(GBuffer(**guides), camera, tau=tau, diffuse_fallback=True)
+        np.testing.assert_array_equal(split.valid, field.valid)
+        planes = [plane.astype(np.float64) for plane in split.lobes[tau]]
+        axis, t, (large, small) = np.stack(planes[:3], -1), np.stack(planes[3:6], -1), planes[6:]
+        np.testing.assert_allclose(axis, field.axis, atol=1e-6)
+        across = np.eye(3) - axis[..., :, None] * axis[..., None, :]
+        matrix = small[..., None, None] * across + t[..., :, None] * t[..., None, :]
+        six = np.stack([matrix[..., a, b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], -1)
+        valid = field.valid
+        np.testing.assert_allclose(six[valid], field.covariance[valid], atol=2e-6)
+        np.testing.assert_allclose((large * small)[valid], field.determinant[valid], rtol=2e-4)
+        assert not valid[2].any()
+        assert (axis[~valid] == 0.0).all()
+        assert (t[~valid] == 0.0).all()
+        assert (large[~valid] == 1.0).all()
+
+
+def test_split_lobes_of_one_band_limit_have_the_bits_of_two(guides, camera):
+    both, one = (make_split_field(GBuffer(**guides), camera, taus) for taus in ((0.3, TAU), (TAU,)))
+    for first, second in zip(both.lobes[TAU], one.lobes[TAU], strict=True):
+        assert first.tobytes() == second.tobytes()
 
 
 def test_a_crop_has_the_bits_of_the_whole(guides, camera):

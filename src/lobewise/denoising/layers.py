@@ -21,11 +21,20 @@ from lobewise.features import (
     ScreenFeature,
     SgFeature,
     SgMixtureFeature,
+    SplitGgxFeature,
+    SplitLobe,
 )
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray, Frame, GBuffer
-from lobewise.guides.lobe_fields import SgField, make_covariance_field, make_sg_field, spread_lobes
+from lobewise.guides.lobe_fields import (
+    SgField,
+    SplitField,
+    make_covariance_field,
+    make_sg_field,
+    make_split_field,
+    spread_lobes,
+)
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.hits import HitField
@@ -133,14 +142,32 @@ def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
     return HitField(place, find_inverse_hits(distance, depth, nearest))
 
 
+def split_lobes(frame: AnyFrame, similarity: str, *taus: float) -> SplitField | None:
+    """Return the lobes of a frame for several band-limits at once; None if the similarity has no such form."""
+    record = get_similarity(similarity)
+    if not record.has_covariance or record.fits_gaussian:
+        return None
+    return make_split_field(frame.gbuffer, frame.require_camera(f"similarity {similarity!r}"), taus)
+
+
 def make_specular_features(
-    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool, *, spread: bool = False
+    frame: AnyFrame,
+    settings: ResolvedSettings,
+    surface: Mask,
+    apart: bool,
+    *,
+    spread: bool = False,
+    lobes: SplitField | None = None,
 ) -> tuple[list[Feature], Mask]:
     """Return the features that compare specular radiance, or all radiance where it is not split, and its pixels.
 
     With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
+    ``lobes`` hold the frame's lobes for the band-limit of the settings, if they were made beforehand.
     """
     similarity = get_similarity(settings.similarity)
+    if lobes is not None:
+        lobe, hits = SplitLobe(*lobes.lobes[settings.tau]), _make_hits(frame, settings)
+        return [SplitGgxFeature(lobe, settings.beta, hits)], surface & lobes.valid
     if not similarity.has_lobes:
         return _make_normal_features(frame, settings, surface)
     if similarity.is_mixture:
@@ -152,9 +179,9 @@ def make_specular_features(
         return [SgFeature(single.axis, single.sharpness, settings.beta, hits)], surface & single.valid
     camera, gaussian = frame.require_camera(_name_similarity(settings)), similarity.fits_gaussian
     kind = AsgFeature if gaussian else GgxFeature
-    lobes = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
-    lobes = spread_lobes(lobes) if spread else lobes
-    return [kind(lobes.axis, lobes.covariance, lobes.determinant, settings.beta, hits)], surface & lobes.valid
+    field = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
+    field = spread_lobes(field) if spread else field
+    return [kind(field.axis, field.covariance, field.determinant, settings.beta, hits)], surface & field.valid
 
 
 def _make_mixture_features(
@@ -178,26 +205,37 @@ def find_surface(frame: AnyFrame) -> Mask:
 
 
 def make_layers(
-    frame: AnyFrame, settings: ResolvedSettings, extra: Sequence[Feature] = (), *, finest: bool = False
+    frame: AnyFrame,
+    settings: ResolvedSettings,
+    extra: Sequence[Feature] = (),
+    *,
+    finest: bool = False,
+    lobes: SplitField | None = None,
 ) -> list[Layer]:
     """Return the layers of a frame, as `make_lobe_layers`; ``extra`` features count in all of them."""
     shared = (*make_position_features(frame, settings), *extra)
-    layers = make_lobe_layers(frame, settings, finest=finest)
+    layers = make_lobe_layers(frame, settings, finest=finest, lobes=lobes)
     return [replace(layer, features=(*shared, *layer.features)) for layer in layers]
 
 
 def make_lobe_layers(
-    frame: AnyFrame, settings: ResolvedSettings, *, finest: bool = False, spread: bool = False
+    frame: AnyFrame,
+    settings: ResolvedSettings,
+    *,
+    finest: bool = False,
+    spread: bool = False,
+    lobes: SplitField | None = None,
 ) -> list[Layer]:
     """Return the layers of a frame, compared by what they reflect alone.
 
-    With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular. ``spread`` as
-    in `make_specular_features`.
+    With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular. ``spread`` and
+    ``lobes`` as in `make_specular_features`.
     """
     guides, parts = frame.gbuffer, frame.radiance.parts
     normal = guides.require("normal", _name_similarity(settings))
     surface = find_surface(frame)
-    specular, specular_mask = make_specular_features(frame, settings, surface, parts is not None, spread=spread)
+    apart = parts is not None
+    specular, specular_mask = make_specular_features(frame, settings, surface, apart, spread=spread, lobes=lobes)
     if parts is None:
         return [Layer(frame.radiance.color, find_whole_albedo(guides), specular_mask, tuple(specular))]
     diffuse: Feature

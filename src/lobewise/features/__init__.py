@@ -2,7 +2,7 @@
 
 from lobewise.features.asg import AsgFeature
 from lobewise.features.base import Feature
-from lobewise.features.ggx import GgxFeature
+from lobewise.features.ggx import GgxFeature, SplitGgxFeature, SplitLobe
 from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
 from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
@@ -24,5 +24,7 @@ __all__ = [
     "SeenFeature",
     "SgFeature",
     "SgMixtureFeature",
+    "SplitGgxFeature",
+    "SplitLobe",
     "TentFeature",
 ]

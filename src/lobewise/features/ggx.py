@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import halide as hl
 
-from lobewise.backend.expressions import log2
+from lobewise.backend.expressions import HALIDE, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
+from lobewise.features.lobe import CovarianceFeature, HitPlanes, LobeFeature, find_step
+from lobewise.frame import FloatArray
+from lobewise.lobes.covariance import split_covariance
+from lobewise.lobes.hits import HitField
 from lobewise.lobes.vectors import dot
 
 # (1 + q/4)^-2.4 approximates the planar autocorrelation of a GGX lobe within 3.7e-3 (tests/features/test_constants.py).
@@ -67,50 +71,81 @@ class GgxFeature(CovarianceFeature):
 
     def prepare(self, inputs: Vector, parameters: Vector) -> GgxPlanes:
         axis, covariance, determinant, *hit = self.split(inputs)
-        large, t = _split_covariance(axis, covariance)
+        large, t = split_covariance(HALIDE, axis, covariance)
         small = determinant / hl.max(large, hl.f32(1e-30))
-        root = hl.sqrt(determinant)
-        # The logarithm of s_i s_j is a sum: compute its terms once per pixel.
-        numerator = parameters[0] * log2(root + root)
-        return GgxPlanes(axis, large, small, t, root, numerator, HitPlanes(*hit) if hit else None)
+        return _make_planes((axis, large, small, t), hl.sqrt(determinant), parameters, hit)
 
     def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        d, square, _ = find_step(i, j)
-        on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
-        quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
-        invariant = (i.large + j.small) * (j.large + i.small) - both * both
-        # sqrt(P) is at least the mean of both s (Minkowski's inequality), but rounding may take it lower.
-        mean = i.root + j.root
-        invariant = hl.max(invariant, mean * mean)
-        # At the bound the similarity is below 1e-9; larger quotients would make the tail overflow.
-        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
-        for _ in range(TAIL_SQUARINGS):
-            tail = tail * tail
-        areas = invariant * hl.sqrt(invariant) / mean
-        return i.numerator + j.numerator - parameters[0] * log2(stage(tail * areas))
+        return _compare(i, j, parameters, stage)
 
 
-def _split_covariance(axis: Vector, covariance: Vector) -> tuple[hl.Expr, list[hl.Expr]]:
-    """Return the larger eigenvalue a, and t along its eigenvector with ``|t|^2 = a - b``.
+class SplitLobe(NamedTuple):
+    """The covariance lobes of an image, split into what `GgxFeature` compares; arrays of shape (height, width)."""
 
-    Both come from the covariance minus its mean across the axis: the norm of this deviation gives ``a - b`` without
-    cancellation.
+    axis_x: FloatArray
+    axis_y: FloatArray
+    axis_z: FloatArray
+    t_x: FloatArray
+    """The vector t of `lobewise.lobes.covariance.split_covariance`."""
+    t_y: FloatArray
+    t_z: FloatArray
+    large: FloatArray
+    """The larger eigenvalue of the covariance, > 0."""
+    small: FloatArray
+    """The smaller eigenvalue, > 0."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SplitGgxFeature(LobeFeature):
+    """The similarity of `GgxFeature`, from covariances that were split beforehand: kernels need not split them again.
+
+    Parameters
+    ----------
+    lobe : SplitLobe
+    beta : float
+        Exponent, > 0.
+    hits : HitField, optional
+        As for `GgxFeature`.
     """
-    x, y, z = axis
-    xx, xy, xz, yy, yz, zz = covariance
-    half = hl.f32(0.5)
-    trace = xx + yy + zz
-    mean = half * trace
-    xx, yy, zz = (value + mean * (p * p - hl.f32(1.0)) for value, p in ((xx, x), (yy, y), (zz, z)))
-    xy, xz, yz = xy + mean * x * y, xz + mean * x * z, yz + mean * y * z
-    beside = xy * xy + xz * xz + yz * yz
-    gap = hl.sqrt(hl.f32(2.0) * (xx * xx + yy * yy + zz * zz + beside + beside))
-    # t t^T is the deviation plus half the gap across the axis. t is its longest column over the root of its diagonal.
-    spread = half * gap
-    xx, yy, zz = (value + spread * (hl.f32(1.0) - p * p) for value, p in ((xx, x), (yy, y), (zz, z)))
-    xy, xz, yz = xy - spread * x * y, xz - spread * x * z, yz - spread * y * z
-    first, second = (xx >= yy) & (xx >= zz), yy >= zz
-    column = [hl.select(first, a, second, b, c) for a, b, c in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
-    # The longest column's diagonal is at least a third of the gap: bound the divisor so that rounding is not magnified.
-    scale = hl.f32(1.0) / hl.sqrt(hl.max(xx, yy, zz, hl.f32(0.3) * gap, hl.f32(1e-30)))
-    return mean + spread, [component * scale for component in column]
+
+    name = "ggx"
+    harmless = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    lobe: SplitLobe
+    beta: float
+    hits: HitField | None = None
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (GGX_UNIT * self.beta,)
+
+    def prepare(self, inputs: Vector, parameters: Vector) -> GgxPlanes:
+        parts = self.split(inputs)
+        lobe, hit = SplitLobe(*parts[: len(SplitLobe._fields)]), parts[len(SplitLobe._fields) :]
+        axis, t = [lobe.axis_x, lobe.axis_y, lobe.axis_z], [lobe.t_x, lobe.t_y, lobe.t_z]
+        root = hl.sqrt(lobe.large * lobe.small)
+        return _make_planes((axis, lobe.large, lobe.small, t), root, parameters, hit)
+
+    def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+        return _compare(i, j, parameters, stage)
+
+
+def _make_planes(lobe: tuple[Vector, Any, Any, Vector], root: hl.Expr, parameters: Vector, hit: Vector) -> GgxPlanes:
+    # The logarithm of s_i s_j is a sum: compute its terms once per pixel.
+    numerator = parameters[0] * log2(root + root)
+    return GgxPlanes(*lobe, root, numerator, HitPlanes(*hit) if hit else None)
+
+
+def _compare(i: GgxPlanes, j: GgxPlanes, parameters: Vector, stage: Stage) -> hl.Expr:
+    """Return the base-2 logarithm of the similarity of two lobes."""
+    d, square, _ = find_step(i, j)
+    on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
+    quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
+    invariant = (i.large + j.small) * (j.large + i.small) - both * both
+    # sqrt(P) is at least the mean of both s (Minkowski's inequality), but rounding may take it lower.
+    mean = i.root + j.root
+    invariant = hl.max(invariant, mean * mean)
+    # At the bound the similarity is below 1e-9; larger quotients would make the tail overflow.
+    tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
+    for _ in range(TAIL_SQUARINGS):
+        tail = tail * tail
+    areas = invariant * hl.sqrt(invariant) / mean
+    return i.numerator + j.numerator - parameters[0] * log2(stage(tail * areas))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import halide as hl
 import numpy as np
@@ -15,7 +16,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
-from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe
+from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe, split_covariance
 from lobewise.lobes.directions import face_viewer, find_tangent, reflect
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, find_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
@@ -187,6 +188,60 @@ def _define_spread(grid: Grid) -> list[Vector]:
     ]
 
 
+NO_LOBE, SPECULAR_LOBE, LAMBERT_LOBE = range(3)
+"""Kinds of lobes that a pixel may have."""
+
+
+class SplitField(NamedTuple):
+    """The covariance lobes of an image for several band-limits.
+
+    Parameters
+    ----------
+    valid : (height, width), bool
+        As in `CovarianceField`.
+    lobes : dict of float to tuple of array
+        By the band-limit, radians: axis, vector t, larger and smaller eigenvalue; eight images (height, width). See
+        `lobewise.features.ggx.SplitLobe`. A pixel without a lobe has axis 0, t 0 and eigenvalues 1.
+    """
+
+    valid: NDArray[np.bool_]
+    lobes: dict[float, tuple[FloatArray, ...]]
+
+
+def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) -> SplitField:
+    """Return the lobes of `make_covariance_field`, with the Lambert lobe on diffuse surfaces, for several band-limits.
+
+    The covariance is split once: a band-limit adds ``tau^2`` to both eigenvalues.
+
+    Raises
+    ------
+    MissingChannelError, InputError
+        As `make_covariance_field`.
+    """
+    for tau in taus:
+        check_lobe_guides(gbuffer, "ggx", tau)
+    images, numbers = collect_guides(gbuffer, camera, 0.0, "ggx")
+    noises = {f"noise{k}": np.float32(tau) * np.float32(tau) for k, tau in enumerate(taus)}
+    valid, *planes = run_pointwise(define_split_lobes, images, {**numbers, **noises}, len(taus))
+    pairs = [planes[6 + 2 * k : 8 + 2 * k] for k in range(len(taus))]
+    return SplitField(valid, {tau: (*planes[:6], *pair) for tau, pair in zip(taus, pairs, strict=True)})
+
+
+def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
+    """Return validity, axis, t, and both eigenvalues for each of ``count`` band-limits."""
+    which, axis, shape = _find_lobes(grid, "ggx", True)
+    which, *lobe = grid.share([which, *axis, *shape])
+    axis, covariance, determinant = lobe[:3], lobe[3:9], lobe[9]
+    large, t = split_covariance(HALIDE, axis, covariance)
+    large, small, *t = grid.share([large, determinant / hl.max(large, hl.f32(1e-30)), *t])
+    outputs: list[Vector] = [[hl.u8(which != NO_LOBE)], *([value] for value in (*axis, *t))]
+    for k in range(count):
+        # The Lambert lobe has no band-limit. A pixel without a lobe is harmless.
+        noise = hl.select(which == SPECULAR_LOBE, grid.get(f"noise{k}")[0], hl.f32(0.0))
+        outputs += [[hl.select(which == NO_LOBE, hl.f32(1.0), value + noise)] for value in (large, small)]
+    return outputs
+
+
 def _run(
     gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, diffuse_fallback: bool
 ) -> tuple[NDArray[Any], ...]:
@@ -249,6 +304,13 @@ def collect_guides(
 
 def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Vector]:
     """Return validity, axis and shape: the sharpness, or the covariance and its determinant."""
+    which, axis, shape = _find_lobes(grid, similarity, diffuse_fallback)
+    truth = [hl.u8(which != NO_LOBE)]
+    return [truth, axis, shape[:6], shape[6:]] if len(shape) > 1 else [truth, axis, shape]
+
+
+def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
+    """Return the kind of a pixel's lobe, its axis and its shape."""
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
     alphas, known = read_alphas(grid, kind)
@@ -269,22 +331,20 @@ def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Ve
         specular = specular & (kind > hl.f32(0.5)) & (kind < hl.f32(3.5))
         lambert = surface & (kind == hl.f32(LobeKind.NONE)) if diffuse_fallback else lambert
     # Store the choice and the lobe once per row: otherwise each output would compute them again from all guides.
-    which = hl.select(specular, hl.u8(1), lambert, hl.u8(2), hl.u8(0))
+    which = hl.select(specular, hl.u8(SPECULAR_LOBE), lambert, hl.u8(LAMBERT_LOBE), hl.u8(NO_LOBE))
     which, *kept = grid.share([which, *axis, *shape])
     axis, shape = kept[:3], kept[3:]
     grid.is_shared = True
 
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:
-        return hl.select(which == 1, value, which == 2, diffuse, hl.f32(harmless))
+        return hl.select(which == SPECULAR_LOBE, value, which == LAMBERT_LOBE, diffuse, hl.f32(harmless))
 
     flat: list[hl.Expr] = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)]
     if record.has_covariance:
         variance = hl.f32(1.0 / LAMBERT_SIMILARITY_SHARPNESS)
         flat = [*find_round_covariance(variance, normal), variance * variance]
     axis = [choose(value, diffuse, 0.0) for value, diffuse in zip(axis, normal, strict=True)]
-    shape = [choose(*each) for each in zip(shape, flat, neutral, strict=True)]
-    truth = [hl.u8(which != 0)]
-    return [truth, axis, shape[:6], shape[6:]] if record.has_covariance else [truth, axis, shape]
+    return which, axis, [choose(*each) for each in zip(shape, flat, neutral, strict=True)]
 
 
 def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:

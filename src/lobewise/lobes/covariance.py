@@ -220,3 +220,40 @@ def _make_anisotropic_lobe(
     plain = 0.25 * product * inverse
     spread = 0.5 * inverse * (trace + 2.0 * limit * product)
     return CovarianceLobe(axis, covariance, plain + noise * (spread + noise))
+
+
+def split_covariance(xp: Namespace, axis: Vector, covariance: Vector) -> tuple[Any, list[Any]]:
+    """Return the larger eigenvalue a of a covariance, and a vector t along its eigenvector.
+
+    With the smaller eigenvalue b, ``|t|^2 = a - b`` and ``S = b (I - axis axis^T) + t t^T``; the sign of t has no
+    meaning. Both come from the covariance minus its mean across the axis: the norm of this deviation gives ``a - b``
+    without cancellation.
+
+    Parameters
+    ----------
+    xp : Namespace
+    axis : Vector
+        Unit vector.
+    covariance : six numbers
+        xx, xy, xz, yy, yz, zz; ``covariance @ axis = 0``.
+    """
+    x, y, z = axis
+    xx, xy, xz, yy, yz, zz = covariance
+    half = xp.number(0.5)
+    trace = xx + yy + zz
+    mean = half * trace
+    xx, yy, zz = (value + mean * (p * p - xp.number(1.0)) for value, p in ((xx, x), (yy, y), (zz, z)))
+    xy, xz, yz = xy + mean * x * y, xz + mean * x * z, yz + mean * y * z
+    beside = xy * xy + xz * xz + yz * yz
+    gap = xp.sqrt(xp.number(2.0) * (xx * xx + yy * yy + zz * zz + beside + beside))
+    # t t^T is the deviation plus half the gap across the axis. t is its longest column over the root of its diagonal.
+    spread = half * gap
+    xx, yy, zz = (value + spread * (xp.number(1.0) - p * p) for value, p in ((xx, x), (yy, y), (zz, z)))
+    xy, xz, yz = xy - spread * x * y, xz - spread * x * z, yz - spread * y * z
+    first, second = (xx >= yy) & (xx >= zz), yy >= zz
+    columns = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    column = [xp.where(first, a, xp.where(second, b, c)) for a, b, c in columns]
+    # The longest column's diagonal is at least a third of the gap: bound the divisor so that rounding is not magnified.
+    longest = xp.maximum(xp.maximum(xp.maximum(xx, yy), zz), xp.number(0.3) * gap)
+    inverse = xp.number(1.0) / xp.sqrt(xp.maximum(longest, xp.number(1e-30)))
+    return mean + spread, scale(column, inverse)

@@ -15,6 +15,7 @@ from lobewise.filters.history.reprojection import reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
+from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
@@ -71,6 +72,7 @@ class HistoryReprojection:
         temporal: TemporalSettings,
         past: Past | None,
         apart: bool,
+        lobes: SplitField | None = None,
     ) -> None:
         self._temporal = temporal
         self._device = settings.device
@@ -81,7 +83,7 @@ class HistoryReprojection:
         self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
             self._places, self.allowance = _find_all_places(guides, past.guides)
-        self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart)
+        self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart, lobes)
         if past is None or self._places is None:
             return
         # A past that was read from a file has no features yet.
@@ -99,7 +101,7 @@ class HistoryReprojection:
             self.share = float(np.mean(again[surface])) if surface.any() else 1.0
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
-            self.validation = make_validation_features(guides, settings, temporal, None, apart)
+            self.validation = make_validation_features(guides, settings, temporal, None, apart, lobes)
 
     def reproject(self, name: str) -> FloatArray | None:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""

@@ -21,6 +21,7 @@ from lobewise.denoising.layers import (
     knows_exact_light,
     make_layers,
     make_rest_layers,
+    split_lobes,
 )
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.running import run_with_history
@@ -32,11 +33,12 @@ from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.usable import bound_guides, find_unusable
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
-from lobewise.temporal.validation import Guides
+from lobewise.temporal.validation import Guides, find_same_tau
 from lobewise.upsampling import DEFAULT_RADIUS, spread
 
 if TYPE_CHECKING:
@@ -164,10 +166,12 @@ class TemporalFilter:
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
-        layers = self._make_layers(frame, chosen, features)
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
+        # The lobes are compared within the frame and between frames, by two band-limits.
+        lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, frame.height, chosen))
+        layers = self._make_layers(frame, chosen, features, lobes)
         reprojection = HistoryReprojection(
-            guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers
+            guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers, lobes
         )
         plan = plan_history(chosen, growth=self.temporal.strictness, own=find_own_weight(frame))
         outputs = {
@@ -228,8 +232,10 @@ class TemporalFilter:
         return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
 
     @staticmethod
-    def _make_layers(frame: AnyFrame, chosen: ResolvedSettings, features: Sequence[Feature]) -> dict[str, Layer]:
-        layers = make_layers(frame, chosen, features)
+    def _make_layers(
+        frame: AnyFrame, chosen: ResolvedSettings, features: Sequence[Feature], lobes: SplitField | None
+    ) -> dict[str, Layer]:
+        layers = make_layers(frame, chosen, features, lobes=lobes)
         named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
         if isinstance(frame, SparseFrame):
             named |= {layer.name: layer for layer in make_rest_layers(frame, chosen, features)}

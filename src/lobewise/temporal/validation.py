@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import can_use_hits
-from lobewise.denoising.layers import find_surface, make_specular_features
+from lobewise.denoising.layers import find_surface, make_specular_features, split_lobes
 from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
+from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.surfaces import (
     Backdrop,
     find_footprints,
@@ -98,8 +99,18 @@ class ValidationFeatures:
         )
 
 
+def find_same_tau(guides: Guided, height: int, settings: ResolvedSettings) -> float:
+    """Return the band-limit of lobes that are compared between frames, radians: a pixel's."""
+    return default_tau(guides.camera, height) if guides.camera is not None else settings.tau
+
+
 def make_validation_features(
-    guides: Guides, settings: ResolvedSettings, temporal: TemporalSettings, allowance: FloatArray | None, apart: bool
+    guides: Guides,
+    settings: ResolvedSettings,
+    temporal: TemporalSettings,
+    allowance: FloatArray | None,
+    apart: bool,
+    lobes: SplitField | None = None,
 ) -> dict[str, ValidationFeatures]:
     """Return the features of all layers: ``diffuse`` and ``specular``, or ``color``; ``rest`` and ``background``.
 
@@ -115,6 +126,8 @@ def make_validation_features(
         Own motion of the surface, pixel footprints. It widens the tolerance of the settings.
     apart : bool
         Whether diffuse and specular radiance are split.
+    lobes : SplitField, optional
+        The lobes for the band-limit of `find_same_tau`, if they were made beforehand.
     """
     frame = guides.frame
     surface = find_surface(frame)
@@ -132,13 +145,15 @@ def make_validation_features(
         settings,
         beta=temporal.beta,
         diffuse_beta=temporal.beta,
-        tau=default_tau(guides.camera, guides.shape[0]) if guides.camera is not None else settings.tau,
+        tau=find_same_tau(guides, guides.shape[0], settings),
         hit_distance=can_use_hits(frame),
     )
-    lobes, mask = make_specular_features(frame, same, surface, apart)
+    if lobes is None:
+        lobes = split_lobes(frame, settings.similarity, same.tau)
+    alike, mask = make_specular_features(frame, same, surface, apart, lobes=lobes)
     # Track reflections only where they are split from diffuse light, which moves with the surface.
-    virtual = (*lobes, *_make_hit_features(guides)) if apart and same.hit_distance else ()
-    validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or lobes)), virtual)
+    virtual = (*alike, *_make_hit_features(guides)) if apart and same.hit_distance else ()
+    validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual)
     if apart:
         diffuse = DiffuseFeature(normal, temporal.beta) if get_similarity(settings.similarity).has_lobes else facing
         validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse))

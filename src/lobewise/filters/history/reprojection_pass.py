@@ -10,9 +10,9 @@ the agreement of the place, 0 to 1 (up to the error of `exp2`).
 A pixel may come from two places, that of its surface and that of its reflection. Their sums are mixed by ``a^2``, so
 that the place with more agreement counts more. Then all weights are multiplied by the memory.
 
-On processors the pixels of a vector are examined together. Where all of them moved by the same whole number of pixels,
-as most do under a camera that moves smoothly, the pixels of the frame before are loaded as vectors too. Elsewhere they
-are loaded one by one, and a place that no pixel of the vector has is skipped.
+On processors the pixels of a vector are examined together. They are cut into runs: neighbours that moved by the same
+whole number of pixels. Under a camera that moves smoothly most vectors are one run. The pixels of the frame before are
+loaded as vectors, once for each run. Only near the border of the image they are loaded one by one.
 """
 
 from __future__ import annotations
@@ -41,11 +41,18 @@ OUTSIDE = -2.0
 """Column or row of a place that is not near the image."""
 NEAR = 1 << 8
 """What each pixel of a vector whose place is near the image adds to the vector's code; a stray pixel adds 1."""
-NOWHERE, TOGETHER, APART = range(3)
-"""No pixel of a vector has a place near the image; all moved by the same whole number of pixels; or neither."""
+NOWHERE, IN_RUNS, APART = range(3)
+"""No pixel of a vector has a place near the image; the pixels are loaded as vectors, run by run, or one by one."""
 
 LANE, VECTOR = hl.Var("lane"), hl.Var("vector")
 """Pixel within a vector, and number of the vector within its row."""
+U, V = hl.Var("u"), hl.Var("v")
+"""Column and row among the four pixels of a place."""
+TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
+"""The four pixels of a place."""
+
+Place = tuple[hl.Expr, hl.Expr]
+"""Column and row of a pixel."""
 
 
 @dataclass
@@ -59,14 +66,20 @@ class PreparationFuncs:
 
 @dataclass
 class VectorFuncs:
-    """The Halide functions that tell how the pixels of a vector moved."""
+    """The Halide functions that cut vectors into runs."""
 
     code: hl.Func
     """Number of stray pixels, plus `NEAR` times the number of pixels whose place is near the image."""
-    lanes: hl.RDom
-    """Domain of the code."""
+    run: hl.Func
+    """For each pixel the number of its run, and the column of lane 0 and the row that its run has."""
+    starts: hl.Func
+    """For each run the column of lane 0, and the row."""
+    outside: hl.Func
+    """Number of pixels whose run cannot be loaded as a vector inside the image."""
     way: hl.Func
-    """One of `NOWHERE`, `TOGETHER`, `APART`."""
+    """One of `NOWHERE`, `IN_RUNS`, `APART`."""
+    lanes: list[hl.RDom]
+    """Domains of the updates of code, run, starts and outside."""
 
 
 @dataclass
@@ -78,8 +91,10 @@ class WayFuncs:
     sums: hl.Func
     judged: VectorFuncs | None = None
     """How the pixels of a vector moved; None where each pixel has a thread."""
-    taps: list[hl.RDom] = field(default_factory=list)
-    """The four pixels of the place, once for each way of loading them: as vectors, then one by one."""
+    domains: list[hl.RDom] = field(default_factory=list)
+    """Domain of each update of the sums. A domain is empty where the vector is loaded another way."""
+    agrees: list[hl.Func] = field(default_factory=list)
+    """Similarity to each of the four pixels, 0 where a pixel has no history; one for each domain."""
 
 
 @dataclass
@@ -142,7 +157,7 @@ class _Frames:
         for name in REPROJECTED:
             signature.output(name, "height", "width")
 
-    def compare(self, first: int, here: tuple[hl.Expr, hl.Expr], there: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+    def compare(self, first: int, here: Place, there: Place) -> hl.Expr:
         """Return the similarity of a pixel and a pixel of the frame before by the features from ``first`` on."""
         zero = hl.f32(0.0)
         exponent: hl.Expr = zero
@@ -154,7 +169,7 @@ class _Frames:
             exponent = exponent + feature.log2_similarity(i, j, parameters, (zero, zero), lambda value: value)
         return expressions.exp2(exponent)
 
-    def read_past(self, at: tuple[hl.Expr, hl.Expr]) -> list[hl.Expr]:
+    def read_past(self, at: Place) -> list[hl.Expr]:
         """Return the sums of a pixel of the frame before."""
         return [self.past[(*at, k)] for k in range(HISTORY_CHANNELS)]
 
@@ -216,83 +231,146 @@ def _find_spot(raw: hl.Expr, length: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
     return hl.i32(first), value - first
 
 
-def _make_way(
-    frames: _Frames, place: hl.ImageParam, start: int, own: tuple[hl.Expr, hl.Expr], lanes: int, name: str
-) -> WayFuncs:
+def _make_way(frames: _Frames, place: hl.ImageParam, start: int, own: Place, lanes: int, name: str) -> WayFuncs:
     """Return the sums at one place of each pixel, by the features from ``start`` on."""
     at = LANE, VECTOR, Y
     spots = hl.Func(f"{name}_spots")
     extents = frames.columns, frames.rows
     spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k])])
     sums = hl.Func(f"{name}_sums")
-    count = len(REPROJECTED)
-    sums[at] = hl.Tuple([hl.f32(0.0)] * count)
+    sums[at] = hl.Tuple([hl.f32(0.0)] * len(REPROJECTED))
     way = WayFuncs(spots, sums)
     if lanes > 1:
         way.judged = _judge_vectors(frames, spots, lanes, name)
-    for loading in (TOGETHER, APART) if way.judged is not None else (APART,):
-        taps = hl.RDom([(0, 2), (0, 2)], f"{name}_taps{loading}")
-        if way.judged is not None:
-            # The test stands outside the arithmetic, so that a vector computes one of the two ways only.
-            taps.where(way.judged.way[VECTOR, Y] == loading)
-        taken = _weigh_tap(frames, spots, (start, own), (taps.x, taps.y), lanes if loading == TOGETHER else 0)
-        sums[at] = hl.Tuple([sums[at][k] + taken[k] for k in range(count)])
-        way.taps.append(taps)
+        _add_runs(frames, way, (start, own), lanes, name)
+    _add_apart(frames, way, (start, own), name)
     return way
 
 
-def _judge_vectors(frames: _Frames, spots: hl.Func, lanes: int, name: str) -> VectorFuncs:
-    """Return the functions that tell how the pixels of a vector moved."""
-    at = VECTOR, Y
-    domain = hl.RDom([(0, lanes)], f"{name}_lanes")
-    first, here = spots[(0, *at)], spots[(domain.x, *at)]
-    stray = (here[0] - domain.x != first[0]) | (here[2] != first[2])
-    near = (here[0] > int(OUTSIDE)) & (here[2] > int(OUTSIDE))
-    code, way = hl.Func(f"{name}_code"), hl.Func(f"{name}_way")
-    code[at] = 0
-    code[at] = code[at] + hl.select(stray, 1, 0) + hl.select(near, NEAR, 0)
-    inside = (first[0] >= 0) & (first[0] + lanes < frames.columns) & (first[2] >= 0) & (first[2] + 1 < frames.rows)
-    together = (code[at] % NEAR == 0) & inside
-    way[at] = hl.select(code[at] < NEAR, NOWHERE, together, TOGETHER, APART)
-    return VectorFuncs(code, domain, way)
-
-
-def _weigh_tap(
-    frames: _Frames,
-    spots: hl.Func,
-    compared: tuple[int, tuple[hl.Expr, hl.Expr]],
-    step: tuple[hl.Expr, hl.Expr],
-    lanes: int,
-) -> list[hl.Expr]:
-    """Return the weighted sums of one of the four pixels of a place, and the weight.
-
-    With ``lanes`` the pixels of a vector lie side by side in the frame before, inside it.
-    """
-    start, own = compared
-    (u, v), zero, one = step, hl.f32(0.0), hl.f32(1.0)
-    column, right, row, down = (spots[LANE, VECTOR, Y][k] for k in range(4))
+def _add_runs(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], lanes: int, name: str) -> None:
+    """Add the pixels of vectors that are loaded run by run to the sums."""
+    at = LANE, VECTOR, Y
+    judged = way.judged
+    assert judged is not None
+    runs = hl.RDom([(0, lanes)], f"{name}_runs")
+    # The test stands outside the arithmetic, so that a vector is loaded in one way only.
+    runs.where((judged.way[VECTOR, Y] == IN_RUNS) & (runs.x <= judged.run[lanes - 1, VECTOR, Y][0]))
+    here = (judged.run[at][0] == runs.x) & _is_near(way.spots[at])
+    first_column, row = (judged.starts[runs.x, VECTOR, Y][k] for k in range(2))
     width, height = frames.mask_before.width(), frames.mask_before.height()
-    if lanes:
-        first = spots[0, VECTOR, Y]
-        inside = hl.Expr(True)
-        there = (
-            hl.unsafe_promise_clamped(first[0], 0, width - (lanes + 1)) + LANE + u,
-            hl.unsafe_promise_clamped(first[2], 0, height - 2) + v,
-        )
-    else:
-        inside = (column + u >= 0) & (column + u < frames.columns) & (row + v >= 0) & (row + v < frames.rows)
-        there = (
-            hl.unsafe_promise_clamped(hl.clamp(column + u, 0, frames.columns - 1), 0, width - 1),
-            hl.unsafe_promise_clamped(hl.clamp(row + v, 0, frames.rows - 1), 0, height - 1),
-        )
+    column = hl.unsafe_promise_clamped(first_column, 0, width - (lanes + 1)) + LANE
+    row = hl.unsafe_promise_clamped(row, 0, height - 2)
+    there = [(column + u, row + v) for u, v in TAPS]
+    # The similarities are a function of their own: each of the sums would compute them again.
+    agrees = hl.Func(f"{name}_agrees_in_runs")
+    agrees[at] = hl.Tuple([hl.f32(0.0)] * len(TAPS))
+    similar = [_compare_tap(frames, *compared, place, hl.Expr(True)) for place in there]
+    agrees[at] = hl.Tuple([hl.select(here, value, agrees[at][k]) for k, value in enumerate(similar)])
+    similar = [hl.select(here, agrees[at][k], hl.f32(0.0)) for k in range(len(TAPS))]
+    _add_taps(frames, way, similar, there)
+    way.agrees.append(agrees)
+    way.domains.append(runs)
+
+
+def _add_apart(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], name: str) -> None:
+    """Add the pixels that are loaded one by one to the sums."""
+    at = LANE, VECTOR, Y
+    # One entry, 0, so that the update has a condition.
+    once = hl.RDom([(0, 1)], f"{name}_once")
+    if way.judged is not None:
+        once.where(way.judged.way[VECTOR, Y] + once.x == APART)
+    width, height = frames.mask_before.width(), frames.mask_before.height()
+    spot = way.spots[at]
+
+    def find(u: Any, v: Any) -> tuple[Place, hl.Expr]:
+        column, row = spot[0] + u + once.x, spot[2] + v
+        inside = (column >= 0) & (column < frames.columns) & (row >= 0) & (row < frames.rows)
+        return (
+            hl.unsafe_promise_clamped(hl.clamp(column, 0, frames.columns - 1), 0, width - 1),
+            hl.unsafe_promise_clamped(hl.clamp(row, 0, frames.rows - 1), 0, height - 1),
+        ), inside
+
+    # A loop over the four pixels, because loads one by one are much code.
+    agrees = hl.Func(f"{name}_agrees_apart")
+    agrees[(*at, U, V)] = hl.undef(hl.Float(32))
+    agrees[(*at, U, V)] = _compare_tap(frames, *compared, *find(U, V))
+    _add_taps(frames, way, [agrees[(*at, *tap)] for tap in TAPS], [find(*tap)[0] for tap in TAPS])
+    way.agrees.append(agrees)
+    way.domains.append(once)
+
+
+def _judge_vectors(frames: _Frames, spots: hl.Func, lanes: int, name: str) -> VectorFuncs:
+    """Return the functions that cut vectors into runs."""
+    at = VECTOR, Y
+    domains = [
+        hl.RDom([(0, lanes)], f"{name}_{part}") for part in ("code_lanes", "run_lanes", "starts_lanes", "outside_lanes")
+    ]
+    code, run, starts, outside, way = (
+        hl.Func(f"{name}_{part}") for part in ("code", "run", "starts", "outside", "way")
+    )
+    first = spots[(0, *at)]
+
+    lane = domains[0].x
+    here = spots[(lane, *at)]
+    stray = (here[0] - lane != first[0]) | (here[2] != first[2])
+    code[at] = 0
+    code[at] = code[at] + hl.select(stray, 1, 0) + hl.select(_is_near(here), NEAR, 0)
+    is_cut = (code[at] > NEAR) & (code[at] % NEAR != 0)
+
+    # A vector whose pixels moved together is run 0.
+    run[LANE, VECTOR, Y] = hl.Tuple([0, first[0], first[2]])
+    domains[1].where(is_cut)
+    lane = domains[1].x
+    here, before = spots[(lane, *at)], run[(hl.max(lane - 1, 0), *at)]
+    number = hl.select(lane == 0, -1, before[0])
+    column = here[0] - lane
+    begins = _is_near(here) & ((number < 0) | (column != before[1]) | (here[2] != before[2]))
+    # A pixel without a place belongs to any run.
+    places = (hl.select(begins, new, old) for new, old in ((column, before[1]), (here[2], before[2])))
+    run[(lane, *at)] = hl.Tuple([number + hl.select(begins, 1, 0), *places])
+
+    starts[LANE, VECTOR, Y] = hl.Tuple([first[0], first[2]])
+    domains[2].where(is_cut)
+    mine = run[(domains[2].x, *at)]
+    # Pixels before the first run write to its place first.
+    starts[(hl.clamp(mine[0], 0, lanes - 1), *at)] = hl.Tuple([mine[1], mine[2]])
+
+    mine = run[(domains[3].x, *at)]
+    fits = (mine[1] >= 0) & (mine[1] + lanes < frames.columns) & (mine[2] >= 0) & (mine[2] + 1 < frames.rows)
+    outside[at] = 0
+    outside[at] = outside[at] + hl.select(fits | (mine[0] < 0), 0, 1)
+    way[at] = hl.select(code[at] < NEAR, NOWHERE, outside[at] == 0, IN_RUNS, APART)
+    return VectorFuncs(code, run, starts, outside, way, domains)
+
+
+def _is_near(spot: Sequence[hl.Expr]) -> hl.Expr:
+    """Return whether a place is near the image."""
+    return (spot[0] > int(OUTSIDE)) & (spot[2] > int(OUTSIDE))
+
+
+def _compare_tap(frames: _Frames, start: int, own: Place, there: Place, inside: hl.Expr) -> hl.Expr:
+    """Return the similarity to a pixel of the frame before; 0 if one of both pixels has no meaning or no history."""
     held = frames.read_past(there)
     # Drop a history that is not a number: it would spread by a pixel with every frame, even with weight 0.
     usable = inside & (frames.mask_before[there] != 0) & (frames.mask[own] != 0)
     usable = usable & ~expressions.is_bad(sum(held[1:], held[0]))
-    agrees = hl.select(usable, frames.compare(start, own, there), zero)
-    weight = hl.select(u == 0, one - right, right) * hl.select(v == 0, one - down, down) * agrees
-    factors = Sums(*[weight] * HISTORY_CHANNELS)._replace(squared_weight=weight * agrees)
-    return [*(hl.select(usable, factor * value, zero) for factor, value in zip(factors, held, strict=True)), weight]
+    return hl.select(usable, frames.compare(start, own, there), hl.f32(0.0))
+
+
+def _add_taps(frames: _Frames, way: WayFuncs, similar: Sequence[hl.Expr], there: Sequence[Place]) -> None:
+    """Add the weighted histories of the four pixels of a place to the sums, with the weights."""
+    at = LANE, VECTOR, Y
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+    _, right, _, down = (way.spots[at][k] for k in range(4))
+    totals = [way.sums[at][k] for k in range(len(REPROJECTED))]
+    for agrees, (u, v), place in zip(similar, TAPS, there, strict=True):
+        weight = (right if u else one - right) * (down if v else one - down) * agrees
+        factors = Sums(*[weight] * HISTORY_CHANNELS)._replace(squared_weight=weight * agrees)
+        # A history that is not a number has similarity 0.
+        pairs = zip(factors, frames.read_past(place), strict=True)
+        taken = [*(hl.select(agrees > zero, factor * value, zero) for factor, value in pairs), weight]
+        totals = [total + value for total, value in zip(totals, taken, strict=True)]
+    way.sums[at] = hl.Tuple(totals)
 
 
 def _mix(ways: Sequence[Sequence[hl.Expr]]) -> tuple[Sums, hl.Expr]:

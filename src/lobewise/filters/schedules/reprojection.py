@@ -9,6 +9,7 @@ from lobewise.filters.history.reprojection_pass import (
     VECTOR,
     PreparationFuncs,
     ReprojectionFuncs,
+    VectorFuncs,
     WayFuncs,
 )
 from lobewise.filters.planes import X, Y
@@ -43,7 +44,8 @@ def _schedule_gpu(funcs: ReprojectionFuncs) -> None:
     thread = spread_pixels(funcs.out, X, Y)
     for way in funcs.ways:
         way.sums.compute_at(funcs.out, thread)
-        way.spots.compute_at(funcs.out, thread)
+        for func in (way.spots, *way.agrees):
+            func.compute_at(funcs.out, thread)
 
 
 def _schedule_cpu(funcs: ReprojectionFuncs, pixels: hl.RDom, lanes: int) -> None:
@@ -61,7 +63,17 @@ def _schedule_way(out: hl.Func, vector: hl.RVar, way: WayFuncs, lanes: int) -> N
     for func in (way.spots, way.sums):
         func.compute_at(out, vector).bound(LANE, 0, lanes).vectorize(LANE)
     if way.judged is not None:
-        way.judged.code.compute_at(out, vector).update().atomic().vectorize(way.judged.lanes.x)
-        way.judged.way.compute_at(out, vector)
-    for number, taps in enumerate(way.taps):
-        way.sums.update(number).reorder(LANE, taps.x, taps.y, VECTOR, Y).vectorize(LANE)
+        _schedule_runs(out, vector, way.judged, lanes)
+    for number, (domain, agrees) in enumerate(zip(way.domains, way.agrees, strict=True)):
+        agrees.compute_at(out, vector).bound(LANE, 0, lanes).vectorize(LANE).update().vectorize(LANE)
+        way.sums.update(number).reorder(LANE, domain.x, VECTOR, Y).vectorize(LANE)
+
+
+def _schedule_runs(out: hl.Func, vector: hl.RVar, judged: VectorFuncs, lanes: int) -> None:
+    code, _, _, outside = judged.lanes
+    for func, domain in ((judged.code, code), (judged.outside, outside)):
+        func.compute_at(out, vector).update().atomic().vectorize(domain.x)
+    for func in (judged.run, judged.starts):
+        # Each pixel needs the one before it.
+        func.compute_at(out, vector).bound(LANE, 0, lanes).vectorize(LANE).update().unscheduled()
+    judged.way.compute_at(out, vector)
