@@ -11,7 +11,6 @@ memory that is in use.
 from __future__ import annotations
 
 import ctypes
-import math
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.devices import VULKAN_MULTIPLE
+from lobewise.backend.memory import make_array
 from lobewise.backend.runtime import get_runtime
 from lobewise.errors import InputError
 from lobewise.images import FloatArray
@@ -306,32 +306,6 @@ def _get_scope() -> _Scope:
     return _current.scope
 
 
-def spread_over_cache(count: int, entries: int, type: str = "float32") -> NDArray[Any]:
-    """Return ``count`` uninitialised flat arrays, (count, entries), that begin in different sets of the cache.
-
-    Large arrays begin at a page, and planes of many image sizes are a whole number of pages. Pixels of one place would
-    then share a few lines of the nearest cache, whose set is chosen by the place within a page, and a kernel that reads
-    twenty images would read each line several times.
-    """
-    size = np.dtype(type).itemsize
-    step = -(-entries * size // PAGE_BYTES) * PAGE_BYTES + CACHE_STEP_BYTES
-    global _cache_offset
-    offset = _cache_offset
-    _cache_offset = (offset + count * CACHE_STEP_BYTES) % PAGE_BYTES
-    memory = np.empty(count * step + PAGE_BYTES + offset, np.uint8)
-    # Begin at a page of our own, wherever the allocator put the memory.
-    start = -memory.ctypes.data % PAGE_BYTES + offset
-    flat = memory[start : start + count * step].reshape(count, step)[:, : entries * size]
-    return flat.view(type)
-
-
-PAGE_BYTES = 4096
-"""Addresses that are so far apart share their set of the nearest cache."""
-CACHE_STEP_BYTES = 5 * 64
-"""Distance of two images within a page: an odd number of cache lines, so that all sets are used."""
-_cache_offset = 0
-
-
 def make_output(
     shape: tuple[int, ...], device: str, memory: FloatArray | None = None, type: str = "float32"
 ) -> tuple[Buffer, Image]:
@@ -339,11 +313,7 @@ def make_output(
 
     ``memory``, of the same shape, becomes the array, or the array to download to.
     """
-    if memory is None:
-        entries = math.prod(shape)
-        small = entries < PAGE_BYTES
-        memory = np.empty(shape, type) if small else spread_over_cache(1, entries, type).reshape(shape)
-    host = memory
+    host = make_array(shape, type) if memory is None else memory
     buffer = Buffer(host)
     if device == "cpu":
         return buffer, host

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.memory import MemoryPool
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
 from lobewise.denoising.layers import (
@@ -105,10 +106,12 @@ class TemporalFilter:
         require_plain(self._settings or DenoiseSettings(**spatial), "a filter with history")
         self._past: Past | None = None
         self._albedos: dict[str, FloatArray | None] = {}
+        self._memory = MemoryPool()
 
     def reset(self) -> None:
         """Forget everything, as before the first frame."""
         self._past, self._albedos = None, {}
+        self._memory.clear()
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Return the history as arrays by name."""
@@ -159,6 +162,11 @@ class TemporalFilter:
         """
         start = time.perf_counter()
         require_kind("frame", frame, Frame, SparseFrame)
+        with self._memory.use():
+            result = self._add(frame, features, cut)
+        return replace(result, seconds=time.perf_counter() - start)
+
+    def _add(self, frame: AnyFrame, features: Sequence[Feature], cut: bool) -> Result:
         notes = tuple(map(str, find_unusable(frame)))
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
@@ -182,7 +190,7 @@ class TemporalFilter:
         kept = {name: output.sums for name, output in outputs.items()}
         self._albedos = {name: layer.albedo for name, layer in layers.items() if name not in UNSCATTERED}
         self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
-        return replace(result, seconds=time.perf_counter() - start, notes=notes)
+        return replace(result, notes=notes)
 
     def add_samples(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], radiance: Radiance, weights: FloatArray

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import halide as hl
 import numpy as np
 
-from lobewise.backend.buffers import HostImage, download, lend, make_output, spread_over_cache
+from lobewise.backend.buffers import HostImage, download, lend, make_output
 from lobewise.backend.jit import Kernel
+from lobewise.backend.memory import make_planes
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
@@ -132,8 +133,7 @@ def run_planes(
 ) -> FloatArray:
     """Run a kernel and return its output planes as an image of a size, (height, width, count)."""
     # All planes lie in one array, channel by channel, so that the next kernel reads them without a copy.
-    shape = size[0], max(size[1], count_host_lanes())
-    memory = spread_over_cache(len(kernel.outputs), shape[0] * shape[1]).reshape(len(kernel.outputs), *shape)
+    memory = make_planes((len(kernel.outputs), size[0], max(size[1], count_host_lanes())))
     planes = {
         each.name: make_output(plane.shape, device, plane) for each, plane in zip(kernel.outputs, memory, strict=True)
     }
