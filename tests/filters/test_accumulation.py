@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid
+from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
+from lobewise.filters.history.accumulation_pass import MIN_KNOWN_FRAMES
 from lobewise.filters.history.accumulation_stages import (
     FULL_TRUST_ERRORS,
     IGNORED_DIFFERENCE,
@@ -85,7 +86,26 @@ def demodulate(samples: FloatArray, albedo: FloatArray, floor: float) -> tuple[F
     return np.where(good[..., None], light, 0.0), good
 
 
-def accumulate_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
+def narrow_known(
+    weights: FloatImage, given: dict[str, Any], scale: int, place: tuple[int, int], known: KnownKernel
+) -> FloatImage:
+    """Return weights in which pixels that have a history have a narrower kernel."""
+    height, width = given["mask"].shape
+    rows, columns = (np.arange(first, length, scale) for first, length in zip(place, (height, width), strict=True))
+    y, x, row, column = np.meshgrid(np.arange(height), np.arange(width), rows, columns, indexing="ij")
+    near = np.maximum(abs(row // scale - y // scale), abs(column // scale - x // scale)) <= known.radius
+    precision = 1.0 / (2.0 * known.sigma**2) - 1.0 / (2.0 * known.screen_sigma**2)
+    narrow = weights * near * np.exp(-precision * ((row - y) ** 2 + (column - x) ** 2))
+    last = given["trust"].shape
+    block = [np.minimum(np.arange(size) // scale, most - 1) for size, most in zip((height, width), last, strict=True)]
+    is_known = given["history"][..., 6] * given["trust"][np.ix_(*block)] >= MIN_KNOWN_FRAMES
+    assert 0.1 < is_known.mean() < 0.9
+    return np.where(is_known[..., None, None], narrow, weights)
+
+
+def accumulate_slowly(
+    given: dict[str, Any], scale: int, place: tuple[int, int], known: KnownKernel | None = None
+) -> FloatImage:
     """Return the sums from the definition, (height, width, 7)."""
     mask, history, shaded = (
         given["mask"],
@@ -100,6 +120,8 @@ def accumulate_slowly(given: dict[str, Any], scale: int, place: tuple[int, int])
     unit = (sums[..., 6] + 1.0) ** GROWTH
     light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR)
     weights = find_weights(mask, scale, place, RADIUS)
+    if known is not None:
+        weights = narrow_known(weights, given, scale, place, known)
     weights = np.where(weights > 0.0, weights ** unit[..., None, None], 0.0) * good
     sums[..., :3] += unit[..., None] * np.einsum("yxrc,rck->yxk", weights, light)
     sums[..., 3] += unit * weights.sum(axis=(2, 3))
@@ -123,6 +145,20 @@ def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: t
     given = make_given(shape, scale, place)
     out = accumulate(given, scale, place)
     np.testing.assert_allclose(out.sums, accumulate_slowly(given, scale, place), rtol=TOLERANCE, atol=1e-6)
+
+
+@pytest.mark.parametrize(("scale", "place"), CASES[1:])
+@pytest.mark.parametrize("radius", [0, 1])
+def test_pixels_with_a_history_have_their_own_kernel(radius: int, scale: int, place: tuple[int, int]) -> None:
+    # Wide enough for vectors that are all known, all unknown, and mixed.
+    shape = (9, 140)
+    given, known = make_given(shape, scale, place), KnownKernel(radius, 9.0, 4.0)
+    given["history"][:, :50, 6], given["history"][:, 90:, 6] = 0.0, 5.0
+    given["mask"][:, 64:96] = False
+    out = accumulate(given, scale, place, known=known)
+    expected = accumulate_slowly(given, scale, place, known)
+    np.testing.assert_allclose(out.sums, expected, rtol=TOLERANCE, atol=1e-6)
+    assert (accumulate(given, scale, place).sums != out.sums).any()
 
 
 def find_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:

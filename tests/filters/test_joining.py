@@ -7,7 +7,7 @@ import pytest
 
 from lobewise.denoising.layers import Layer, find_support
 from lobewise.filters.history.accumulation import AccumulatedOutput
-from lobewise.filters.history.joining import join_layers
+from lobewise.filters.history.joining import find_reflecting, join_layers
 from lobewise.frame import FloatArray
 
 SHAPE = (9, 37)
@@ -80,3 +80,12 @@ def test_a_sum_that_is_no_light_is_a_hole_and_its_part_black(value: float) -> No
     assert found.holes.sum() == 1
     assert (found.parts[1][2, 30] == 0.0).all()
     np.testing.assert_array_equal(found.parts[0], outputs[0].image)
+
+
+def test_pixels_that_reflect_nothing_are_left_out() -> None:
+    layer = make_layer(3)
+    assert layer.albedo is not None
+    layer.albedo[2, :7] = [0.0, 1e-6, 0.0]
+    expected = layer.mask & (layer.albedo > 1e-6).any(axis=-1)
+    np.testing.assert_array_equal(find_reflecting(layer.mask, layer.albedo, 1e-6), expected)
+    assert find_reflecting(layer.mask, None, 1e-6) is layer.mask

@@ -130,6 +130,23 @@ class TestStill:
         for result in run([make_sparse(frame, 4, place) for place in list_places(4)[:6]]):
             assert np.abs(result.image - 1.0).max() < 1e-5
 
+    def test_light_on_pixels_that_reflect_none_is_left_out_and_changes_no_other_pixel(self):
+        frames = make_still(4, 4)
+        black = np.zeros((48, 64), bool)
+        black[10:30, 20:50] = True
+
+        def blacken(frame):
+            albedo = np.where(black[..., None], np.float32(0.0), frame.gbuffer.specular_albedo)
+            specular = np.where(black[frame.shaded][..., None], np.float32(0.0), frame.radiance.specular)
+            light = Radiance(frame.radiance.diffuse + specular, diffuse=frame.radiance.diffuse, specular=specular)
+            return replace(frame, radiance=light, gbuffer=replace(frame.gbuffer, specular_albedo=albedo))
+
+        results = run([blacken(frame) for frame in frames])
+        assert (results[3].specular[black] == 0.0).all()
+        assert (results[3].diffuse[black] > 0.0).any()
+        assert np.isfinite(results[3].image).all()
+        assert results[3].settings["history_share"] == 1.0
+
     def test_variance_tells_the_error(self):
         truth = find_truth()
         results = run(make_still(12))
@@ -142,7 +159,8 @@ class TestStill:
         assert told[11] < told[0]
 
     def test_support_grows(self):
-        results = run(make_still(5, 4))
+        # A narrower kernel would gather less in later frames.
+        results = run(make_still(5, 4), history_radius=5)
         assert (results[4].effective_samples.mean() > 2.0 * results[0].effective_samples.mean()).all()
         assert results[0].settings["history_share"] == 0.0
         assert results[4].settings["history_share"] == 1.0

@@ -36,7 +36,7 @@ from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
-from lobewise.filters.history.accumulation import AccumulatedOutput, SampleGrid, run_upsampling
+from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid, run_upsampling
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
 from lobewise.frame import FloatArray, Frame
@@ -171,6 +171,9 @@ def run_accumulate_step(state: LayerRun, step: AccumulateStep) -> list[Accumulat
     if history is not None:
         options |= {HISTORY: history, "trust": grid.find_trust(radiance, history, step.own)}
     if isinstance(state.frame, SparseFrame):
+        if step.known_radius is not None:
+            sigmas = state.settings.screen_sigma, step.known_sigma or state.settings.screen_sigma
+            options["known"] = KnownKernel(step.known_radius, *sigmas)
         return [grid.accumulate(radiance, **options)]
     return [grid.accumulate_filtered(radiance, form=step.form, **options)]
 

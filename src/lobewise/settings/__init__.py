@@ -341,6 +341,13 @@ class TemporalSettings(Declared):
             high=1.0,
         ),
     ] = 0.5
+    history_radius: Annotated[
+        int,
+        Knob(
+            "Radius of the kernel where a pixel of a sparse frame has a history; never above the radius of the others.",
+            unit="samples",
+        ),
+    ] = 2
     cut_share: Annotated[
         float,
         Knob(
@@ -381,4 +388,5 @@ class TemporalChanges(DenoiseChanges, total=False):
     memory: float
     plane_sigma: float
     strictness: float
+    history_radius: int
     cut_share: float

@@ -23,6 +23,8 @@ from lobewise.temporal.validation import Guides, ValidationFeatures, make_valida
 
 MIN_AGREEMENT = 0.1
 """Agreement above which a pixel counts as found in the frame before, 0 to 1."""
+MIN_DIFFUSE_SHARE = 0.1
+"""Share of the image that reflects diffusely, above which these pixels tell how much of the image continues."""
 MAX_STEP = 0.25
 """Longest way of a found pixel, as a share of the image's longer side. Pixels that jump further are of another shot."""
 
@@ -53,7 +55,7 @@ class Past:
 
 
 class HistoryReprojection:
-    """Finds the history of one frame's layers in the past.
+    """Finds the history of one frame's layers in the past. ``masks`` are the pixels that have the light of each layer.
 
     Attributes
     ----------
@@ -71,9 +73,11 @@ class HistoryReprojection:
         settings: ResolvedSettings,
         temporal: TemporalSettings,
         past: Past | None,
-        apart: bool,
+        masks: Mapping[str, NDArray[np.bool_]],
         lobes: SplitField | None = None,
     ) -> None:
+        apart = "diffuse" in masks
+        self._masks = masks
         self._temporal = temporal
         self._device = settings.device
         self._past: Past | None = None
@@ -90,13 +94,15 @@ class HistoryReprojection:
         self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
         # Measure how much of the image continues on a layer that is compared by place and normal alone.
-        if "diffuse" in past.sums:
+        surface = self.validation["rest"].mask
+        if "diffuse" in past.sums and np.mean(masks["diffuse"]) > MIN_DIFFUSE_SHARE:
+            surface = masks["diffuse"]
             found = self._found["diffuse"] = self._find("diffuse", past.sums["diffuse"])
         else:
             found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         if found is not None:
             near = _find_near(self._places[0], MAX_STEP * max(guides.shape))
-            again, surface = (found[..., AGREEMENT] > MIN_AGREEMENT) & near, self.validation["rest"].mask
+            again = (found[..., AGREEMENT] > MIN_AGREEMENT) & near
             # A frame of sky alone is no cut.
             self.share = float(np.mean(again[surface])) if surface.any() else 1.0
         if self.share < temporal.cut_share:
@@ -121,7 +127,8 @@ class HistoryReprojection:
         # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
         memory, device = self._temporal.memory, self._device
-        return reproject(sums, surface, old.pixels, new.pixels, virtual=second, memory=memory, device=device)
+        now = new.pixels if name not in self._masks else new.pixels.restrict(self._masks[name])
+        return reproject(sums, surface, old.pixels, now, virtual=second, memory=memory, device=device)
 
 
 def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:

@@ -25,13 +25,14 @@ from lobewise.denoising.layers import (
     split_lobes,
 )
 from lobewise.denoising.planning.layer_plans import plan_history
+from lobewise.denoising.planning.steps import LayerPlan
 from lobewise.denoising.running import run_with_history
 from lobewise.denoising.stages import compose, find_averaged_rest, keep_unfiltered
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput
-from lobewise.filters.history.joining import JoinedLayers, join_layers
+from lobewise.filters.history.joining import JoinedLayers, find_reflecting, join_layers
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
@@ -179,9 +180,9 @@ class TemporalFilter:
         lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, frame.height, chosen))
         layers = self._make_layers(frame, chosen, features, lobes)
         reprojection = HistoryReprojection(
-            guides, chosen, self.temporal, None if cut else self._past, "diffuse" in layers, lobes
+            guides, chosen, self.temporal, None if cut else self._past, {n: layers[n].mask for n in layers}, lobes
         )
-        plan = plan_history(chosen, growth=self.temporal.strictness, own=find_own_weight(frame))
+        plan = self._plan(frame, chosen)
         outputs = {
             name: run_with_history(frame, layer, chosen, plan, reprojection.reproject(name))
             for name, layer in layers.items()
@@ -230,12 +231,24 @@ class TemporalFilter:
                 self._past.sums[name], (rows, columns), light[:, 0] / divisor, weights, self.temporal.strictness
             )
 
-    def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
+    def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> LayerPlan:
+        known = min(self.temporal.history_radius, chosen.radius)
+        is_auto = self._ask(frame).screen_sigma == "auto"
+        # The automatic screen sigma is proportional to the radius.
+        sigma = chosen.screen_sigma * known / chosen.radius if is_auto and known > 0 else None
+        growth, own = self.temporal.strictness, find_own_weight(frame)
+        return plan_history(chosen, growth=growth, own=own, known_radius=known, known_sigma=sigma)
+
+    def _ask(self, frame: AnyFrame) -> DenoiseSettings:
+        """Return the settings that the user asked for."""
+        if self._settings is not None:
+            return self._settings
         sparse = isinstance(frame, SparseFrame)
-        asked = self._settings
-        if asked is None:
-            asked = replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
-        if sparse:
+        return replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
+
+    def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
+        asked = self._ask(frame)
+        if isinstance(frame, SparseFrame):
             require_full(asked)
         return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
 
@@ -246,6 +259,9 @@ class TemporalFilter:
         layers = make_layers(frame, chosen, features, lobes=lobes)
         named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
         if isinstance(frame, SparseFrame):
+            floor = ALBEDO_FLOOR / find_own_weight(frame)
+            for name, layer in named.items():
+                named[name] = replace(layer, mask=find_reflecting(layer.mask, layer.albedo, floor))
             named |= {layer.name: layer for layer in make_rest_layers(frame, chosen, features)}
         return named
 

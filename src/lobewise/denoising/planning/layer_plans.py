@@ -87,7 +87,14 @@ def plan_upsampling(radius: int, scale: int) -> LayerPlan:
     return LayerPlan((UpsampleStep(reads=(SAMPLES,), writes=("image",), radius=radius, scale=scale),))
 
 
-def plan_history(settings: ResolvedSettings, *, growth: float, own: float) -> LayerPlan:
+def plan_history(
+    settings: ResolvedSettings,
+    *,
+    growth: float,
+    own: float,
+    known_radius: int | None = None,
+    known_sigma: float | None = None,
+) -> LayerPlan:
     """Return the plan of a frame that is joined with its history; parameters as of `AccumulateStep`."""
     return LayerPlan(
         (
@@ -98,6 +105,8 @@ def plan_history(settings: ResolvedSettings, *, growth: float, own: float) -> La
                 radius=settings.radius,
                 growth=growth,
                 own=own,
+                known_radius=known_radius,
+                known_sigma=known_sigma,
             ),
         )
     )

@@ -106,10 +106,16 @@ class AccumulateStep(KernelStep):
         How the kernel narrows as the history of a pixel grows, 0 (not) to 1.
     own : float
         Weight of a pixel's own sample, >= 1. A borrowed sample that matches fully has weight 1.
+    known_radius : int, optional
+        Radius of the kernel of pixels with a history, samples; None for the same radius. Whole frames ignore it.
+    known_sigma : float, optional
+        Standard deviation of the screen distance of these pixels; None for the same.
     """
 
     growth: float
     own: float
+    known_radius: int | None = None
+    known_sigma: float | None = None
 
     def describe(self) -> str:
         """Return the form and the size of the kernel."""

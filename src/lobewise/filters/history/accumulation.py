@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.errors import InputError
 from lobewise.features.arrays import give_features, give_scalars
@@ -35,6 +36,7 @@ from lobewise.filters.history.sums import (
     widen,
 )
 from lobewise.filters.schedules.accumulation import schedule_accumulation
+from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
 
 TRUST_RADIUS = 2
@@ -55,6 +57,29 @@ class AccumulatedOutput(FilterOutput):
 
     sums: FloatArray
     variance: FloatArray
+
+
+class KnownKernel(NamedTuple):
+    """The kernel of pixels that have a history.
+
+    Parameters
+    ----------
+    radius : int
+        Radius in samples, >= 0.
+    screen_sigma : float
+        Standard deviation of the screen distance that the grid's features have, pixels.
+    sigma : float
+        Standard deviation that these pixels have instead, pixels, at most ``screen_sigma``.
+    """
+
+    radius: int
+    screen_sigma: float
+    sigma: float
+
+    @property
+    def precision(self) -> float:
+        """What is subtracted from the base-2 logarithm of a weight, times the squared distance in pixels."""
+        return 0.5 * LOG2_E * (self.sigma**-2 - self.screen_sigma**-2)
 
 
 class SampleGrid:
@@ -138,6 +163,7 @@ class SampleGrid:
         trust: FloatArray | None = None,
         growth: float = 0.0,
         own: float = 1.0,
+        known: KnownKernel | None = None,
     ) -> AccumulatedOutput:
         """Spread samples over all pixels and add them to the history; see `lobewise.filters.history.accumulation_pass`.
 
@@ -155,6 +181,8 @@ class SampleGrid:
             How much the kernel narrows as the history grows, 0 (not at all) to 1.
         own : float
             Weight of a shaded pixel's own sample, >= 1; a sample of another pixel that matches fully has weight 1.
+        known : KnownKernel, optional
+            Kernel of the pixels that have a history; without it all pixels have the same kernel.
 
         Returns
         -------
@@ -175,8 +203,11 @@ class SampleGrid:
         trust_radius = 0 if trust is None else self._trust_radius
         numbers = {"radius": radius, "trust_radius": trust_radius, "growth": growth, "own": own}
         numbers |= self._place_samples(self._scale, self._place)
-        found = self._run(images, numbers, self.shape, make_accumulation, self._features, self._tinted)
-        return _split_output(found)
+        radii = {"known_radius": radius, "known_precision": 0.0}
+        if known is not None and known.radius < radius:
+            radii = {"known_radius": known.radius, "known_precision": known.precision}
+        options = self._features, self._tinted
+        return _split_output(self._run(images, {**numbers, **radii}, self.shape, make_accumulation, *options))
 
     @device_scope()
     def accumulate_filtered(
@@ -283,8 +314,8 @@ class SampleGrid:
 
 def _make_scheduled(make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target) -> Scheduled:
     """Return a pass, ready to be compiled."""
-    funcs = make(*options)
-    schedule_accumulation(funcs, target)
+    funcs = make(*options, max(count_lanes(target), 1))
+    schedule_accumulation(funcs)
     return Scheduled([funcs.out], funcs.signature)
 
 

@@ -10,11 +10,10 @@ import halide as hl
 
 from lobewise.backend import expressions
 from lobewise.backend.signature import Signature
-from lobewise.features.arrays import declare_features, declare_scalars
-from lobewise.features.base import Feature, Stage
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance, make_stage
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance
+from lobewise.filters.history.accumulation_taps import TapGrid, Taps, U, V
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
-from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
+from lobewise.filters.history.vectors import Pixels, Place
 
 NO_TRUST_ERRORS, FULL_TRUST_ERRORS = 6.0, 2.0
 """Difference of samples and history, in standard errors: from the first on the trust is 0, up to the second it is 1."""
@@ -22,9 +21,8 @@ IGNORED_DIFFERENCE = 0.02
 """Relative difference that does not count as a change; it is added to the standard error."""
 MIN_WEIGHT = 1e-12
 """Smallest weight sum. Smaller ones above 0 are raised to it, so that a pixel unlike all samples keeps its light."""
-
-Place = tuple[hl.Expr, hl.Expr]
-"""Column and row of a pixel."""
+NO_WEIGHT_LOG2 = -1e4
+"""Base-2 logarithm of a weight that is 0, also after it is raised to a power of 1 or more."""
 
 
 class Summary(NamedTuple):
@@ -57,21 +55,6 @@ class Sample(NamedTuple):
     told: hl.Expr
 
 
-@dataclass
-class Pixels:
-    """Collects the functions that a pass computes once per pixel."""
-
-    once: list[hl.Func] = field(default_factory=list)
-    """The functions, each after those that it reads."""
-
-    def keep(self, name: str, *values: hl.Expr) -> list[hl.Expr]:
-        """Compute values once per pixel. Expressions that repeat them would compile slowly."""
-        func = hl.Func(name)
-        func[X, Y] = hl.Tuple(list(values))
-        self.once.append(func)
-        return [func[X, Y][k] for k in range(len(values))]
-
-
 @dataclass(frozen=True)
 class TapSum:
     """A sum over taps, the taps, and their weights."""
@@ -79,6 +62,8 @@ class TapSum:
     func: hl.Func
     taps: hl.RDom
     weights: hl.Func
+    weighed: hl.RDom | None
+    """Domain of the weights; None where each is computed where it is read."""
 
 
 @dataclass
@@ -88,148 +73,60 @@ class AccumulationFuncs:
     out: hl.Func
     signature: Signature
     pixels: Pixels
+    domain: hl.RDom | None
+    """Domain of the output, by lane and vector; None where each pixel has a thread."""
     sums: list[TapSum] = field(default_factory=list)
     grid: TapGrid | None = None
     """The functions that taps read, if the pass has taps."""
 
 
-@dataclass(kw_only=True)
-class TapGrid:
-    """The functions that taps read of samples and pixels, and the logarithms of their weights."""
-
-    tap_mask: hl.ImageParam
-    mask: hl.ImageParam
-    wide: hl.Func
-    """Planes and values of shaded pixels, repeated over the width of their blocks."""
-    values: hl.Func
-    value_count: int
-    taps: GuidePlanes
-    """Guides and planes of the shaded pixels."""
-    own: GuidePlanes
-    """Guides and planes of all pixels."""
-    log_weight: hl.Func
-    stages: list[hl.Func]
-    read: Callable[[hl.Expr, hl.Expr], list[hl.Expr]]
-    """Returns the values of the tap at an offset in samples."""
-    block: Place
-    """Column and row of the block that a pixel lies in."""
-    shift: Place
-    """Columns and rows from a pixel to the shaded pixel of its block."""
-
-
-def read_history(history: hl.ImageParam) -> Sums:
+def read_history(history: hl.ImageParam, at: Place) -> Sums:
     """Return the history of a pixel."""
-    return Sums(*(history[X, Y, k] for k in range(HISTORY_CHANNELS)))
-
-
-def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
-    """Declare a whole number with a known range, which makes simpler loops."""
-    count = signature.count(name, least)
-    count.set_range(least, 1 << 16)
-    return count
-
-
-def make_tap_grid(
-    signature: Signature, features: Sequence[Feature], take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]
-) -> TapGrid:
-    """Declare the grids of shaded pixels and of all pixels, and define the functions that taps read.
-
-    ``take`` returns the values of a sample, beside the planes of its features.
-    """
-    tap_mask = signature.image("tap_mask", "rows", "columns", type=hl.UInt(8))
-    mask = signature.image("own_mask", "height", "width", type=hl.UInt(8))
-    tap_arrays = declare_features(signature, "tap", features, "rows", "columns")
-    arrays = declare_features(signature, "own", features, "height", "width")
-    scalars = declare_scalars(signature, features)
-    factor = declare_count(signature, "factor", 1)
-    column, row = (signature.count(name) for name in ("column", "row"))
-    spacing = signature.number("spacing")
-    columns, rows = tap_mask.width(), tap_mask.height()
-    taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)
-    own = make_guide_planes("own", mask, features, scalars, inside=True, arrays=arrays)
-    at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
-    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
-    planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
-    given = [*planes, *take(at, usable)]
-    values, wide = hl.Func("tap_values"), hl.Func("wide")
-    values[X, C, Y] = hl.mux(C, given)
-
-    # Divide pixel centres, which have a fraction of one half: rounding cannot lead into another block.
-    def find_block(at: hl.Expr) -> hl.Expr:
-        return hl.i32(hl.floor((hl.f32(at) + hl.f32(0.5)) / hl.f32(factor)))
-
-    wide[X, C, Y] = values[find_block(X), C, Y]
-    block = find_block(X), find_block(Y)
-    shift = column + block[0] * factor - X, row + block[1] * factor - Y
-
-    u, v = hl.Var("u"), hl.Var("v")
-    offset = spacing * hl.f32(u) + hl.f32(shift[0]), spacing * hl.f32(v) + hl.f32(shift[1])
-    stages: list[hl.Func] = []
-    tap_planes = [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count)]
-    pairs = [(own.read(layout, X, Y), layout.read(tap_planes.__getitem__)) for layout in taps.layouts]
-    log_weight = hl.Func("log_weight")
-    log_weight[X, Y, u, v] = _compare(features, pairs, scalars, offset, make_stage(stages, (X, Y, u, v)))
-
-    def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
-        return [wide[X + u * factor, k, block[1] + v] for k in range(taps.plane_count, len(given))]
-
-    return TapGrid(
-        tap_mask=tap_mask,
-        mask=mask,
-        wide=wide,
-        values=values,
-        value_count=len(given),
-        taps=taps,
-        own=own,
-        log_weight=log_weight,
-        stages=stages,
-        read=read,
-        block=block,
-        shift=shift,
-    )
-
-
-def _compare(
-    features: Sequence[Feature],
-    pairs: Sequence[tuple[Any, Any]],
-    scalars: Sequence[Sequence[hl.Expr]],
-    offset: tuple[hl.Expr, hl.Expr],
-    stage: Stage,
-) -> hl.Expr:
-    """Return the base-2 logarithm of the similarity of a pixel and a tap, given each feature's planes of both."""
-    exponent: hl.Expr = hl.f32(0.0)
-    for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True):
-        exponent = exponent + feature.log2_similarity(i, j, parameters, offset, stage)
-    return exponent
+    return Sums(*(history[(*at, k)] for k in range(HISTORY_CHANNELS)))
 
 
 def _sum_taps(
     name: str,
     grid: TapGrid,
-    radius: hl.Expr,
+    taps: Taps,
     power: hl.Expr | None,
     take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
+    known: KnownPixel | None = None,
 ) -> tuple[TapSum, list[hl.Expr]]:
     """Return the sums over taps of ``take(weight, values)``; weights are raised to ``power``."""
-    u, v = grid.log_weight.args()[2:]
-    exponent = grid.log_weight[X, Y, u, v]
-    weights = hl.Func(f"{name}_weights")
-    weights[X, Y, u, v] = expressions.exp2(exponent if power is None else exponent * power)
-    taps = hl.RDom([(-radius, 2 * radius + 1), (-radius, 2 * radius + 1)], f"{name}_taps")
-    taken = take(weights[X, Y, taps.x, taps.y], grid.read(taps.x, taps.y))
+    at = grid.pixels.at
+
+    def weigh(u: hl.Expr, v: hl.Expr) -> hl.Expr:
+        exponent = grid.log_weight[(*at, u, v)]
+        if known is not None:
+            across, down = grid.blocks.find_offset(u, v)
+            exponent = exponent - known.precision * (across * across + down * down)
+            exponent = hl.select(hl.max(hl.abs(u), hl.abs(v)) <= known.radius, exponent, hl.f32(NO_WEIGHT_LOG2))
+        return expressions.exp2(exponent if power is None else exponent * power)
+
+    weights, weighed = hl.Func(f"{name}_weights"), None
+    if grid.pixels.lanes == 1:
+        weights[(*at, U, V)] = weigh(U, V)
+    else:
+        # A function of its own, because each of the sums would compute it again.
+        weighed = taps.make(f"{name}_weighed")
+        weights[(*at, U, V)] = hl.undef(hl.Float(32))
+        weights[(*at, weighed.x, weighed.y)] = weigh(weighed.x, weighed.y)
+    domain = taps.make(f"{name}_taps")
+    taken = take(weights[(*at, domain.x, domain.y)], grid.read(domain.x, domain.y))
     func = hl.Func(name)
-    func[X, Y] = hl.Tuple([hl.f32(0.0)] * len(taken))
-    func[X, Y] = hl.Tuple([func[X, Y][k] + value for k, value in enumerate(taken)])
-    return TapSum(func, taps, weights), [func[X, Y][k] for k in range(len(taken))]
+    func[at] = hl.Tuple([hl.f32(0.0)] * len(taken))
+    func[at] = hl.Tuple([func[at][k] + value for k, value in enumerate(taken)])
+    return TapSum(func, domain, weights, weighed), [func[at][k] for k in range(len(taken))]
 
 
-def gather_trust(grid: TapGrid, radius: hl.Expr, get_trust: Callable[[list[hl.Expr]], Trust]) -> tuple[TapSum, hl.Expr]:
+def gather_trust(grid: TapGrid, taps: Taps, get_trust: Callable[[list[hl.Expr]], Trust]) -> tuple[TapSum, hl.Expr]:
     """Return the mean trust of the samples near a pixel, the factor of its history; 1 without samples."""
 
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
         return [weight * value for value in get_trust(tap)]
 
-    trusted, (trust, told) = _sum_taps("trusted", grid, radius, None, take)
+    trusted, (trust, told) = _sum_taps("trusted", grid, taps, None, take)
     return trusted, hl.select(told > hl.f32(0.0), trust / told, hl.f32(1.0))
 
 
@@ -252,7 +149,16 @@ class Gathered(NamedTuple):
     """Whether light and moment are weighted means; otherwise they are sums."""
 
 
-def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapSum, Gathered]:
+class KnownPixel(NamedTuple):
+    """The kernel of a pixel, which is narrower where the pixel has a history."""
+
+    radius: hl.Expr
+    """Samples."""
+    precision: hl.Expr
+    """Subtracted from the base-2 logarithm of a weight, times the squared screen distance in pixels."""
+
+
+def gather_samples(grid: TapGrid, taps: Taps, power: hl.Expr, known: KnownPixel) -> tuple[TapSum, Gathered]:
     """Return this frame's sums over taps."""
 
     def take(weight: hl.Expr, values: list[hl.Expr]) -> list[hl.Expr]:
@@ -260,18 +166,18 @@ def gather_samples(grid: TapGrid, radius: hl.Expr, power: hl.Expr) -> tuple[TapS
         light = [weight * value for value in (tap.red, tap.green, tap.blue)]
         return [*light, weight * tap.good, weight * weight * tap.good, weight * tap.squared_luminance]
 
-    gathered, (*light, total, squares, moment) = _sum_taps("sums", grid, radius, power, take)
+    gathered, (*light, total, squares, moment) = _sum_taps("sums", grid, taps, power, take, known)
     return gathered, Gathered(light, moment, total, count_samples(total, squares), are_means=False)
 
 
-def compare_with_history(grid: TapGrid, pixels: Pixels, radius: hl.Expr, usable: hl.Expr) -> tuple[TapSum, hl.Expr]:
+def compare_with_history(grid: TapGrid, pixels: Pixels, taps: Taps, usable: hl.Expr) -> tuple[TapSum, hl.Expr]:
     """Return the trust of a shaded pixel, 0 to 1: 1 if samples and history around differ by no more than noise."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
         return [*(weight * value for value in tap[:10]), weight * weight * tap[9]]
 
-    compared, (*parts, total, squares) = _sum_taps("compared", grid, radius, None, take)
+    compared, (*parts, total, squares) = _sum_taps("compared", grid, taps, None, take)
     *_, known, red, green, blue = grid.read(hl.i32(0), hl.i32(0))
     excess: hl.Expr = zero
     for k, old in enumerate((red, green, blue)):
@@ -317,7 +223,7 @@ def weigh_own_sample(
     """
     zero = hl.f32(0.0)
     own, bonus = counts
-    light, good = demodulate(*given, at, hl.f32(ALBEDO_FLOOR) / own, (X, Y))
+    light, good = demodulate(*given, at, hl.f32(ALBEDO_FLOOR) / own, pixels.place)
     more = bonus * unit
     good = good & usable & (more > zero)
     more, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (more, *light)))
@@ -328,20 +234,20 @@ def weigh_own_sample(
 
 def accumulate(
     pixels: Pixels, kept: Sums, new: Sums, bonus: Sums, unit: hl.Expr, albedo: hl.ImageParam | None
-) -> hl.Func:
+) -> tuple[hl.Func, hl.RDom | None]:
     """Return the sums of history, frame and own sample, and their `Summary`, times the albedo if there is one."""
     sums = Sums(*pixels.keep("joined", *(p + q + r for p, q, r in zip(kept, new, bonus, strict=True))))
     mean, effective, variance = summarize(sums)
     if albedo is not None:
-        tints = [albedo[k, X, Y] for k in range(3)]
+        tints = [albedo[(k, *pixels.place)] for k in range(3)]
         bad = ~expressions.is_good(tints)
         tints = pixels.keep("tint", *(hl.select(bad, hl.f32(0.0), value) for value in tints))
         mean = [value * tint for value, tint in zip(mean, tints, strict=True)]
         luminance = find_luminance(tints)
         variance = variance * luminance * luminance
-    out = hl.Func("out")
-    out[X, Y] = hl.Tuple([*sums, *mean, sums.weight / unit, effective, variance])
-    return out
+    values = *sums, *mean, sums.weight / unit, effective, variance
+    pixels.keep("result", *values)
+    return pixels.write(pixels.once[-1], len(values))
 
 
 def summarize(sums: Sums) -> tuple[list[hl.Expr], hl.Expr, hl.Expr]:

@@ -77,6 +77,19 @@ def join_layers(
     return JoinedLayers(image, tuple(parts), weight_sum, effective, variance, holes)
 
 
+def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: float) -> NDArray[np.bool_]:
+    """Return where pixels of a mask have an albedo with a channel above ``floor``; the mask itself without albedo."""
+    if albedo is None:
+        return mask
+    (found,) = run_pointwise(_define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
+    return np.asarray(found)
+
+
+def _define_reflecting(grid: Grid) -> list[Vector]:
+    (floor,) = grid.get("floor")
+    return [[hl.u8((grid.read_one("mask") != 0) & reduce(or_, (tint > floor for tint in grid.read("albedo"))))]]
+
+
 def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
     zero = hl.f32(0.0)
     means = [[grid.read_one(f"mean{number}_{k}") for k in range(COLORS)] for number in range(layers)]

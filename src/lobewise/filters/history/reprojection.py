@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import halide as hl
@@ -41,6 +41,10 @@ class ComparedPixels:
     mask: NDArray[np.uint8]
     planes: FloatArray | None
     shape: tuple[int, int]
+
+    def restrict(self, mask: NDArray[np.bool_]) -> ComparedPixels:
+        """Return these pixels with a meaning only where ``mask``, (height, width), is True."""
+        return replace(self, mask=self.mask & widen(take_mask(mask)))
 
 
 def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> ComparedPixels:

@@ -218,12 +218,12 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None, lan
     return ReprojectionFuncs(out, frames.signature, pixels, found, ways)
 
 
-def _find_spot(raw: hl.Expr, length: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
+def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
     """Return the column or row of a place's first pixel, and the fraction beyond it.
 
-    Places far outside the image, and NaN, must not become an index.
+    Places far outside the image, and NaN, must not become an index. A pixel that is not usable has no place.
     """
-    near = (raw > hl.f32(-1.0)) & (raw < hl.f32(length))
+    near = usable & (raw > hl.f32(-1.0)) & (raw < hl.f32(length))
     value = hl.select(near, raw, hl.f32(OUTSIDE))
     whole = hl.floor(value + hl.f32(0.5))
     value = hl.select(hl.abs(value - whole) < hl.f32(SNAP_PIXELS), whole, value)
@@ -236,7 +236,8 @@ def _make_way(frames: _Frames, place: hl.ImageParam, start: int, own: Place, lan
     at = LANE, VECTOR, Y
     spots = hl.Func(f"{name}_spots")
     extents = frames.columns, frames.rows
-    spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k])])
+    usable = frames.mask[own] != 0
+    spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k], usable)])
     sums = hl.Func(f"{name}_sums")
     sums[at] = hl.Tuple([hl.f32(0.0)] * len(REPROJECTED))
     way = WayFuncs(spots, sums)
@@ -349,10 +350,10 @@ def _is_near(spot: Sequence[hl.Expr]) -> hl.Expr:
 
 
 def _compare_tap(frames: _Frames, start: int, own: Place, there: Place, inside: hl.Expr) -> hl.Expr:
-    """Return the similarity to a pixel of the frame before; 0 if one of both pixels has no meaning or no history."""
+    """Return the similarity to a pixel of the frame before; 0 if that pixel has no meaning or no history."""
     held = frames.read_past(there)
     # Drop a history that is not a number: it would spread by a pixel with every frame, even with weight 0.
-    usable = inside & (frames.mask_before[there] != 0) & (frames.mask[own] != 0)
+    usable = inside & (frames.mask_before[there] != 0)
     usable = usable & ~expressions.is_bad(sum(held[1:], held[0]))
     return hl.select(usable, frames.compare(start, own, there), hl.f32(0.0))
 
