@@ -26,7 +26,7 @@ from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.frame import Frame, Result
-from lobewise.guides.usable import bound_guides, find_unusable
+from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 
@@ -81,8 +81,8 @@ def upsample(
     """
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
-    notes = (*map(str, find_unusable(frame)), *(() if bilinear else describe_exact_light(frame)))
-    frame = bound_guides(frame)
+    frame, unusable = check_guides(frame)
+    notes = (*map(str, unusable), *(() if bilinear else describe_exact_light(frame)))
     asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
     require_full(asked)
     require_plain(asked, "upsampling")

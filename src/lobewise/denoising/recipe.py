@@ -23,7 +23,7 @@ from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.guides.usable import bound_guides, find_unusable
+from lobewise.guides.usable import check_guides
 from lobewise.peers import name_oidn_guides, require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.settings.choices import get_quality
@@ -94,8 +94,8 @@ def denoise(
 def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
     """Denoise a frame; ``named`` are the settings before anything is chosen."""
     start = time.perf_counter()
-    notes = tuple(map(str, find_unusable(frame)))
-    frame = bound_guides(frame)
+    frame, unusable = check_guides(frame)
+    notes = tuple(map(str, unusable))
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()

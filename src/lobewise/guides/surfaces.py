@@ -50,6 +50,11 @@ def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.b
 
 
 def _define_surface(grid: Grid) -> list[Vector]:
+    return [[hl.u8(is_surface(grid))]]
+
+
+def is_surface(grid: Grid) -> hl.Expr:
+    """Return whether a pixel sees a surface whose depth, position and normal are finite, as far as they are given."""
     surface = hl.Expr(True)
     if grid.has("depth"):
         surface = surface & is_surface_depth(grid.read_one("depth"))
@@ -60,7 +65,7 @@ def _define_surface(grid: Grid) -> list[Vector]:
         normal = grid.read("normal")
         square = dot(normal, normal)
         surface = surface & (square > hl.f32(MIN_SQUARED_NORMAL)) & is_finite(square)
-    return [[hl.u8(surface)]]
+    return surface
 
 
 def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArray]:

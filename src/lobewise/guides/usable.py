@@ -11,11 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth
 from lobewise.sparse_frame import AnyFrame
 
 MAX_ALBEDO = 1.1
@@ -50,6 +52,44 @@ class Unusable:
 
     def __str__(self) -> str:
         return f"{self.name} is {self.what} at {self.count} pixel{'s' if self.count > 1 else ''}: {self.fate}."
+
+
+def check_guides(frame: FrameT) -> tuple[FrameT, list[Unusable]]:
+    """Return the frame as `bound_guides` does, and the impossible values that `find_unusable` found.
+
+    Most frames have none, which one pass over the guides tells.
+    """
+    if not has_unusable(frame):
+        return frame, []
+    return bound_guides(frame), find_unusable(frame)
+
+
+def has_unusable(frame: AnyFrame) -> bool:
+    """Return whether any guide of a frame has an impossible value."""
+    guides = frame.gbuffer
+    names = (*ALBEDOS, *ALPHAS, "depth", "normal", "position")
+    images = {name: getattr(guides, name) for name in names}
+    layers = frame.layers if isinstance(frame, Frame) else ()
+    images |= {f"albedo{number}": layer.albedo for number, layer in enumerate(layers)}
+    if all(image is None for image in images.values()):
+        return False
+    (odd,) = run_pointwise(_define_odd, images, {}, len(layers))
+    return bool(odd.any())
+
+
+def _define_odd(grid: Grid, layers: int) -> list[Vector]:
+    """Return whether a pixel has an impossible value, or a surface without a normal or a place."""
+    odd = hl.Expr(False)
+    ranges = dict.fromkeys((*ALBEDOS, *(f"albedo{k}" for k in range(layers))), (MIN_ALBEDO, MAX_ALBEDO))
+    ranges |= dict.fromkeys(ALPHAS, (0.0, 1.0)) | {"normal": (-MAX_NORMAL_LENGTH, MAX_NORMAL_LENGTH)}
+    for name, (least, most) in ranges.items():
+        for value in grid.read(name) if grid.has(name) else ():
+            odd = odd | (value < hl.f32(least)) | (value > hl.f32(most)) | ~is_finite(value)
+    if grid.has("depth"):
+        depth = grid.read_one("depth")
+        odd = odd | (depth < hl.f32(0.0)) | (~is_finite(depth) & ~(depth > hl.f32(0.0)))
+        odd = odd | (is_surface_depth(depth) & ~is_surface(grid))
+    return [[hl.u8(odd)]]
 
 
 def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:

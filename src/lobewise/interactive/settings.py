@@ -46,7 +46,7 @@ class InteractiveSettings(Declared):
     spp: Annotated[int, Knob("Samples of each shaded pixel.", low=1, high=1 << 16, label="Samples")] = 1
     similarity: Similarity | Auto | Unfiltered = "ggx"
     beta: float | Auto = "auto"
-    radius: int = 2
+    radius: int = 5
     screen_sigma: float | Auto = "auto"
     tau: float | Auto = "auto"
     normal_exponent: float = DenoiseSettings.normal_exponent

@@ -23,6 +23,8 @@ from lobewise.temporal.validation import Guides, ValidationFeatures, make_valida
 
 MIN_AGREEMENT = 0.1
 """Agreement above which a pixel counts as found in the frame before, 0 to 1."""
+MAX_SHARE_SAMPLES = 256
+"""About the rows and columns of the shorter side that are counted for that: a share needs no more."""
 MIN_DIFFUSE_SHARE = 0.1
 """Share of the image that reflects diffusely, above which these pixels tell how much of the image continues."""
 MAX_STEP = 0.25
@@ -101,8 +103,9 @@ class HistoryReprojection:
         else:
             found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         if found is not None:
-            near = _find_near(self._places[0], MAX_STEP * max(guides.shape))
-            again = (found[..., AGREEMENT] > MIN_AGREEMENT) & near
+            some = (slice(None, None, max(1, min(guides.shape) // MAX_SHARE_SAMPLES)),) * 2
+            near = _find_near(self._places[0], MAX_STEP * max(guides.shape), some)
+            again, surface = (found[(*some, AGREEMENT)] > MIN_AGREEMENT) & near, surface[some]
             # A frame of sky alone is no cut.
             self.share = float(np.mean(again[surface])) if surface.any() else 1.0
         if self.share < temporal.cut_share:
@@ -131,11 +134,11 @@ class HistoryReprojection:
         return reproject(sums, surface, old.pixels, now, virtual=second, memory=memory, device=device)
 
 
-def _find_near(places: FloatArray, reach: float) -> NDArray[np.bool_]:
-    """Return where pixels moved less than ``reach`` pixels."""
-    height, width = places.shape[:2]
-    across = np.abs(places[..., 0] - np.arange(width, dtype=np.float32)) < reach
-    return np.asarray(across & (np.abs(places[..., 1] - np.arange(height, dtype=np.float32)[:, None]) < reach))
+def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> NDArray[np.bool_]:
+    """Return which of some pixels moved less than ``reach`` pixels."""
+    rows, columns = (np.arange(size, dtype=np.float32)[each] for size, each in zip(places.shape, some, strict=False))
+    across = np.abs(places[(*some, 0)] - columns) < reach
+    return np.asarray(across & (np.abs(places[(*some, 1)] - rows[:, None]) < reach))
 
 
 def _find_all_places(

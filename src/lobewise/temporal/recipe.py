@@ -36,7 +36,7 @@ from lobewise.filters.history.joining import JoinedLayers, find_reflecting, join
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
-from lobewise.guides.usable import bound_guides, find_unusable
+from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -168,10 +168,10 @@ class TemporalFilter:
         return replace(result, seconds=time.perf_counter() - start)
 
     def _add(self, frame: AnyFrame, features: Sequence[Feature], cut: bool) -> Result:
-        notes = tuple(map(str, find_unusable(frame)))
+        frame, unusable = check_guides(frame)
+        notes = tuple(map(str, unusable))
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
-        frame = bound_guides(frame)
         chosen = self._resolve(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
