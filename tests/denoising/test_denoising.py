@@ -9,7 +9,7 @@ import pytest
 
 import lobewise
 from lobewise.camera import Camera
-from lobewise.denoising import denoise
+from lobewise.denoising import bad_pixels, denoise
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
@@ -373,3 +373,21 @@ def test_position_may_come_from_depth_and_camera(quality: str) -> None:
     known = denoise(make_frame(), similarity="ggx", quality=quality)
     rebuilt = denoise(make_frame(position=None), similarity="ggx", quality=quality)
     np.testing.assert_allclose(rebuilt.image, known.image, rtol=1e-3)
+
+
+@pytest.mark.parametrize("size", [(300, 340), (90, 400)])
+def test_few_holes_are_filled_as_if_the_whole_image_was_filtered(
+    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(5)
+    image, holes = rng.random((*size, 3), np.float32), np.zeros(size, bool)
+    # Alone, together, in a corner, and too wide for the first round.
+    holes[20, 100], holes[21:23, 102:105], holes[0, 0], holes[-1, -1] = True, True, True, True
+    image[holes] = np.nan
+    mean = np.full(3, 0.5, np.float32)
+    monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 1e9)
+    windows = bad_pixels.refill(image, holes, mean, "cpu")
+    monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 0.0)
+    whole = bad_pixels.refill(image, holes, mean, "cpu")
+    assert np.isfinite(windows).all()
+    assert windows.tobytes() == whole.tobytes()

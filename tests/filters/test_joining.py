@@ -59,12 +59,12 @@ def test_exact_light_is_added_where_it_is_a_number() -> None:
     assert found.image.tobytes() == expected.tobytes()
 
 
-def test_beside_surfaces_no_support_is_needed() -> None:
-    outputs, surface = [make_output(1), make_output(2)], np.ones(SHAPE, bool)
-    surface[:, 20:] = False
+def test_where_nothing_reflects_no_support_is_needed() -> None:
+    outputs, reflecting = [make_output(1), make_output(2)], np.ones(SHAPE, bool)
+    reflecting[:, 20:] = False
     for output in outputs:
         output.weight_sum[3:] = 0.0
-    found = join_layers(outputs, [(surface, None)] * 2, surface=surface)
+    found = join_layers(outputs, [(reflecting, None)] * 2, reflecting=reflecting)
     assert found.holes[3:, :20].all()
     assert not found.holes[:, 20:].any()
 

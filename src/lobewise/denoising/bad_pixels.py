@@ -14,6 +14,8 @@ from lobewise.sparse_frame import AnyFrame
 
 SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)
 """Standard deviations of the rounds that fill holes, pixels. None weighs all pixels of the kernel alike."""
+MAX_WINDOWS_SHARE = 0.5
+"""Area of the windows around single holes over that of the image, above which the whole image is filtered instead."""
 REFILL_REACH = len(SIGMAS) * ATROUS_REACH
 """Reach of the filling, pixels: each round reads the pixels that the round before filled."""
 
@@ -69,17 +71,49 @@ def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device
     device : str
         A name from `list_devices`.
     """
-    everywhere = np.ones(holes.shape, dtype=bool)
-    source = np.where(holes[..., None], np.float32(np.nan), image)
+    source, holes = image.copy(), holes.copy()
+    source[holes] = np.nan
     for sigma in SIGMAS:
-        features: list[Feature] = [] if sigma is None else [ScreenFeature(sigma)]
-        filled = run_filter(source, everywhere, features, form="atrous", radius=0, device=device)
-        reached = holes & (filled.weight_sum > 0.0)
-        source = np.where(reached[..., None], filled.image, source)
-        holes = holes & ~reached
+        found = []
+        for rows, columns in _list_windows(holes):
+            window = source[rows, columns]
+            features: list[Feature] = [] if sigma is None else [ScreenFeature(sigma)]
+            everywhere = np.ones(window.shape[:2], dtype=bool)
+            filled = run_filter(window, everywhere, features, form="atrous", radius=0, device=device)
+            found.append((rows, columns, filled))
+        for rows, columns, filled in found:
+            # A pixel is exact in the window whose middle it is.
+            reached = _find_middle(holes, rows, columns) & (filled.weight_sum > 0.0)
+            source[rows, columns][reached] = filled.image[reached]
+            holes[rows, columns] &= ~reached
         if not holes.any():
             return source
-    return np.where(holes[..., None], mean, source)
+    source[holes] = mean
+    return source
+
+
+def _list_windows(holes: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
+    """Return the parts of an image that are filtered to fill its holes: a window for each of a few, or all of it."""
+    height, width = holes.shape
+    rows, columns = np.nonzero(holes)
+    side = 2 * ATROUS_REACH + 1
+    if len(rows) * side**2 > MAX_WINDOWS_SHARE * holes.size:
+        return [(slice(0, height), slice(0, width))]
+
+    def surround(at: int, size: int) -> slice:
+        return slice(max(0, at - ATROUS_REACH), min(size, at + ATROUS_REACH + 1))
+
+    return [(surround(y, height), surround(x, width)) for y, x in zip(rows.tolist(), columns.tolist(), strict=True)]
+
+
+def _find_middle(holes: NDArray[np.bool_], rows: slice, columns: slice) -> NDArray[np.bool_]:
+    """Return the holes of a window whose whole reach lies inside the window or outside the image."""
+    inside = []
+    for window, size in zip((rows, columns), holes.shape, strict=True):
+        at = np.arange(window.start, window.stop)
+        first = np.maximum(at - ATROUS_REACH, 0) >= window.start
+        inside.append(first & (np.minimum(at + ATROUS_REACH + 1, size) <= window.stop))
+    return np.asarray(holes[rows, columns] & inside[0][:, None] & inside[1])
 
 
 def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame, device: str) -> FloatArray:

@@ -340,15 +340,17 @@ def find_exact_light(frame: AnyFrame) -> FloatArray | None:
 
 def describe_exact_light(frame: SparseFrame) -> tuple[str, ...]:
     """Return what a user should know of the light that is taken from `GBuffer.mean_emission`, one sentence each."""
-    exact, notes = find_exact_light(frame), []
-    if exact is None or frame.gbuffer.mean_emission is None or frame.radiance.parts is None:
+    emission, notes = frame.gbuffer.mean_emission, []
+    if emission is None or not knows_exact_light(frame) or frame.radiance.parts is None:
         return ()
-    if bad := int(np.count_nonzero(~find_good(frame.gbuffer.mean_emission))):
+    # The comparison is false for NaN. Most frames need no look at single pixels.
+    is_good = float(emission.min()) >= 0.0 and float(emission.max()) < np.inf
+    if bad := 0 if is_good else int(np.count_nonzero(~find_good(emission))):
         pixels = f"{bad} pixel{'s' if bad > 1 else ''}"
         notes.append(f"mean_emission is not finite or below 0 at {pixels}: no emission or background is shown there.")
     total, first, second, rest = (
         float(np.sum(each, where=find_good(each)[..., None], dtype=np.float64))
-        for each in (frame.radiance.color, *frame.radiance.parts, exact[frame.shaded])
+        for each in (frame.radiance.color, *frame.radiance.parts, emission[frame.shaded])
     )
     if total - first - second - rest > MAX_SHARE_UNTOLD * total:
         share = 100.0 * (total - first - second - rest) / total

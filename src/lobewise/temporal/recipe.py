@@ -18,7 +18,6 @@ from lobewise.denoising.layers import (
     Support,
     describe_exact_light,
     find_support,
-    find_surface,
     knows_exact_light,
     make_layers,
     make_rest_layers,
@@ -313,13 +312,13 @@ class Gathered(NamedTuple):
 def _join_sparse(frame: SparseFrame, layers: dict[str, Layer], outputs: dict[str, AccumulatedOutput]) -> JoinedLayers:
     """Return the sum of a sparse frame's layers and of the light that it knows exactly."""
     lobes = [layer for name, layer in layers.items() if name not in UNSCATTERED]
-    # Nothing is scattered where there is no surface.
-    is_empty_beside = frame.radiance.parts is not None and "background" not in layers
+    # Nothing is scattered where nothing reflects.
+    is_black_beside = frame.radiance.parts is not None and "background" not in layers
     return join_layers(
         list(outputs.values()),
         [(layer.mask, layer.albedo) for layer in lobes],
         exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
-        surface=find_surface(frame) if is_empty_beside else None,
+        reflecting=np.logical_or.reduce([layer.mask for layer in lobes]) if is_black_beside else None,
     )
 
 

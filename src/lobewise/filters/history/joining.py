@@ -50,7 +50,7 @@ def join_layers(
     lobes: Sequence[tuple[NDArray[np.bool_], FloatArray | None]],
     *,
     exact: FloatArray | None = None,
-    surface: NDArray[np.bool_] | None = None,
+    reflecting: NDArray[np.bool_] | None = None,
 ) -> JoinedLayers:
     """Return the sum of the layers of a frame.
 
@@ -62,10 +62,10 @@ def join_layers(
         Pixels that have the light of a layer, and its albedo or None, for each layer that lobes scattered.
     exact : array, shape (height, width, 3), optional
         Light without noise that is added; pixels that are not finite or negative add nothing.
-    surface : bool array, shape (height, width), optional
+    reflecting : bool array, shape (height, width), optional
         Where it is False nothing is scattered, so that the pixel needs no support.
     """
-    images: dict[str, Any] = {"exact": exact, "surface": surface}
+    images: dict[str, Any] = {"exact": exact, "reflecting": reflecting}
     for number, output in enumerate(outputs):
         images |= {f"mean{number}_{k}": output.image[..., k] for k in range(COLORS)}
         images |= {f"variance{number}": output.variance, f"weight{number}": output.weight_sum}
@@ -100,8 +100,8 @@ def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
         total = [value + hl.select(good, more, zero) for value, more in zip(total, exact, strict=True)]
     weights = [grid.read_one(f"weight{number}") for number in range(layers)]
     supported = reduce(or_, (weight > zero for weight in weights))
-    if grid.has("surface"):
-        supported = supported | (grid.read_one("surface") == 0)
+    if grid.has("reflecting"):
+        supported = supported | (grid.read_one("reflecting") == 0)
     parts = []
     for mean in means[:lobes] if lobes > 1 else []:
         usable = expressions.is_good(mean)
