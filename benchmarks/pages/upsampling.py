@@ -60,7 +60,7 @@ def make_ghost_table(ghosts: dict[str, Any]) -> str:
 
 
 def make_speed_table(speed: dict[str, Any]) -> str:
-    """Return the times of a frame, alone and with history, and of every stage."""
+    """Return the times of a frame, alone and with history, of every stage, and of its passes over memory."""
     stages = list(dict.fromkeys(stage for _, cells in list_measured(speed) for stage in cells["stages_milliseconds"]))
     rows = [
         [
@@ -69,10 +69,12 @@ def make_speed_table(speed: dict[str, Any]) -> str:
             f"{cells['temporal_milliseconds']:.0f}",
             f"{cells['temporal_over_alone']:.1f}",
             *(f"{cells['stages_milliseconds'].get(stage, 0.0):.0f}" for stage in stages),
+            f"{cells['roofline_milliseconds']:.0f}",
+            f"{100.0 * cells['roofline_milliseconds'] / cells['temporal_milliseconds']:.0f} %",
         ]
         for name, cells in list_measured(speed)
     ]
-    return make_table(["milliseconds", "alone", "with history", "ratio", *stages], rows)
+    return make_table(["milliseconds", "alone", "with history", "ratio", *stages, "memory alone", "share"], rows)
 
 
 def make_upsampling_figures(data: dict[str, Any]) -> dict[str, str]:
