@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,9 @@ from lobewise.denoising.planning.layer_plans import plan_upsampling
 from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
-from lobewise.frame import Frame, Result
+from lobewise.filters.compositing import composite_parts
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
@@ -87,6 +89,8 @@ def upsample(
     require_full(asked)
     require_plain(asked, "upsampling")
     chosen = resolve_settings(frame, asked, frame.scale)
+    if not bilinear:
+        frame = tint_samples(frame)
     bad = find_bad_pixels(Frame(frame.radiance))
     require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
     if bilinear:
@@ -98,7 +102,12 @@ def upsample(
         reach = chosen.radius
     plan = plan_upsampling(reach, frame.scale)
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
-    image = np.asarray(sum(output.image for output in outputs), dtype=np.float32)
+    images = [output.image for output in outputs]
+    if not bilinear and knows_areas(frame):
+        named = dict(zip(AREAS, images, strict=False))
+        supports = {name: output.weight_sum > 0.0 for name, output in zip(AREAS, outputs, strict=False)}
+        images[: len(AREAS)] = composite_areas(frame, named, supports).values()
+    image = np.asarray(sum(images), dtype=np.float32)
     exact = None if bilinear else find_exact_light(frame)
     apart = not bilinear and frame.radiance.parts is not None
     # Emission and background are compared by place alone, so their support says nothing about lobes.
@@ -113,8 +122,8 @@ def upsample(
     image = fill_holes(image, holes, frame, chosen.device)
     return Result(
         image=image,
-        diffuse=outputs[0].image if apart else None,
-        specular=outputs[1].image if apart else None,
+        diffuse=images[0] if apart else None,
+        specular=images[1] if apart else None,
         weight_sum=weight_sum,
         effective_samples=effective_samples,
         bad_pixels=spread(frame, bad),
@@ -122,6 +131,67 @@ def upsample(
         seconds=time.perf_counter() - start,
         notes=notes,
     )
+
+
+def knows_areas(frame: SparseFrame) -> bool:
+    """Return whether a frame tells which surfaces share a pixel: coverage, mean albedos, and light split by lobe."""
+    guides = frame.gbuffer
+    needed = (guides.coverage, *(getattr(guides, name) for pair in AREAS.values() for name in pair))
+    return frame.radiance.parts is not None and all(image is not None for image in needed)
+
+
+AREAS = {
+    "diffuse": ("diffuse_albedo", "mean_diffuse_albedo"),
+    "specular": ("specular_albedo", "mean_specular_albedo"),
+}
+"""Albedo at a pixel's centre, and over its area, for each layer."""
+MAX_TINT = 4.0
+"""Largest factor by which the radiance of a sample changes when it is divided by the albedo of its pixel's area."""
+
+
+def tint_samples(frame: SparseFrame) -> SparseFrame:
+    """Return a frame whose samples have the albedo of the surface at the pixel's centre.
+
+    A sample is the radiance of its pixel's area. Where several surfaces share the pixel, the light is the radiance over
+    the mean albedo, and not over the albedo at the centre.
+    """
+    if not knows_areas(frame):
+        return frame
+    parts = {}
+    for name, (centre, area) in AREAS.items():
+        albedo, mean = (getattr(frame.gbuffer, each)[frame.shaded] for each in (centre, area))
+        with np.errstate(invalid="ignore"):
+            ratio = albedo / np.maximum(mean, np.float32(ALBEDO_FLOOR))
+            ratio = np.where((mean > ALBEDO_FLOOR) & (ratio > 0.0), np.minimum(ratio, np.float32(MAX_TINT)), 1.0)
+        parts[name] = (getattr(frame.radiance, name) * ratio).astype(np.float32)
+    old = frame.radiance.parts
+    assert old is not None
+    with np.errstate(invalid="ignore", over="ignore"):
+        color = frame.radiance.color - old[0] - old[1] + parts["diffuse"] + parts["specular"]
+    return replace(frame, radiance=replace(frame.radiance, color=color, **parts))
+
+
+def composite_areas(
+    frame: SparseFrame, parts: Mapping[str, FloatArray], supports: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, FloatArray]:
+    """Return the radiance of every pixel's area from that of the surfaces at pixel centres.
+
+    Parameters
+    ----------
+    frame : SparseFrame
+        One that `knows_areas`.
+    parts : mapping of array, shape (height, width, 3)
+        Radiance of the layers by name.
+    supports : mapping of bool array, shape (height, width)
+        Where each layer is defined.
+    """
+    guides = frame.gbuffer
+    coverage = guides.require("coverage", "compositing")
+    areas = {}
+    for name, part in parts.items():
+        albedo, mean = (guides.require(each, "compositing") for each in AREAS[name])
+        areas[name] = composite_parts(part, supports[name], albedo, mean, coverage)
+    return areas
 
 
 def spread(frame: SparseFrame, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:

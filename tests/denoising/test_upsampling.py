@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import GBuffer, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 from lobewise.temporal import TemporalFilter
@@ -43,6 +44,37 @@ def test_edge_of_gloss_stays_where_the_guides_have_it(similarity: str, scale: in
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("over_time", [False, True])
+def test_pixels_that_two_surfaces_share_show_both(over_time: bool) -> None:
+    # Two surfaces of other albedos side by side. The pixels of column 31, which are not shaded, show half of each.
+    height, width, scale = 32, 64, 2
+    left = np.arange(width) < 32
+    depth = np.where(left, 4.0, 40.0) * np.ones((height, 1))
+    albedo = np.where(left[:, None], 0.8, 0.2) * np.ones((height, 1, 3))
+    light = np.where(left[:, None], 1.0, 5.0) * np.ones((height, 1, 3))
+    mean, coverage, truth = albedo.copy(), np.zeros((height, width, 9)), albedo * light
+    coverage[..., 4] = 1.0
+    coverage[:, 31, 4:6] = 0.5
+    mean[:, 31], truth[:, 31] = 0.5, 0.5 * (0.8 * 1.0 + 0.2 * 5.0)
+    dark = np.full((height, width, 3), 1e-6)
+    guides = GBuffer(
+        depth=depth,
+        normal=np.broadcast_to([0.0, 0.0, 1.0], (height, width, 3)),
+        alpha_u=np.full((height, width), 0.3),
+        diffuse_albedo=albedo,
+        mean_diffuse_albedo=mean,
+        specular_albedo=dark,
+        mean_specular_albedo=dark,
+        coverage=coverage,
+        mean_emission=0.0 * dark,
+    )
+    camera = Camera(position=(0, 0, 4), forward=(0, 0, -1), up=(0, 1, 0), fov_y=0.6)
+    frame = Frame(Radiance(truth, diffuse=truth, specular=0.0 * truth), guides, camera, spp=4)
+    sparse = make_sparse(frame, scale, (0, 0))
+    result = TemporalFilter(similarity="ggx").add(sparse) if over_time else upsample(sparse, similarity="ggx")
+    np.testing.assert_allclose(result.image, truth, rtol=0.02)
+
+
 def test_every_pixel_shaded_is_filtering() -> None:
     from lobewise.denoising import denoise
 

@@ -60,6 +60,13 @@ class Grid:
         place = self.x if x is None else x, self.y if y is None else y
         return [param[place]] if channels == 1 else [param[k, place[0], place[1]] for k in range(channels)]
 
+    def read_channels(self, name: str, x: hl.Expr | None = None, y: hl.Expr | None = None) -> list[hl.Expr]:
+        """Return the channels of an image that `give_channels` gave."""
+        if name in self.images:
+            return self.read(name, x, y)
+        count = sum(each.startswith(f"{name}_channel") for each in self.images)
+        return [value for k in range(count) for value in self.read(f"{name}_channel{k}", x, y)]
+
     def read_one(self, name: str) -> hl.Expr:
         """Return the only channel of an image at this pixel."""
         (value,) = self.read(name)
@@ -84,6 +91,16 @@ class Grid:
             return [hl.Expr(there[k]) for k in range(len(values))] if len(values) > 1 else [hl.Expr(there)]
 
         return read
+
+
+def give_channels(name: str, image: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Return an image (height, width, channels) by name, its channels apart if they lie one after the other in memory.
+
+    Either way no copy is needed.
+    """
+    if image.strides[-1] == image.itemsize:
+        return {name: image}
+    return {f"{name}_channel{k}": image[..., k] for k in range(image.shape[-1])}
 
 
 Definition = Callable[..., Sequence[Vector]]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
-from lobewise.filters.cross_pass import COLORS
+from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise, select_or_nan
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.frame import FloatArray
 
 MIN_TINTED_AREA = 1e-6
@@ -59,6 +59,62 @@ def composite_light(
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
     (composite,) = run_pointwise(_define_composite, {**named, **others}, {})
     return np.asarray(composite)
+
+
+def composite_parts(
+    part: FloatArray,
+    lit: NDArray[np.bool_],
+    albedo: FloatArray,
+    mean_albedo: FloatArray,
+    coverage: FloatArray,
+) -> FloatArray:
+    """Return the radiance of every pixel's area from the radiance of the surfaces at pixel centres.
+
+    With the shares c of the 3x3 surfaces and their albedos a it is ``sum_k c_k part_k / sum_k c_k a_k`` times the mean
+    albedo of the pixel, channel by channel. Only neighbours that are lit and have an albedo count. A pixel that no such
+    surface covers keeps its radiance.
+
+    Parameters
+    ----------
+    part : array, shape (height, width, 3)
+        Radiance of one layer, as if the surface at the centre filled the pixel; finite, >= 0.
+    lit : bool array, shape (height, width)
+        True where the radiance is defined.
+    albedo, mean_albedo : array, shape (height, width, 3)
+        Albedo at the centre, and its mean over the pixel's area.
+    coverage : array, shape (height, width, 9)
+        See `lobewise.frame.GBuffer`.
+    """
+    images = {"lit": lit, "albedo": albedo, "mean": mean_albedo, "coverage": coverage, **give_channels("part", part)}
+    (composite,) = run_pointwise(_define_part, images, {})
+    return np.asarray(composite)
+
+
+def _define_part(grid: Grid) -> list[Vector]:
+    width, height = grid.size
+    zero = hl.f32(0.0)
+    # The values of every pixel, 0 where it does not count, are computed once for all of its neighbours.
+    at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+    lit = grid.read("lit", *at)[0] != 0
+    tints, lights = [], []
+    for value, albedo in zip(grid.read_channels("part", *at), grid.read("albedo", *at), strict=True):
+        known = lit & (albedo > hl.f32(ALBEDO_FLOOR))
+        tints.append(hl.select(known, albedo, zero))
+        lights.append(hl.select(known, value, zero))
+    read = grid.keep([*tints, *lights])
+    weights: list[hl.Expr] = [zero] * COLORS
+    sums: list[hl.Expr] = [zero] * COLORS
+    for k, share in enumerate(grid.read("coverage")):
+        there = read(grid.x + (k % 3 - 1), grid.y + (k // 3 - 1))
+        weights = [weight + share * tint for weight, tint in zip(weights, there[:COLORS], strict=True)]
+        sums = [total + share * light for total, light in zip(sums, there[COLORS:], strict=True)]
+    own = zip(grid.read_channels("part"), grid.read("mean"), sums, weights, strict=True)
+    return [
+        [
+            hl.select((weight > hl.f32(MIN_TINTED_AREA)) & ~expressions.is_bad(mean), total / weight * mean, value)
+            for value, mean, total, weight in own
+        ]
+    ]
 
 
 def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) -> FloatArray:

@@ -40,7 +40,7 @@ from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
 from lobewise.temporal.validation import Guides, find_same_tau
-from lobewise.upsampling import DEFAULT_RADIUS, spread
+from lobewise.upsampling import AREAS, DEFAULT_RADIUS, composite_areas, knows_areas, spread, tint_samples
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -172,6 +172,8 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
         chosen = self._resolve(frame)
+        if isinstance(frame, SparseFrame):
+            frame = tint_samples(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
@@ -312,10 +314,16 @@ class Gathered(NamedTuple):
 def _join_sparse(frame: SparseFrame, layers: dict[str, Layer], outputs: dict[str, AccumulatedOutput]) -> JoinedLayers:
     """Return the sum of a sparse frame's layers and of the light that it knows exactly."""
     lobes = [layer for name, layer in layers.items() if name not in UNSCATTERED]
+    told = list(outputs.values())
+    if knows_areas(frame):
+        parts = {name: outputs[name].image for name in AREAS}
+        supports = {name: outputs[name].weight_sum > 0.0 for name in AREAS}
+        areas = composite_areas(frame, parts, supports)
+        told[: len(areas)] = (replace(outputs[name], image=area) for name, area in areas.items())
     # Nothing is scattered where nothing reflects.
     is_black_beside = frame.radiance.parts is not None and "background" not in layers
     return join_layers(
-        list(outputs.values()),
+        told,
         [(layer.mask, layer.albedo) for layer in lobes],
         exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
         reflecting=np.logical_or.reduce([layer.mask for layer in lobes]) if is_black_beside else None,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.frame import FloatArray
@@ -67,7 +67,7 @@ def join_layers(
     """
     images: dict[str, Any] = {"exact": exact, "reflecting": reflecting}
     for number, output in enumerate(outputs):
-        images |= {f"mean{number}_{k}": output.image[..., k] for k in range(COLORS)}
+        images |= give_channels(f"mean{number}", output.image)
         images |= {f"variance{number}": output.variance, f"weight{number}": output.weight_sum}
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
@@ -92,7 +92,7 @@ def _define_reflecting(grid: Grid) -> list[Vector]:
 
 def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
     zero = hl.f32(0.0)
-    means = [[grid.read_one(f"mean{number}_{k}") for k in range(COLORS)] for number in range(layers)]
+    means = [grid.read_channels(f"mean{number}") for number in range(layers)]
     total = [_add([mean[k] for mean in means]) for k in range(COLORS)]
     if grid.has("exact"):
         exact = grid.read("exact")
