@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lobewise.denoising import denoise, find_bad_pixels
 from lobewise.denoising.layers import find_exact_light, find_surface
 from lobewise.errors import InputError
+from lobewise.filters.noise.expected import expect_error
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.sparse_frame import AnyFrame
 
@@ -26,16 +27,6 @@ class History(Protocol):
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], radiance: Radiance, weights: FloatArray
     ) -> None:
         """Add radiance to the history of single pixels."""
-
-
-CONTRAST_RADIUS_PIXELS = 2
-"""Pixels to the edge of the square in which the contrast around a pixel is measured."""
-DARK_LEVEL, DARK_SQUARED = 0.1, 0.02
-"""Light over the image's mean, and its square, below which differences of light count less."""
-FLAT_CONTRAST = 0.001
-"""Variance of the logarithm of light that a flat part counts as having."""
-MIN_EFFECTIVE_SAMPLES, MIN_LEVEL = 0.1, 1e-30
-"""Effective samples and mean light that smaller ones count as."""
 
 
 def find_unsupported(
@@ -98,18 +89,8 @@ def find_unsupported(
 
 def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:
     """Return the pixels of surfaces that have no support, then those of the largest expected error."""
-    exact = find_exact_light(frame)
-    with np.errstate(invalid="ignore"):
-        light = (result.image if exact is None else result.image - exact).mean(axis=-1)
-    light = np.where(np.isfinite(light), np.maximum(light, np.float32(0.0)), np.float32(0.0))
-    level = max(float(light.mean(dtype=np.float64)), MIN_LEVEL)
-    relative = np.asarray(light / level, np.float32)
-    if result.variance is None:
-        noise = 1.0 / np.maximum(result.effective_samples, MIN_EFFECTIVE_SAMPLES)
-    else:
-        noise = result.variance / level**2 / (relative**2 + DARK_SQUARED)
-    expected = noise * (_find_contrast(relative) + np.float32(FLAT_CONTRAST))
-    expected = np.where(np.isfinite(expected), expected, np.float32(0.0))
+    noise = {"variance": result.variance, "effective_samples": result.effective_samples}
+    expected = expect_error(result.image, exact=find_exact_light(frame), **noise)
     # Pixels without support come first, those of the lowest weight before others.
     lacking = result.weight_sum < least
     order = np.where(lacking, expected.max(initial=0.0) * (2.0 - result.weight_sum / max(least, 1e-30)) + 1.0, expected)
@@ -123,27 +104,7 @@ def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -
         chosen[equal[: count - np.count_nonzero(chosen)]] = True
     else:
         chosen = order > 0.0
-    return chosen.reshape(light.shape)
-
-
-def _find_contrast(relative: FloatArray) -> FloatArray:
-    """Return the variance of the logarithm of light in the square around each pixel, (height, width)."""
-    side = 2 * CONTRAST_RADIUS_PIXELS + 1
-    logarithm = np.log(relative + np.float32(DARK_LEVEL))
-    # Without the mean of all, squares of bright or dark images would lose digits.
-    logarithm -= logarithm.mean(dtype=np.float64).astype(np.float32)
-    mean, square = (_sum_square(each) / np.float32(side * side) for each in (logarithm, logarithm * logarithm))
-    return np.asarray(np.maximum(square - mean * mean, np.float32(0.0)))
-
-
-def _sum_square(image: FloatArray) -> FloatArray:
-    """Return the sum over the square around each pixel; pixels at the border are repeated outside."""
-    for axis, length in enumerate(image.shape):
-        border = [(CONTRAST_RADIUS_PIXELS, CONTRAST_RADIUS_PIXELS) if k == axis else (0, 0) for k in (0, 1)]
-        padded = np.pad(image, border, mode="edge")
-        parts = [padded.take(range(k, k + length), axis) for k in range(2 * CONTRAST_RADIUS_PIXELS + 1)]
-        image = np.add.reduce(parts, dtype=np.float32)
-    return image
+    return chosen.reshape(expected.shape)
 
 
 def recompute(
