@@ -147,6 +147,18 @@ class TestStill:
         assert np.isfinite(results[3].image).all()
         assert results[3].settings["history_share"] == 1.0
 
+    def test_samples_that_are_added_change_no_state_that_was_saved(self):
+        active = TemporalFilter()
+        active.add(make_still(1, 4)[0])
+        state = active.get_state()
+        saved = {name: np.copy(value) for name, value in state.items()}
+        where, weight = np.array([3]), np.ones(1, np.float32)
+        light = Radiance(np.full((1, 1, 3), 0.8), diffuse=np.full((1, 1, 3), 0.5), specular=np.full((1, 1, 3), 0.3))
+        active.add_samples(where, where, light, weight)
+        for name, value in saved.items():
+            assert value.tobytes() == state[name].tobytes(), name
+        assert any(value.tobytes() != saved[name].tobytes() for name, value in active.get_state().items())
+
     def test_variance_tells_the_error(self):
         truth = find_truth()
         results = run(make_still(12))

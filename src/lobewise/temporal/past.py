@@ -163,7 +163,8 @@ def _find_all_places(
 def pack_past(past: Past) -> dict[str, NDArray[Any]]:
     """Return a past as arrays by name."""
     packed: dict[str, NDArray[Any]] = {"similarity": np.array(past.similarity)}
-    packed |= {f"sums/{name}": value for name, value in past.sums.items()}
+    # Samples may be added to the sums in place later.
+    packed |= {f"sums/{name}": np.copy(value, order="K") for name, value in past.sums.items()}
     if past.allowance is not None:
         packed["allowance"] = past.allowance
     parts: list[tuple[str, Any]] = [("gbuffer", past.guides.gbuffer), ("camera", past.guides.camera)]

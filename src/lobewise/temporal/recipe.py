@@ -228,9 +228,8 @@ class TemporalFilter:
                 action = "pass all parts of the frame"
                 raise InputError("radiance", expected=expected, got=repr(radiance), action=action)
             divisor = 1.0 if albedo is None else np.maximum(albedo[rows, columns], np.float32(ALBEDO_FLOOR))
-            self._past.sums[name] = add_to_sums(
-                self._past.sums[name], (rows, columns), light[:, 0] / divisor, weights, self.temporal.strictness
-            )
+            means = light[:, 0] / divisor
+            add_to_sums(self._past.sums[name], (rows, columns), means, weights, self.temporal.strictness)
 
     def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> LayerPlan:
         known = min(self.temporal.history_radius, chosen.radius)

@@ -60,8 +60,8 @@ def split_sums(history: FloatArray) -> Sums:
 
 def add_to_sums(
     history: FloatArray, where: tuple[Any, Any], light: FloatArray, weight: FloatArray, growth: float
-) -> FloatArray:
-    """Return a history to which single pixels got a mean of samples each.
+) -> None:
+    """Add a mean of samples to each of some pixels of a history, in place.
 
     Parameters
     ----------
@@ -81,10 +81,8 @@ def add_to_sums(
     luminance = light @ np.array(LUMINANCE, np.float32)
     total = weight * unit
     added = [*(total * light[:, k] for k in range(3)), total, total * unit, total * luminance**2]
-    changed = np.copy(history, order="K")
     for channel, value in enumerate(added):
-        changed[(*where, channel)] += value
-    return changed
+        history[(*where, channel)] += value
 
 
 def count_host_lanes() -> int:
