@@ -87,11 +87,16 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
         **{name: dr.select(found, getattr(surface, name), 0.0) for name in names},
         "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
         "position": dr.select(found, si.p, 0.0),
-        "shape": mi.Float(dr.reinterpret_array(mi.UInt32, si.shape)),
+        # An instance moves, the shapes of its group do not.
+        "shape": mi.Float(_number_shapes(dr.select(si.instance != None, si.instance, si.shape))),  # noqa: E711
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,
     }
+
+
+def _number_shapes(shape: Any) -> Any:
+    return dr.reinterpret_array(mi.UInt32, shape)
 
 
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:
@@ -100,7 +105,7 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
     ``shape`` (height, width) holds the numbers of `trace_guides`. Shapes move as rigid bodies or by another affine map.
     InputError if the scene has no shape with an id of ``moves``, or a matrix is not finite or not (4, 4).
     """
-    numbers = {each.id(): int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(each))[0]) for each in scene.shapes()}
+    numbers = {each.id(): int(_number_shapes(mi.ShapePtr(each))[0]) for each in scene.shapes()}
     before = position
     for name, move in moves.items():
         require_choice("moves", name, numbers)

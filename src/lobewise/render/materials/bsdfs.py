@@ -39,6 +39,9 @@ PLUGIN_OF_CLASS = {
 }
 """Names of plugins in scene files, by C++ class name."""
 
+INSTANCE = "Instance"
+"""Class name of a shape that repeats a shape group."""
+
 FITTED = "fitted"
 """Plugin name for every other class."""
 
@@ -228,11 +231,33 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
     )
 
 
+def list_shapes(scene: Any) -> list[Any]:
+    """Return the shapes of a scene, and after them those inside shape groups, which instances repeat.
+
+    Mitsuba lists no shapes of a group. So if there is an instance, every other shape that is alive counts, also the
+    shapes of other scenes. Their BSDFs are then read in vain.
+    """
+    shapes = list(scene.shapes())
+    if not any(shape.class_name() == INSTANCE for shape in shapes):
+        return shapes
+    known = {shape.ptr for shape in shapes}
+    inner: list[Any] = []
+
+    def visit(self: Any, lane: Any) -> Any:
+        if self.ptr not in known:
+            inner.append(self)
+        return lane
+
+    # Dr.Jit visits every shape that is alive.
+    dr.dispatch(mi.ShapePtr(shapes[0]), visit, dr.opaque(mi.UInt32, 0))
+    return shapes + inner
+
+
 def read_scene_materials(scene: Any) -> dict[int, Material]:
     """Return the materials of a scene's shapes, by the address of the BSDF object. Errors as in `read_material`."""
     materials: dict[int, Material] = {}
     fits: list[Fit] = []
-    for shape in scene.shapes():
+    for shape in list_shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None and bsdf.ptr not in materials:
             materials[bsdf.ptr] = read_material(bsdf, fits)

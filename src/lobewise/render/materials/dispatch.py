@@ -1,4 +1,4 @@
-"""The diffuse share of a reflection, which splits radiance by lobe, and calls of the materials of many hits at once."""
+"""The diffuse share of a reflection, light that passes unscattered, and calls of the materials of many hits at once."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material, make_diffuse_context
+from lobewise.render.materials.fitted import OPACITY
 from lobewise.render.materials.surface import (
     Surface,
     describe_material,
@@ -95,6 +96,28 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
     return _divide(part, value + other)
 
 
+def find_null_transmission(material: Material, si: Any, active: Any) -> Any:
+    """Return the share of light that passes a surface unscattered (Color3f), towards the viewer at ``si.wi``.
+
+    Mitsuba's normal and bump maps answer 0 for what passes the BSDF inside them, so the nested BSDFs are asked. A BSDF
+    whose answer is not that of its samples has the share of its samples that passed.
+    """
+    if not material.can_be_transparent:
+        return mi.Color3f(0)
+    if material.plugin in ("normalmap", "bumpmap"):
+        inner, _, _ = enter_perturbed(material, si, make_world_frame(si), active)
+        return find_null_transmission(material.nested[0], inner, active)
+    if material.plugin == "mask":
+        opacity = dr.clip(read_number(material, "opacity", si, active), 0.0, 1.0)
+        return dr.lerp(mi.Color3f(1), find_null_transmission(material.nested[0], si, active), opacity)
+    if material.plugin == "blendbsdf":
+        weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
+        return dr.lerp(*(find_null_transmission(child, si, active) for child in material.nested), weight)
+    if material.fitted is not None and not material.fitted.fit.parts.knows_transmission:
+        return mi.Color3f(1.0 - material.fitted.look_up(si, active)[OPACITY])
+    return mi.Color3f(material.bsdf.eval_null_transmission(si, active))
+
+
 def _dispatch(
     materials: dict[int, Material], ask: Callable[..., Any], make_nothing: Callable[[], Any], bsdf: Any, *arguments: Any
 ) -> Any:
@@ -115,6 +138,11 @@ def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active:
 def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
     """Return `find_diffuse_share` at hits on any of the materials."""
     return _dispatch(materials, find_diffuse_share, lambda: mi.Color3f(0), bsdf, si, wo, active)
+
+
+def dispatch_transmission(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Any:
+    """Return `find_null_transmission` at hits on any of the materials; zeros in inactive lanes."""
+    return _dispatch(materials, find_null_transmission, lambda: mi.Color3f(0), bsdf, si, active)
 
 
 def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:

@@ -12,7 +12,7 @@ from lobewise.errors import InputError
 from lobewise.fitting.arrays import Array
 from lobewise.fitting.fit import COSINES, Evaluate
 from lobewise.render.loading import load_scene
-from lobewise.render.materials.bsdfs import list_nested
+from lobewise.render.materials.bsdfs import list_nested, list_shapes
 from lobewise.render.materials.fitted import (
     is_isotropic,
     list_fitted_views,
@@ -79,7 +79,7 @@ def open_scene_material(reference: str) -> SceneMaterial:
 
 def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
     found: dict[str, dict[int, Any]] = {}
-    for shape in scene.shapes():
+    for shape in list_shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None:
             found.setdefault(str(shape.id()), {})[bsdf.ptr] = bsdf

@@ -23,6 +23,8 @@ from lobewise.render.bridge import dr, mi
 _MIN_COSINE = 1e-6
 # Largest difference of two sets of values that count as equal, root mean square relative to the larger set.
 _MAX_DIFFERENCE = 0.02
+# Number of samples per view that measure what passes a surface, and largest difference that counts as their noise.
+_NULL_SAMPLES, _MAX_NULL_DIFFERENCE = 1024, 0.03
 
 
 def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
@@ -131,6 +133,8 @@ class Parts:
     """Whether the BSDF reflects or transmits if seen from behind."""
     textured: bool
     """Whether the BSDF depends on uv."""
+    knows_transmission: bool
+    """Whether the BSDF's evaluation of what passes unscattered agrees with its samples."""
 
     @property
     def diffuse_lobes(self) -> Any:
@@ -157,7 +161,19 @@ def find_parts(bsdf: Any) -> Parts:
     elsewhere = evaluate_bsdf(bsdf, view, light, uv=spread_points(len(view), 2))
     good = np.isfinite(whole) & np.isfinite(elsewhere)
     textured = not are_same(elsewhere[good], whole[good])
-    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind, textured)
+    knows = _knows_transmission(bsdf, view[:8])
+    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind, textured, knows)
+
+
+def _knows_transmission(bsdf: Any, view: Array) -> bool:
+    """Return whether ``eval_null_transmission`` agrees with the mean weight of samples that pass, for some views."""
+    samples = sample_bsdf(bsdf, view, _NULL_SAMPLES)
+    passing = np.where(samples.null[..., None], samples.weight, 0.0).mean(axis=1)
+    try:
+        known = _to_colors(mi.Color3f(bsdf.eval_null_transmission(make_hits(view))), len(view))
+    except Exception:  # a BSDF written by a user need not have it
+        return False
+    return bool(np.abs(known - passing).max() <= _MAX_NULL_DIFFERENCE)
 
 
 def digest_bsdf(bsdf: Any) -> str:

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from lobewise.frame import LobeKind
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.materials.dispatch import dispatch_share
+from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface, dispatch_transmission
+from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.light_sampling import meet_emitter, scatter
-from lobewise.render.tracing.points import Points
+from lobewise.render.tracing.points import MAX_LAYERS, Points
 from lobewise.sparse_frame import list_places
 
 PATTERN = 4
 """Width of a block of pixels that draw different samples. All blocks draw the same samples."""
+
+MIN_LIGHT_SHARE = 1.0 / 1024.0
+"""Share of the light that transparent surfaces let through, below which the surfaces behind them are not lit."""
 
 MAX_NARROW_ALPHA = 0.3
 """Alpha below which a lobe is also sampled by the BSDF. For wider lobes light samples are enough."""
@@ -38,6 +42,28 @@ class Direct:
     specular: Any
 
 
+@dataclass
+class _Numbers:
+    """The random numbers of a pixel: points of the unit square for the light and for the BSDF, and for its lobe."""
+
+    light: Any
+    bsdf: Any
+    choice: Any
+
+
+@dataclass
+class _Layers:
+    """State of the walk through transparent surfaces. ``light`` is the share that the surfaces in front let through."""
+
+    ray: Any
+    light: Any = starts_as("Color3f", 1)
+    count: Any = starts_as("UInt32")
+    active: Any = starts_as("Bool", True)
+    emitted: Any = starts_as("Color3f")
+    diffuse: Any = starts_as("Color3f")
+    specular: Any = starts_as("Color3f")
+
+
 def shade_direct(
     scene: Any, materials: dict[int, Material], points: Points, width: Any, shifts: Sequence[Any]
 ) -> Direct:
@@ -47,25 +73,54 @@ def shade_direct(
     averages stratified noise (interleaved sampling: Keller and Heidrich 2001). A surface with a narrow lobe, or under a
     sky, also traces one ray sampled from the BSDF. The power heuristic weighs both samples (Veach 1997). ``width`` is
     the opaque width of the image; ``shifts`` are those of `find_shifts`.
+
+    Where surfaces let light pass (masks, panes), all surfaces on the camera's ray are lit, each as strongly as those in
+    front of it let its light through.
     """
-    si, bsdf = points.si, points.bsdf
     light_point = _draw(points.pixel, width, shifts[0], shifts[1])
     bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
+    numbers = _Numbers(light_point, bsdf_point, _fract(bsdf_point.x * 16.0 + bsdf_point.y))
+    if not any(material.can_be_transparent for material in materials.values()):
+        return _shade_surface(scene, materials, points.si, points.bsdf, points.surface, points.active, numbers)
 
-    lit = points.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    def shade_layer(state: _Layers) -> None:
+        si = scene.ray_intersect(state.ray, state.active)
+        found = state.active & si.is_valid()
+        bsdf = si.bsdf(state.ray)
+        surface = dispatch_surface(materials, bsdf, si, found)
+        light = _shade_surface(scene, materials, si, bsdf, surface, found, numbers)
+        state.emitted += dr.select(state.active, state.light * light.emitted, 0.0)
+        state.diffuse += dr.select(found, state.light * light.diffuse, 0.0)
+        state.specular += dr.select(found, state.light * light.specular, 0.0)
+        state.light *= dispatch_transmission(materials, bsdf, si, found)
+        state.ray = si.spawn_ray(state.ray.d)
+        state.count += 1
+        state.active = found & (dr.max(state.light) > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
+
+    end = follow(_Layers(points.ray), shade_layer, "layers")
+    return Direct(end.emitted, end.diffuse, end.specular)
+
+
+def _shade_surface(
+    scene: Any, materials: dict[int, Material], si: Any, bsdf: Any, surface: Surface, active: Any, numbers: _Numbers
+) -> Direct:
+    """Return the light of one surface per lane. Light that passes the surface unscattered does not count."""
+    lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     # A sky is too large for light samples alone.
-    has_lobe = points.surface.lobe_kind != float(LobeKind.NONE)
-    narrow = has_lobe & (dr.minimum(points.surface.alpha_u, points.surface.alpha_v) < MAX_NARROW_ALPHA)
-    shiny = points.active & (narrow | (scene.environment() is not None))
-    choice = dr.select(points.active, _fract(bsdf_point.x * 16.0 + bsdf_point.y), 0.0)
+    has_lobe = surface.lobe_kind != float(LobeKind.NONE)
+    narrow = has_lobe & (dr.minimum(surface.alpha_u, surface.alpha_v) < MAX_NARROW_ALPHA)
+    # Light samples never meet a mirror's only direction, and the guides may describe another lobe than the mirror's.
+    flags = mi.BSDFFlags
+    narrow |= mi.has_flag(bsdf.flags(), flags.DeltaReflection) | mi.has_flag(bsdf.flags(), flags.DeltaTransmission)
+    shiny = active & (narrow | (scene.environment() is not None))
+    choice = dr.select(active, numbers.choice, 0.0)
     # A surface that traces no BSDF sample takes the light sample with its full weight.
-    numbers = light_point, choice, bsdf_point
-    found = scatter(scene, si, bsdf, points.active, lit=lit, numbers=numbers, alone=~shiny)
+    found = scatter(scene, si, bsdf, active, lit=lit, numbers=(numbers.light, choice, numbers.bsdf), alone=~shiny)
     seen = dr.select(found.lit, found.value * found.radiance * found.weight, 0.0)
     share = dispatch_share(materials, bsdf, si, found.to_light, found.lit)
     diffuse, specular = seen * share, seen * (1.0 - share)
 
-    following = shiny & (dr.max(found.factor) > 0)
+    following = shiny & (dr.max(found.factor) > 0) & ~found.is_null
     emission, weight = meet_emitter(scene, scene.ray_intersect(found.ray, following), found.vertex, following)
     hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, following & ~found.is_delta)
     hit_share = dr.select(found.is_delta, 0.0, hit_share)

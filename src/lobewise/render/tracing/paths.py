@@ -38,13 +38,17 @@ class PathSettings:
     min_bounces: int = 0
     """Smallest number of scatterings of light that counts: 0 keeps all light, 2 only indirect light. The random numbers
     do not change."""
+    through: bool = False
+    """Whether light that was scattered once counts as well, if it passed a mask or a pane on its way to the surface.
+    Shadow rays of `lobewise.render.tracing.direct` end at panes."""
 
 
 @dataclass
 class _Path:
     """State of the loop over bounces.
 
-    ``share`` is the diffuse share of the first scattering. ``looks_specular`` tells whether the next hit is that of the
+    ``share`` is the diffuse share of the first scattering. ``passed`` tells whether the path passed a surface
+    unscattered after it. ``looks_specular`` tells whether the next hit is that of the
     first surface's specular reflection; ``seeks`` whether the path still follows this reflection through mirrors.
     """
 
@@ -57,6 +61,7 @@ class _Path:
     depth: Any = starts_as("UInt32")
     bounces: Any = starts_as("UInt32")
     last: Vertex = field(default_factory=make_eye)
+    passed: Any = starts_as("Bool")
     looks_specular: Any = starts_as("Bool")
     seeks: Any = starts_as("Bool")
     sample: Sample = field(default_factory=make_sample)
@@ -118,7 +123,10 @@ class _Bounces:
         """Add light that was scattered ``bounces`` times, with the diffuse share ``share``."""
         lobes, totals = path.sample.lobes, path.sample.totals
         if self.settings.min_bounces:
-            value = dr.select(bounces >= self.settings.min_bounces, value, 0.0)
+            counts = bounces >= self.settings.min_bounces
+            if self.settings.through:
+                counts |= (bounces > 0) & path.passed
+            value = dr.select(counts, value, 0.0)
         if not self.settings.guides:
             lobes.emitted += value
             return
@@ -176,6 +184,7 @@ class _Bounces:
         if not self.settings.radiance:
             further = mi.Bool(False) if seen is None else seen.further
             path.active = going & (((path.bounces == 0) & (found.is_null | path.looks_specular)) | further)
+        path.passed |= found.is_null & (path.bounces > 0)
         path.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
         if self.settings.radiance:
             strongest = dr.max(path.throughput)
@@ -278,7 +287,7 @@ class PathLight:
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `IndirectMethod`."""
-        settings = PathSettings(max_depth=self._max_depth, min_bounces=2, surfaces=False)
+        settings = PathSettings(max_depth=self._max_depth, min_bounces=2, through=True, surfaces=False)
         max_depth = dr.opaque(mi.UInt32, self._max_depth)
         seed_value = make_opaque(seed)
 
