@@ -14,6 +14,10 @@ from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kin
 MAX_COORDINATE = float(np.finfo(np.float32).max)
 """Largest coordinate of a camera: images hold positions in single precision."""
 
+PINHOLE_DISTANCE_OVER_VIEW = 3000.0
+"""Distance of the pinhole that replaces an orthographic camera, over the size of its view. The slopes of its rays
+differ by at most 1/3000. The image is off by at most half a pixel if the scene is as deep as the image is high."""
+
 
 def _as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     try:

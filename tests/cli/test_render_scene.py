@@ -62,7 +62,7 @@ def test_a_frame_of_an_own_integrator_is_denoised(fog: Path) -> None:
         (["-D", "density=2", "-D", "density=3"], "-D: expected every name once"),
         ([], "undefined parameter: $density"),
         (["-D", "density=2", "--max-depth", "3"], "max_depth: expected none, as the scene's own integrator, 'volpath'"),
-        (["-D", "density=2", "--scale", "2"], "for sparse frames, got 'volpath'"),
+        (["-D", "density=2", "--scale", "2", "--light", "indirect"], "light: expected 'all'"),
         (["-D", "density=2", "--light", "indirect"], "light: expected 'all'"),
         (["-D", "density=2", "--integrator", "path"], "did you mean 'paths'?"),
     ],
@@ -77,6 +77,15 @@ def test_paths_are_taken_where_they_are_asked_for(fog: Path, capsys: pytest.Capt
     assert render(fog, "-D", "density=8", "--integrator", "paths", "--max-depth", "3") == 0
     assert "the scene's own 'volpath' would give other light" in " ".join(capsys.readouterr().err.split())
     assert lobewise.read_frame(fog.with_suffix(".exr")).radiance.parts is not None
+
+
+def test_a_sparse_frame_of_an_own_integrator_is_upsampled(fog: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert render(fog, "-D", "density=8", "--scale", "2") == 0
+    assert "Light by the scene's own integrator, 'volpath'" in capsys.readouterr().err
+    assert run(["upsample", str(fog.with_suffix(".exr")), "-o", str(fog.with_name("whole.exr"))]) == 0
+    color = lobewise.read_frame(fog.with_name("whole.exr")).radiance.color
+    assert color.shape == (16, 24, 3)
+    assert color[8, 12].max() < 0.8 * color[0, 0].max()
 
 
 def test_sequences_of_an_own_integrator(fog: Path) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lobewise.interactive import InteractiveSettings, Session
-from tests.render.any_scene import SCENES, load
+from lobewise.render.camera import make_matrix
+from tests.render.any_scene import SCENES, SIZE, load, make_ball, make_room, make_sensor
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
 
@@ -60,3 +62,56 @@ def test_a_resting_picture_is_what_mitsuba_renders(mi: Any, name: str) -> None:
     for _ in range(FRAMES):
         frame = session.render()
     check_picture(frame.image, sample_reference(mi, scene))
+
+
+def make_lens_scene(mi: Any, **more: Any) -> Any:
+    return mi.load_dict(make_room(mi, object=make_ball({"type": "roughplastic"}), sensor=make_sensor(mi, **more)))
+
+
+def test_a_lens_is_seen_when_the_camera_rests(mi: Any) -> None:
+    lens = {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 1.5}
+    scene = make_lens_scene(mi, **lens)
+    session = Session(scene, settings=PLAIN)
+    first = session.render()
+    for _ in range(256):
+        last = session.render()
+    blurred, sharp = sample_reference(mi, scene), sample_reference(mi, make_lens_scene(mi))
+    assert np.abs(first.image - sharp).mean() < np.abs(first.image - blurred).mean()
+    assert np.abs(last.image - blurred).mean() < 0.25 * np.abs(sharp - blurred).mean()
+    check_picture(last.image, blurred)
+    # The lens moves with the camera.
+    moved = replace(session.camera, position=session.camera.position + 0.4 * session.camera.right)
+    for _ in range(256):
+        last = session.render(moved)
+    assert np.abs(last.image - blurred).mean() > 0.5 * np.abs(sharp - blurred).mean()
+    matrix = mi.ScalarTransform4f(make_matrix(moved))
+    check_picture(last.image, sample_reference(mi, make_lens_scene(mi, **lens, to_world=matrix)))
+
+
+def test_a_cropped_film_can_be_resized(mi: Any) -> None:
+    scene = load("cropped film")
+    session = Session(scene, width=2 * SIZE, height=2 * SIZE, settings=PLAIN)
+    for _ in range(32):
+        frame = session.render()
+    small = frame.image.reshape(SIZE, 2, SIZE, 2, 3).mean(axis=(1, 3))
+    check_picture(small, sample_reference(mi, scene))
+
+
+@pytest.mark.parametrize("method", ["paths", "voxel_cones", "virtual_lights"])
+@pytest.mark.parametrize("name", ["mask with a texture", "parallel rays", "instances", "fog"])
+def test_every_method_renders_every_scene(name: str, method: Any) -> None:
+    session = Session(load(name), options={"voxel_cones": {"resolution": 16}})
+    for _ in range(3):
+        frame = session.render(settings=InteractiveSettings(method=method))
+    assert frame.image.shape == (SIZE, SIZE, 3)
+    assert np.isfinite(frame.image).all()
+    assert frame.image.mean() > 0.01
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_scene_without_light_is_black(mi: Any) -> None:
+    room = make_room(mi)
+    del room["lamp"], room["sky"]
+    session = Session(mi.load_dict(room))
+    for _ in range(2):
+        assert session.render().image.max() == 0.0

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lobewise.errors import InputError
 from lobewise.render import render_frame
-from tests.render.any_scene import load, make_ball, make_room, make_texture
+from tests.render.any_scene import load, make_ball, make_flat_sensor, make_room, make_texture
 
 pytestmark = pytest.mark.mitsuba
 
@@ -111,3 +114,80 @@ def test_a_ball_in_a_group_is_found_by_its_material(mi: Any) -> None:
 def test_instances_are_rendered_with_the_materials_of_their_group(mi: Any) -> None:
     frame = render_frame(load("instances"), spp=4)
     assert (frame.gbuffer.lobe_kind == 3).sum() > 5
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"film": {"width": 40, "crop_width": 24, "crop_height": 16, "crop_offset_x": 9, "crop_offset_y": 3}}],
+    ids=["whole", "cropped"],
+)
+def test_parallel_rays_are_those_of_a_far_pinhole(mi: Any, changes: dict[str, Any]) -> None:
+    from lobewise.motion import project_points
+
+    scene = mi.load_dict(make_room(mi, sensor=make_flat_sensor(mi, **changes), object=make_ball({"type": "plastic"})))
+    frame = render_frame(scene, spp=256)
+    height, width = frame.gbuffer.shape
+    assert frame.camera is not None
+    assert frame.gbuffer.position is not None
+    seen = project_points(frame.camera, frame.gbuffer.position, width, height)
+    found = frame.gbuffer.depth > 0
+    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    assert found.mean() > 0.5
+    np.testing.assert_allclose(seen[found], np.stack([column, row], axis=-1)[found], atol=0.02)
+    depth = np.linalg.norm(frame.gbuffer.position[found] - frame.camera.position, axis=-1)
+    np.testing.assert_allclose(frame.gbuffer.depth[found], depth, rtol=1e-6)
+    theirs = np.array(mi.render(scene, spp=1024))[..., :3]
+    assert np.abs(frame.radiance.color - theirs).mean() < 0.06 * theirs.mean()
+    assert frame.gbuffer.coverage is not None
+    assert frame.gbuffer.coverage[..., 4].mean() > 0.7
+
+
+def test_an_orthographic_sensor_moves_as_its_far_pinhole(mi: Any) -> None:
+    """Twice as near it sees half as much; beside, it sees what a sensor that Mitsuba moved sees."""
+    from lobewise.render import get_camera, set_camera
+
+    scene = mi.load_dict(make_room(mi, sensor=make_flat_sensor(mi)))
+    start = get_camera(scene)
+    for _ in range(50):
+        set_camera(scene, start)
+    np.testing.assert_allclose(get_camera(scene).position, start.position, rtol=1e-5)
+    side = 0.7 * start.right + 0.2 * start.up
+    set_camera(scene, replace(start, position=start.position + side))
+    sensor = make_flat_sensor(mi)
+    moved = {**sensor, "to_world": mi.ScalarTransform4f().translate(side) @ sensor["to_world"]}
+    frames = [
+        render_frame(each, spp=1, aov_only=True).gbuffer.position
+        for each in (scene, mi.load_dict(make_room(mi, sensor=moved)))
+    ]
+    np.testing.assert_allclose(*frames, atol=1e-3)
+    middle = np.array(scene.bbox().center()).reshape(3)
+    ahead = float((middle - start.position) @ start.forward)
+    set_camera(scene, replace(start, position=start.position + 0.5 * ahead * start.forward))
+    near = render_frame(scene, spp=1, aov_only=True).gbuffer.position
+    sensor["to_world"] = sensor["to_world"].scale([0.5, 0.5, 1.0])
+    half = render_frame(mi.load_dict(make_room(mi, sensor=sensor)), spp=1, aov_only=True).gbuffer.position
+    np.testing.assert_allclose(near, half, atol=1e-3)
+
+
+def test_an_orthographic_frame_is_told_and_keeps_its_camera_in_a_file(mi: Any, tmp_path: Path) -> None:
+    import lobewise
+    from lobewise.render.integrators import plan_light, tell_unseen
+
+    scene = mi.load_dict(make_room(mi, sensor=make_flat_sensor(mi)))
+    assert "orthographic" in plan_light(scene).told
+    assert "orthographic" in tell_unseen(scene)
+    frame = render_frame(scene, spp=2)
+    lobewise.write_frame(tmp_path / "flat.exr", frame)
+    again = lobewise.read_frame(tmp_path / "flat.exr")
+    assert again.camera is not None
+    assert frame.camera is not None
+    np.testing.assert_allclose(again.camera.position, frame.camera.position)
+    assert again.camera.fov_y == pytest.approx(frame.camera.fov_y)
+    assert np.isfinite(lobewise.denoise(again).image).all()
+
+
+def test_a_mirrored_orthographic_sensor_is_refused(mi: Any) -> None:
+    sensor = make_flat_sensor(mi)
+    sensor["to_world"] = sensor["to_world"].scale([-1.0, 1.0, 1.0])
+    with pytest.raises(InputError, match=r"not mirrored.*remove negative scales"):
+        render_frame(mi.load_dict(make_room(mi, sensor=sensor)), spp=1)

@@ -56,7 +56,8 @@ class TestSetCamera:
     def test_another_sensor_is_refused(self, mi: Any) -> None:
         from lobewise.render import set_camera
 
-        wide = mi.load_dict({"type": "scene", "sensor": {"type": "orthographic"}})
+        film = {"type": "hdrfilm", "width": 1, "height": 1}
+        wide = mi.load_dict({"type": "scene", "sensor": {"type": "radiancemeter", "film": film}})
         with pytest.raises(InputError, match="perspective"):
             set_camera(wide, CAMERA)
 

@@ -83,9 +83,10 @@ def test_camera_projects_what_it_sees_to_its_pixel(mi: Any, axis: str, width: in
 
 
 def test_other_sensors_are_refused(mi: Any) -> None:
-    sensor = {name: value for name, value in make_sensor(mi).items() if not name.startswith("fov")}
-    with pytest.raises(InputError, match="perspective"):
-        render(mi, sensor={**sensor, "type": "orthographic"}, floor=make_floor(mi, MIRROR))
+    sensor = make_sensor(mi, 1, 1)
+    del sensor["fov"], sensor["near_clip"]
+    with pytest.raises(InputError, match=r"perspective.*got 'RadianceMeter'"):
+        render(mi, sensor={**sensor, "type": "radiancemeter"}, floor=make_floor(mi, MIRROR))
 
 
 CROP = {"crop_offset_x": 3, "crop_offset_y": 8, "crop_width": 24, "crop_height": 11}

@@ -235,8 +235,7 @@ def _render_sparse(
     require_writable(output)
     require_other_files([output], [scene])
     loaded = sampling.load(scene)
-    if sampling.integrator == "paths":
-        sampling.describe_light(loaded)
+    sampling.describe_light(loaded)
     with Steps() as steps:
         frame = render_sparse_frame(
             loaded, scale=scale, place=place, progress=_show(steps, scene), **sampling.list_settings()

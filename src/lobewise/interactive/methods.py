@@ -9,6 +9,7 @@ from typing import Any
 from lobewise.errors import require_choice
 from lobewise.interactive.settings import METHODS
 from lobewise.render.stages import Stages
+from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.render.tracing.points import IndirectMethod
 
 _HOMES: dict[str, tuple[str, str]] = {
@@ -48,13 +49,20 @@ class Methods:
         """
         require_choice("method", name, METHODS)
         if name not in self._made:
-            module, kind = _HOMES[name]
-            make = getattr(import_module(f"lobewise.render.{module}"), kind)
-            more: dict[str, Any] = {"progress": self._progress} if name in _WITH_PROGRESS else {}
-            more.update(self._options.get(name, {}))
-            self._made[name] = make(self._stages.scene, self._stages.materials, **more)
+            self._made[name] = self._make(name)
         method: IndirectMethod = self._made[name]
         return method
+
+    def _make(self, name: str) -> Any:
+        stages = self._stages
+        if name == "paths" and stages.own_light is not None:
+            return OwnLight(stages.scene, stages.own_light)
+        module, kind = _HOMES[name]
+        make = getattr(import_module(f"lobewise.render.{module}"), kind)
+        more: dict[str, Any] = {"progress": self._progress} if name in _WITH_PROGRESS else {}
+        if name == "paths":
+            more.update(max_depth=stages.max_depth, through=True)
+        return make(stages.scene, stages.materials, **{**more, **self._options.get(name, {})})
 
     def update(self) -> None:
         """Prepare the methods in use anew, after a change of the scene."""

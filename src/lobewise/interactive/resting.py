@@ -13,6 +13,9 @@ from lobewise.sparse_frame import SparseFrame
 
 FILTERED_WORTH = 32.0
 """Weight of the filtered light in the mean, in samples of the pixel itself."""
+SHARP_WORTH = 4.0
+"""The same of the picture without the lens, in the mean of light through a lens. It shows other light, so that it must
+vanish soon."""
 HALF_TRUST_SAMPLES = 16.0
 """Number of a pixel's own samples at which their mean counts with half its weight. The mean of fewer samples may show a
 firefly."""
@@ -29,6 +32,8 @@ class Resting:
     mean moves from filtered light to the pixel's own samples as these become more.
     """
 
+    worth: float = FILTERED_WORTH
+    """Weight of the filtered light, in samples of the pixel itself."""
     frames: int = 0
     direct: list[FloatArray] = field(default_factory=list)
     """Means of the parts of direct light."""
@@ -68,7 +73,7 @@ class Resting:
         self.filtered = self.filtered + np.float32(1.0 / self.frames) * (filtered - self.filtered)
         # n samples have the weight n^2 / (n + HALF_TRUST_SAMPLES).
         trusted = self.own_count / (self.own_count + np.float32(HALF_TRUST_SAMPLES))
-        worth = np.float32(FILTERED_WORTH)
+        worth = np.float32(self.worth)
         total = worth * self.filtered + trusted[..., None] * self.own
         return np.asarray(total / (worth + trusted * self.own_count)[..., None])
 

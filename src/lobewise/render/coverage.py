@@ -13,6 +13,7 @@ from typing import Any
 
 from lobewise.camera import Camera
 from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
+from lobewise.render.camera import is_flat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import Surface
@@ -126,6 +127,7 @@ def trace_coverage(
 
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
     column, row = mi.Int32(pixel % width), mi.Int32(pixel // width)
+    flat, eye = is_flat(scene), mi.Point3f(*(float(value) for value in camera.position))
     angle = dr.opaque(mi.Float, camera.get_pixel_angle(size[1]))
     neighbours, inside = _gather_neighbours(centres, column, row, mi.Int32(width), mi.Int32(height), mi.Int32(first))
 
@@ -134,7 +136,7 @@ def trace_coverage(
         ray = make_ray(scene, pixel, (width, height), mi.Point2f(x, y))
         layers = _look_through(scene, materials, ray)
         look = _make_look(layers.si, layers.surface)
-        footprint = angle * dr.norm(layers.si.p - ray.o)
+        footprint = angle * dr.norm(layers.si.p - (eye if flat else ray.o))
         distances = [_find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k) for k in range(9)]
         # Assign the ray to the pixel itself unless a neighbour is nearer.
         best, least = mi.UInt32(4), distances[4]

@@ -9,19 +9,21 @@ independent. The guides describe the first surface in both cases.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.render.bridge import dr, mi
-from lobewise.render.camera import get_sensor, has_lens
-from lobewise.render.materials.bsdfs import list_nested
+from lobewise.render.camera import get_sensor, has_lens, is_flat
+from lobewise.render.materials.bsdfs import list_nested, list_shapes
 from lobewise.render.variant import VARIANTS
 
 INTEGRATORS = ("auto", "paths", "scene")
 """Choices of the user."""
+LIGHTS = {"all": 0, "indirect": 2}
+"""Smallest number of scatterings of the light, by the user's choice."""
 DEPTH = 8
 """Longest path in scenes without an integrator, vertices after the camera."""
 MAX_DEPTH = 1 << 16
@@ -34,6 +36,14 @@ VOLUMES = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl", "PRBVolpathIn
 DIRECT = ("DirectIntegrator", "DirectProjectiveIntegrator")
 """Integrators that estimate the light of paths of `DIRECT_DEPTH` vertices."""
 DIRECT_DEPTH = 2
+TOLD_OF_FLAT = "The sensor is orthographic: in the camera of the frame a pinhole far away stands for it."
+_TWINS = {
+    "PRBIntegrator": "path",
+    "BasicPRBIntegrator": "path",
+    "PathProjectiveIntegrator": "path",
+    "PRBVolpathIntegrator": "volpath",
+}
+"""Names of the integrators in C++ that estimate the light of Mitsuba's integrators in Python."""
 PLUGINS = {
     "PathIntegrator": "path",
     "VolumetricPathIntegrator": "volpath",
@@ -96,6 +106,11 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
     require_choice("integrator", integrator, INTEGRATORS)
     if max_depth is not None:
         require_integer("max_depth", max_depth, 1, MAX_DEPTH)
+    light = _choose_light(scene, integrator, max_depth)
+    return replace(light, told=f"{light.told} {TOLD_OF_FLAT}".strip()) if is_flat(scene) else light
+
+
+def _choose_light(scene: Any, integrator: str, max_depth: int | None) -> Light:
     own = scene.integrator()
     if has_lens(scene):
         return _plan_lens(own, integrator, max_depth)
@@ -144,24 +159,28 @@ def _refuse_depth(own: Any, max_depth: int | None) -> None:
         )
 
 
-def require_paths(scene: Any, what: str, integrator: str = "auto", max_depth: int | None = None) -> Light:
-    """Return `plan_light` for ``what`` (words for the message), which only paths can render.
+def plan_pixels(scene: Any, what: str, integrator: str = "auto", max_depth: int | None = None) -> Light:
+    """Return `plan_light` for ``what`` (words for the message), which needs the light of single pixels.
+
+    ``own`` is then an integrator whose ``sample`` gives the light of single rays.
 
     Raises
     ------
     InputError
-        If paths do not estimate the light of the scene's integrator, or if `plan_light` raises it.
+        If the integrator that renders the light renders no single rays, or if `plan_light` raises it.
     """
     light = plan_light(scene, integrator, max_depth)
-    if light.own is not None:
-        seen = " through a lens" if light.lens else ""
+    if light.own is None:
+        return light
+    own = find_sampler(light.own)
+    if own is None:
         raise InputError(
             "integrator",
-            expected=f"one whose light paths estimate, for {what}",
-            got=name_integrator(light.own) + seen,
-            action="render whole frames of all light, or ask for integrator 'paths', which gives other light",
+            expected=f"one that renders single rays, for {what}",
+            got=name_integrator(light.own),
+            action="render whole frames, or ask for integrator 'paths', which gives other light",
         )
-    return light
+    return replace(light, own=own)
 
 
 def name_integrator(integrator: Any) -> str:
@@ -171,8 +190,12 @@ def name_integrator(integrator: Any) -> str:
 
 
 def _get_class(integrator: Any) -> str:
-    python = type(integrator).__module__.partition(".")[0] != "mitsuba" or "python" in type(integrator).__module__
-    return type(integrator).__name__ if python else str(integrator.class_name())
+    return type(integrator).__name__ if _is_python(integrator) else str(integrator.class_name())
+
+
+def _is_python(integrator: Any) -> bool:
+    module = type(integrator).__module__
+    return module.partition(".")[0] != "mitsuba" or "python" in module
 
 
 def _find_depth(scene: Any, integrator: Any) -> int | None:
@@ -226,7 +249,7 @@ def _shows_emitters(integrator: Any) -> bool:
 def _has_media(scene: Any) -> bool:
     if scene.sensors() and get_sensor(scene).get_medium() is not None:
         return True
-    return any(shape.is_medium_transition() for shape in scene.shapes())
+    return any(shape.is_medium_transition() for shape in list_shapes(scene))
 
 
 def _tell_media(scene: Any) -> str:
@@ -238,37 +261,91 @@ def _tell_media(scene: Any) -> str:
     return f"There are participating media, which {whose} not render; put 'volpath' into the scene to see them."
 
 
-def tell_unseen(scene: Any) -> str:
-    """Return a remark on light that a preview by paths from pixel centres does not show; empty if it shows all.
+def find_path_depth(scene: Any) -> int:
+    """Return the longest path, vertices after the camera, of the scene's integrator; `DEPTH` if it has none."""
+    own = scene.integrator()
+    return (None if own is None else _find_depth(scene, own)) or DEPTH
 
-    It misses the light of other integrators, participating media, and the width of a lens.
+
+def find_sampler(integrator: Any) -> Any:
+    """Return the integrator whose ``sample`` gives the light of single rays, or None if there is none.
+
+    An integrator that Mitsuba wrote in Python is replaced by the one in C++ that estimates the same light.
+    """
+    kind = _get_class(integrator)
+    if kind in _TWINS:
+        same = {name: getattr(integrator, name) for name in ("rr_depth", "hide_emitters")}
+        # Mitsuba's Python integrators hold an endless depth as the largest number.
+        return mi.load_dict({"type": _TWINS[kind], "max_depth": min(int(integrator.max_depth), MAX_DEPTH), **same})
+    plain = isinstance(integrator, mi.SamplingIntegrator) and not _is_python(integrator)
+    return integrator if plain else None
+
+
+def find_own_light(scene: Any) -> Any:
+    """Return the integrator that must render the light of a scene ray by ray, because paths do not estimate it.
+
+    None if paths do, or if the scene's integrator renders no single rays. The width of a lens makes no difference.
     """
     own = scene.integrator()
-    other = own is not None and _find_depth(scene, own) is None
-    missed = ["participating media"] * _has_media(scene) + ["the width of the lens"] * has_lens(scene)
-    if not missed and not other:
-        return ""
-    whose = f", not by the scene's own {name_integrator(own)}" if other else ""
-    without = f", without {' and '.join(missed)}" if missed else ""
-    return f"The pictures show light by paths{whose}{without}."
+    if own is None or _find_depth(scene, own) is not None or not _makes_light(own):
+        return None
+    return find_sampler(own)
+
+
+def find_lens_light(scene: Any) -> Any:
+    """Return the integrator for the light through a scene's lens, or None if the scene is not seen through a lens."""
+    if not has_lens(scene):
+        return None
+    own = scene.integrator()
+    sampled = find_sampler(own) if own is not None and _makes_light(own) else None
+    return mi.load_dict({"type": "path", "max_depth": find_path_depth(scene)}) if sampled is None else sampled
+
+
+def tell_unseen(scene: Any) -> str:
+    """Return a remark on how the pictures of `lobewise.interactive.Session` differ from the scene; empty if not at all.
+
+    They differ by light of integrators that render no single rays, by media that the integrator does not render, and
+    by the width of a lens while the camera moves.
+    """
+    own = scene.integrator()
+    said = []
+    sampled = find_own_light(scene)
+    if sampled is not None:
+        said.append(
+            f"With the method 'paths' all light is that of the scene's own {name_integrator(own)}; "
+            "other methods show light of surfaces alone."
+        )
+    elif own is not None and _find_depth(scene, own) is None:
+        said.append(f"The pictures show light by paths, not by the scene's own {name_integrator(own)}.")
+    if sampled is None and _has_media(scene):
+        said.append(_tell_media(scene))
+    if has_lens(scene):
+        said.append("The picture is sharp while the camera moves, and is seen through the lens when the camera rests.")
+    if is_flat(scene):
+        said.append(TOLD_OF_FLAT)
+    return " ".join(said)
 
 
 def _has_volumes(scene: Any) -> bool:
     """Return whether there are media, or null surfaces, through which light passes unscattered."""
     if _has_media(scene):
         return True
-    for shape in scene.shapes():
+    for shape in list_shapes(scene):
         for bsdf in list_nested(shape.bsdf()) if shape.bsdf() is not None else ():
             if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
                 return True
     return False
 
 
+def _makes_light(integrator: Any) -> bool:
+    kind = _get_class(integrator)
+    return kind != "DepthIntegrator" and not (kind == "AOVIntegrator" and not _list_nested_text(str(integrator)))
+
+
 def _require_light(integrator: Any) -> None:
     """Raise InputError if an integrator makes no image of light."""
-    kind = _get_class(integrator)
-    empty = kind == "AOVIntegrator" and not _list_nested_text(str(integrator))
-    if kind == "DepthIntegrator" or empty:
+    if not _makes_light(integrator):
+        empty = _get_class(integrator) == "AOVIntegrator"
         raise InputError(
             "integrator",
             expected="one that makes an image of light",

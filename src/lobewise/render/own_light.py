@@ -12,16 +12,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.render.bridge import dr, mi, repeat, starts_as
-from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens
+from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens, is_flat, make_matrix
 from lobewise.render.images import to_image
-from lobewise.render.integrators import name_integrator
-from lobewise.render.materials.bsdfs import read_scene_materials
-from lobewise.render.tracing.points import find_first_opaque, find_points
+from lobewise.render.integrators import LIGHTS, Light, name_integrator
+from lobewise.render.materials.bsdfs import list_shapes, read_scene_materials
+from lobewise.render.tracing.own_samples import OwnSamples, sample_own
+from lobewise.render.tracing.points import Points, find_first_opaque, find_points
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 
 CHUNK_SAMPLES = 1 << 22
@@ -29,16 +31,35 @@ CHUNK_SAMPLES = 1 << 22
 MIN_HIT_SHARE = 0.5
 """Share of a pixel's rays. If fewer hit a surface, the pixel counts as background."""
 
+_WITHOUT_LOBE = {"alpha_u": 1.0, "alpha_v": 1.0, "lobe_kind": float(LobeKind.NONE), "material": 0.0}
+"""The guides of a lobe, at surfaces without one."""
+
 
 def make_box_sensor(scene: Any) -> Any:
     """Return a sensor with the rays of a scene's sensor, but with a box filter and pixels in linear RGB."""
     original = get_sensor(scene)
-    kind = _describe_lens(original) if has_lens(scene) else _describe_pinhole(get_camera(scene), *get_image_size(scene))
+    if is_flat(scene):
+        kind = {"type": "orthographic", "film": _copy_film(original)}
+    elif has_lens(scene):
+        kind = _describe_lens(original)
+    else:
+        kind = _describe_pinhole(get_camera(scene), *get_image_size(scene))
     matrix = np.array(mi.traverse(original)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    return _make_copy(original, kind, matrix)
+
+
+def make_pinhole_sensor(scene: Any, camera: Camera) -> Any:
+    """Return a perspective sensor for a camera, with the other properties of a scene's sensor.
+
+    Its whole film is the rendered part of the film of the scene's sensor, so that it can be resized.
+    """
+    return _make_copy(get_sensor(scene), _describe_pinhole(camera, *get_image_size(scene)), make_matrix(camera))
+
+
+def _make_copy(original: Any, kind: dict[str, Any], matrix: NDArray[np.float64]) -> Any:
     sensor = mi.load_dict(
         {
             **kind,
-            "fov_axis": "x",
             "near_clip": float(original.near_clip()),
             "far_clip": float(original.far_clip()),
             "to_world": mi.ScalarTransform4f(matrix),
@@ -62,6 +83,7 @@ def _describe_pinhole(camera: Camera, width: int, height: int) -> dict[str, Any]
     return {
         "type": "perspective",
         "fov": float(np.rad2deg(2.0 * np.arctan(half_width))),
+        "fov_axis": "x",
         "principal_point_offset_x": float(0.5 * camera.shift[0] / half_width),
         "principal_point_offset_y": float(-0.5 * camera.shift[1] / half_height),
         "film": _describe_film(width, height),
@@ -69,9 +91,21 @@ def _describe_pinhole(camera: Camera, width: int, height: int) -> dict[str, Any]
 
 
 def _describe_lens(sensor: Any) -> dict[str, Any]:
-    """Return a lens sensor with the original's crop window, because lens sensors cannot shift their film."""
-    known, film = mi.traverse(sensor), sensor.film()
+    """Return a lens sensor."""
+    known = mi.traverse(sensor)
     numbers = {name: float(np.array(known[name]).item()) for name in ("aperture_radius", "focus_distance", "x_fov")}
+    return {
+        "type": "thinlens",
+        "fov": numbers.pop("x_fov"),
+        "fov_axis": "x",
+        **numbers,
+        "film": _copy_film(sensor),
+    }
+
+
+def _copy_film(sensor: Any) -> dict[str, Any]:
+    """Return a film with the original's crop window, for sensors that cannot shift their film."""
+    film = sensor.film()
     crop = {
         f"crop_{name}": int(value)
         for names, values in (
@@ -81,12 +115,34 @@ def _describe_lens(sensor: Any) -> dict[str, Any]:
         for name, value in zip(names, values, strict=True)
     }
     whole = film.size()
-    return {
-        "type": "thinlens",
-        "fov": numbers.pop("x_fov"),
-        **numbers,
-        "film": _describe_film(int(whole[0]), int(whole[1]), **crop),
-    }
+    return _describe_film(int(whole[0]), int(whole[1]), **crop)
+
+
+def check_own(spp: int, seed: int, light: str) -> None:
+    """Raise InputError if a number is out of range, or a scene's own integrator cannot render the kind of light."""
+    if require_choice("light", light, LIGHTS) != "all":
+        action = "leave it out, or ask for integrator 'paths'"
+        raise InputError("light", expected="'all' with the scene's own integrator", got=repr(light), action=action)
+    require_integer("spp", spp, 1, 1 << 24)
+    require_integer("seed", seed, 0, (1 << 32) - 1)
+
+
+def sample_pixels(
+    scene: Any,
+    plan: Light,
+    pixels: NDArray[np.uint32],
+    *,
+    spp: int,
+    seed: int,
+    light: str,
+    advance: Callable[[int], None] | None = None,
+) -> OwnSamples:
+    """Return the light of single pixels by the integrator of a plan of `plan_pixels`. Errors as in `check_own`.
+
+    ``pixels`` holds row-major numbers. ``advance`` is called with the number of samples after each launch.
+    """
+    check_own(spp, seed, light)
+    return sample_own(scene, plan.own, mi.UInt32(pixels), samples=spp, seed=seed, advance=advance)
 
 
 def render_own(
@@ -129,22 +185,23 @@ def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
     times the error at 4 samples, and more than twice at 64.
     """
     guides = frame.gbuffer
-    if guides.alpha_u is None or not any(shape.is_medium_transition() for shape in scene.shapes()):
+    if guides.alpha_u is None or not any(shape.is_medium_transition() for shape in list_shapes(scene)):
         return frame
     width, height = get_image_size(scene)
     pixel = dr.arange(mi.UInt32, width * height)
     size = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+    names = [name for name in _WITHOUT_LOBE if getattr(guides, name) is not None]
     with dr.suspend_grad():
         points = find_points(scene, read_scene_materials(scene), pixel, size)
-        inside = points.active & points.si.shape.is_medium_transition()
-        holds = to_image(dr.select(inside, mi.Float(1), 0.0)).reshape(height, width) > 0.0
-    plain = {"alpha_u": 1.0, "alpha_v": 1.0, "lobe_kind": float(LobeKind.NONE), "material": 0.0}
-    changes = {
-        name: np.where(holds, np.float32(value), getattr(guides, name))
-        for name, value in plain.items()
-        if getattr(guides, name) is not None
-    }
-    return frame.with_changes(gbuffer=replace(guides, **changes))
+        kept = {name: mi.Float(np.ravel(getattr(guides, name))) for name in names}
+        found = {name: to_image(value).reshape(height, width) for name, value in forget_lobes(kept, points).items()}
+    return frame.with_changes(gbuffer=replace(guides, **found))
+
+
+def forget_lobes(guides: dict[str, Any], points: Points) -> dict[str, Any]:
+    """Return guides of points, Dr.Jit arrays by name, without the lobes of surfaces around media."""
+    inside = points.active & points.si.shape.is_medium_transition()
+    return {name: dr.select(inside, value, guides[name]) for name, value in _WITHOUT_LOBE.items() if name in guides}
 
 
 @dataclass

@@ -17,9 +17,9 @@ from lobewise.render.camera import get_camera, get_image_size, has_lens
 from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, move_back, trace_guides
 from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
-from lobewise.render.integrators import Light, check_scene, plan_light, require_paths
+from lobewise.render.integrators import LIGHTS, Light, check_scene, plan_light, plan_pixels
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
-from lobewise.render.own_light import forget_lobes_of_media, render_lens_guides, render_own
+from lobewise.render.own_light import check_own, forget_lobes_of_media, render_lens_guides, render_own, sample_pixels
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
 from lobewise.settings.choices import MAX_SCALE_PIXELS
@@ -35,9 +35,6 @@ CHUNK_SAMPLES = 1 << 22
 
 GUIDE_SAMPLES = 32
 """Largest number of samples per pixel for the guides if the scene's own integrator renders the light."""
-
-LIGHTS = {"all": 0, "indirect": 2}
-"""Smallest number of scatterings of the light, by the user's choice."""
 
 
 def _cut(length: int, step: int) -> Iterator[tuple[int, int]]:
@@ -226,11 +223,7 @@ def _render_own(
     scene: Any, plan: Light, spp: int, seed: int, light: str, progress: Progress | None
 ) -> dict[str, Radiance]:
     """Return the images of a scene's own integrator by their names in `Frame`."""
-    if require_choice("light", light, LIGHTS) != "all":
-        action = "leave it out, or ask for integrator 'paths'"
-        raise InputError("light", expected="'all' with the scene's own integrator", got=repr(light), action=action)
-    require_integer("spp", spp, 1, 1 << 24)
-    require_integer("seed", seed, 0, (1 << 32) - 1)
+    check_own(spp, seed, light)
     width, height = get_image_size(scene)
     advance = _make_advance(progress, width * height * spp)
     return render_own(scene, plan.own, spp=spp, seed=seed, advance=advance)
@@ -254,14 +247,14 @@ def render_sparse_frame(
 ) -> SparseFrame:
     """Render the radiance of one pixel of every block, and the guides of all pixels, for `lobewise.upsample`.
 
-    Shaded pixels have the bits of `render_frame`.
+    Shaded pixels have the bits of `render_frame`, unless the scene's own integrator renders the light.
 
     Parameters
     ----------
     scene, seed, max_depth, light, previous_camera, moves
         See `render_frame`.
-    integrator : {"auto", "paths"}
-        With "auto" paths must estimate the light of the scene's integrator.
+    integrator : {"auto", "paths", "scene"}
+        See `render_frame`. The scene's own integrator must render single rays, as all of Mitsuba's but ``ptracer`` do.
     spp : int
         Samples of a shaded pixel.
     scale : int
@@ -280,21 +273,35 @@ def render_sparse_frame(
     InputError, UnsupportedBsdfError, MissingDependencyError
         See `render_frame`.
     """
-    depth = require_paths(scene, "sparse frames", integrator, max_depth).max_depth
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
+    plan = plan_pixels(scene, "sparse frames", integrator, max_depth)
     scale = require_integer("scale", scale, 1, MAX_SCALE_PIXELS)
-    width, height = run.size
+    width, height = get_image_size(scene)
     row, column = (
         require_integer(f"place[{k}]", place[k], 0, min(scale, length) - 1) for k, length in enumerate((height, width))
     )
-    asked: dict[str, Any] = {
-        "spp": guide_spp,
+    guided: dict[str, Any] = {
+        # The means over a lens take many rays.
+        "spp": max(guide_spp, GUIDE_SAMPLES) if plan.lens else guide_spp,
         "seed": seed if guide_seed is None else guide_seed,
         "max_depth": max_depth,
     }
-    guides = render_frame(scene, **asked, aov_only=True, previous_camera=previous_camera, moves=moves)
+    guides = render_frame(scene, **guided, aov_only=True, previous_camera=previous_camera, moves=moves)
+    if plan.own is not None and not plan.lens:
+        guides = forget_lobes_of_media(scene, guides)
     columns, rows = -(-(width - column) // scale), -(-(height - row) // scale)
-    images = run.run(columns, rows, run.finish_radiance, progress, scale=scale, place=(row, column))
+    light_of: dict[str, Any] = {"spp": spp, "seed": seed, "light": light}
+    if plan.own is not None:
+        pixels = np.add.outer(np.arange(row, height, scale) * width, np.arange(column, width, scale))
+        advance = _make_advance(progress, pixels.size * spp)
+        found = sample_pixels(scene, plan, pixels.ravel().astype(np.uint32), **light_of, advance=advance)
+        images = {
+            f"{name}.color": value.reshape(rows, columns, 3)
+            for name, value in (("radiance", found.color), ("variance", found.variance))
+            if value is not None
+        }
+    else:
+        run = _Pass(scene, max_depth=plan.max_depth, **light_of)
+        images = run.run(columns, rows, run.finish_radiance, progress, scale=scale, place=(row, column))
     return SparseFrame(
         radiance=Radiance(**select(images, "radiance")),
         gbuffer=guides.gbuffer,
@@ -339,9 +346,11 @@ def render_pixels(
     InputError
         If a number is out of range, the light is unknown, or a pixel lies outside the image.
     """
-    depth = require_paths(scene, "single pixels", integrator, max_depth).max_depth
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=depth, light=light)
-    listed = _number_pixels(np.asarray(rows), np.asarray(columns), run.size)
+    plan = plan_pixels(scene, "single pixels", integrator, max_depth)
+    listed = _number_pixels(np.asarray(rows), np.asarray(columns), get_image_size(scene))
+    if plan.own is not None:
+        return Radiance(sample_pixels(scene, plan, listed, spp=spp, seed=seed, light=light).color[:, None])
+    run = _Pass(scene, spp=spp, seed=seed, max_depth=plan.max_depth, light=light)
     images = run.run(1, len(listed), run.finish_radiance, listed=mi.UInt32(listed))
     return Radiance(**select(images, "radiance"))
 

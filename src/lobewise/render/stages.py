@@ -19,10 +19,13 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
-from lobewise.render.camera import get_camera, get_image_size, set_camera
+from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
 from lobewise.render.gbuffer import find_guides
+from lobewise.render.integrators import check_scene, find_lens_light, find_own_light, find_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
+from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
 from lobewise.render.tracing.direct import find_shifts, shade_direct
+from lobewise.render.tracing.own_samples import OwnLight, sample_own
 from lobewise.render.tracing.points import IndirectMethod, find_points
 from lobewise.render.tracing.rays import make_opaque
 
@@ -34,12 +37,14 @@ class Frozen:
     """A Dr.Jit function that is recorded once and then replayed. If Dr.Jit cannot record it, it runs every time.
 
     ``function`` takes Dr.Jit arrays and returns a list of them. ``find_state`` returns the objects that ``function``
-    reads beside its arguments, such as the scene and other Dr.Jit arrays.
+    reads beside its arguments, such as the scene and other Dr.Jit arrays. With ``records`` false nothing is recorded.
     """
 
-    def __init__(self, function: Callable[..., list[Any]], find_state: Callable[[], Any]) -> None:
+    def __init__(
+        self, function: Callable[..., list[Any]], find_state: Callable[[], Any], *, records: bool = True
+    ) -> None:
         self._plain = function
-        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state())
+        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state()) if records else function
 
     def __call__(self, *arguments: Any) -> list[FloatArray]:
         """Return the results as NumPy arrays of one dimension."""
@@ -93,6 +98,9 @@ class DirectLight:
         return self.emitted + self.diffuse + self.specular
 
 
+NO_PIXEL = (1 << 32) - 1
+"""Number that no pixel has."""
+
 LIMIT_PIXELS = 32
 """Columns and rows of the pixels at which `Stages.find_band_limit` measures."""
 
@@ -117,6 +125,29 @@ def _make_opaque_size(width: int, height: int) -> tuple[Any, Any]:
     return dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
 
 
+def choose_sensor(scene: Any, camera: Camera) -> Any:
+    """Return the sensor that moves through a scene: the scene's own, or a pinhole in its place.
+
+    Dr.Jit records no lens, and a film with a crop window cannot be resized.
+    """
+    sensor = get_sensor(scene)
+    whole = tuple(sensor.film().size()) == get_image_size(scene)
+    return make_pinhole_sensor(scene, camera) if sensor.class_name() == LENS or not whole else sensor
+
+
+def _place_sensor(scene: Any, camera: Camera, size: tuple[int, int]) -> None:
+    """Move the sensor in use to a camera, and set the size of its film in pixels."""
+    if get_image_size(scene) != size:
+        parameters = mi.traverse(get_sensor(scene))
+        parameters["film.size"] = list(size)
+        parameters.update()
+    set_camera(scene, camera)
+
+
+def _number_pixels(rows: NDArray[np.intp], columns: NDArray[np.intp], width: int) -> Any:
+    return mi.UInt32((rows * width + columns).astype(np.uint32))
+
+
 def _flatten(value: Any) -> Any:
     """Return an array of vectors as an array of numbers, lane after lane."""
     return dr.ravel(value) if dr.depth_v(value) > 1 else value
@@ -125,38 +156,46 @@ def _flatten(value: Any) -> Any:
 class Stages:
     """The renderer of one scene, for many frames and sizes. It moves the scene's sensor.
 
-    It raises InputError if the sensor is not a plain perspective camera, and the errors of
-    `lobewise.render.materials.bsdfs.read_material`.
+    Through a lens it sees the scene from the lens's middle. It raises InputError if the sensor has no single viewpoint,
+    and the errors of `lobewise.render.materials.bsdfs.read_material`.
     """
 
     def __init__(self, scene: Any) -> None:
+        check_scene(scene)
         self.scene = scene
-        self.start_camera = get_camera(scene)
+        self.start_camera = get_camera(scene, lens=True)
+        self.max_depth = find_path_depth(scene)
+        """Longest path, vertices after the camera."""
+        self.own_light = find_own_light(scene)
+        """The scene's integrator if only it renders all light of the scene, otherwise None."""
+        self._lens_light = find_lens_light(scene)
+        self._lens = get_sensor(scene)
+        self._sensor = choose_sensor(scene, self.start_camera)
         self.start_size = get_image_size(scene)
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
-        self._first = Frozen(self._trace_first, lambda: scene)
+        # Dr.Jit does not find all arrays of an orthographic sensor.
+        self._records = not is_flat(scene)
+        self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
         """Move the sensor to the camera of the next frame, and set the size of its film in pixels."""
-        if get_image_size(self.scene) != (width, height):
-            parameters = mi.traverse(self.scene.sensors()[0])
-            parameters["film.size"] = [width, height]
-            parameters.update()
-        set_camera(self.scene, camera)
+        with use_sensor(self._sensor):
+            _place_sensor(self.scene, camera, (width, height))
 
     def trace_first(self, camera: Camera, seed: int) -> tuple[FirstHits, DirectLight]:
         """Return the guides and the direct light of all pixels, with one sample of the lights per pixel.
 
         ``camera`` is the camera of the last `place_camera`. Use another ``seed`` for every frame.
         """
-        width, height = get_image_size(self.scene)
+        width, height = self._get_size()
         pixel = dr.arange(mi.UInt32, width * height)
         dr.eval(pixel)
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
         shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
-        flat = self._first(pixel, *_make_opaque_size(width, height), *eye, *shifts)
+        with use_sensor(self._sensor):
+            flat = self._first(pixel, *_make_opaque_size(width, height), *eye, *shifts)
         images = [
             values.reshape((height, width) if count == 1 else (height, width, count))
             for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
@@ -170,29 +209,60 @@ class Stages:
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return diffuse and specular indirect light, (count, 3) each, and hit distances (count,) of some pixels."""
-        width, height = get_image_size(self.scene)
+        width, height = self._get_size()
+        if isinstance(method, OwnLight):
+            with use_sensor(self._sensor):
+                color = method.sample(_number_pixels(rows, columns, width), samples, seed)
+            return color, np.zeros_like(color), np.zeros(len(color), np.float32)
         known = self._indirect.get(method.name)
         if known is None or known[0] is not method:
 
             def shade(pixel: Any, width: Any, height: Any, samples: Any, seed: Any) -> list[Any]:
                 points = find_points(self.scene, self.materials, pixel, (width, height))
                 light = method.shade(points, samples=samples, seed=seed)
-                return [light.diffuse, light.specular, light.hit_distance]
+                # Light that is the same at all points, such as that of a lobe that no surface has, would keep the width
+                # of the first call.
+                there = pixel != NO_PIXEL
+                return [dr.select(there, each, dr.nan) for each in (light.diffuse, light.specular, light.hit_distance)]
 
-            frozen = Frozen(shade, lambda: (self.scene, method.state))
+            frozen = Frozen(shade, lambda: (self.scene, self._sensor, method.state), records=self._records)
             known = self._indirect[method.name] = method, frozen
-        pixel = mi.UInt32((rows * width + columns).astype(np.uint32))
+        pixel = _number_pixels(rows, columns, width)
         size = _make_opaque_size(width, height)
-        diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
+        with use_sensor(self._sensor):
+            diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether the scene is seen through a lens wider than a pinhole."""
+        return self._lens_light is not None
+
+    def shade_through_lens(
+        self, camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
+    ) -> FloatArray:
+        """Return all light of some pixels through the lens, (count, 3), by the scene's integrator.
+
+        ``camera`` is the camera of the last `place_camera`.
+        """
+        size = self._get_size()
+        pixel = _number_pixels(rows, columns, size[0])
+        with use_sensor(self._lens):
+            _place_sensor(self.scene, camera, size)
+            return sample_own(self.scene, self._lens_light, pixel, samples=samples, seed=seed, centred=True).color
+
+    def _get_size(self) -> tuple[int, int]:
+        with use_sensor(self._sensor):
+            return get_image_size(self.scene)
 
     def find_band_limit(self, method: IndirectMethod, samples: int) -> float:
         """Return a method's band-limit, radians, measured at a grid of pixels."""
-        width, height = get_image_size(self.scene)
+        width, height = self._get_size()
         columns, rows = min(width, LIMIT_PIXELS), min(height, LIMIT_PIXELS)
         grid = np.arange(rows)[:, None] * height // rows * width + np.arange(columns) * width // columns
         pixel = mi.UInt32(grid.ravel().astype(np.uint32))
-        points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
+        with use_sensor(self._sensor):
+            points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
         return method.find_band_limit(points, samples)
 
     def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
@@ -201,5 +271,7 @@ class Stages:
         inverse = guides["mirror_inverse"]
         missed = dr.select(guides["mirror_count"] > 0, dr.inf, 0.0)
         guides["hit_distance"] = dr.select(inverse > 0, dr.rcp(inverse), missed)
+        if self.own_light is not None:
+            guides |= forget_lobes(guides, points)
         light = shade_direct(self.scene, self.materials, points, width, shifts)
         return [*(guides[name] for name in _GUIDES), light.emitted, light.diffuse, light.specular]

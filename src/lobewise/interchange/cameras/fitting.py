@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
+from lobewise.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera
 from lobewise.frame import FloatArray
 from lobewise.motion import project_points
 
@@ -20,9 +20,6 @@ MAX_FIT_ERROR = 1.5
 """Largest median distance, pixels, between a pixel and the projection of its position, of a camera that fits.
 The position of a sample lies anywhere within the pixel filter."""
 MAX_GAUSS_NEWTON_STEPS = 12
-PINHOLE_DISTANCE_OVER_VIEW = 3000.0
-"""Distance of the pinhole that replaces an orthographic camera, over the size of its view. The slopes of its rays
-differ by at most 1/3000. The image is off by at most half a pixel if the scene is as deep as the image is high."""
 MAX_AXIS_ERROR = 0.02
 """Largest relative difference of the axes of an orthographic image in length, and from a right angle."""
 

@@ -269,17 +269,21 @@ class PathLight:
     materials : dict
         Materials of the scene; see `lobewise.render.materials.bsdfs.read_scene_materials`.
     max_depth : int
-        Longest path, vertices after the camera, >= 3.
+        Longest path, vertices after the camera. Below 3 there is no indirect light.
+    through : bool
+        See `PathSettings`; the interactive chain sets it.
     """
 
     name = "paths"
     worth = 1.0
     state = None
 
-    def __init__(self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8) -> None:
+    def __init__(
+        self, scene: Any, materials: dict[int, Material], *, max_depth: int = 8, through: bool = False
+    ) -> None:
         self._scene = scene
         self._materials = materials
-        self._max_depth = max_depth
+        self._settings = PathSettings(max_depth=max_depth, min_bounces=2, through=through, surfaces=False)
 
     def find_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
@@ -287,8 +291,8 @@ class PathLight:
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `IndirectMethod`."""
-        settings = PathSettings(max_depth=self._max_depth, min_bounces=2, through=True, surfaces=False)
-        max_depth = dr.opaque(mi.UInt32, self._max_depth)
+        settings = self._settings
+        max_depth = dr.opaque(mi.UInt32, settings.max_depth)
         seed_value = make_opaque(seed)
 
         def take(index: Any) -> tuple[Any, Any, Any, Any]:

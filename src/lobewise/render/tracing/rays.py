@@ -8,12 +8,16 @@ from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_sensor
 
 
-def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any) -> Any:
-    """Return rays through pixels. ``place`` in [0, 1) counts right and down from a pixel's corner."""
+def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any, aperture: Any = None) -> Any:
+    """Return rays through pixels. ``place`` in [0, 1) counts right and down from a pixel's corner.
+
+    ``aperture`` (Point2f in the unit square) chooses points of a lens. Without it rays pass through its middle, which
+    is the only point of a pinhole.
+    """
     width, height = size
     x = (mi.Float(pixel % width) + place.x) / mi.Float(width)
     y = (mi.Float(pixel // width) + place.y) / mi.Float(height)
-    ray, _ = get_sensor(scene).sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    ray, _ = get_sensor(scene).sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5) if aperture is None else aperture)
     return ray
 
 
