@@ -26,7 +26,7 @@ from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materia
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
 from lobewise.render.tracing.direct import find_shifts, shade_direct
 from lobewise.render.tracing.own_samples import OwnLight, sample_own
-from lobewise.render.tracing.points import IndirectMethod, find_points
+from lobewise.render.tracing.points import Indirect, IndirectMethod, assign_to_lobes, find_points
 from lobewise.render.tracing.rays import make_opaque
 
 UNRECORDABLE = "The frozen function included a virtual function call"
@@ -174,6 +174,7 @@ class Stages:
         self.start_size = get_image_size(scene)
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
+        self._looks_through = any(material.can_be_transparent for material in self.materials.values())
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
         self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)
@@ -220,6 +221,9 @@ class Stages:
             def shade(pixel: Any, width: Any, height: Any, samples: Any, seed: Any) -> list[Any]:
                 points = find_points(self.scene, self.materials, pixel, (width, height))
                 light = method.shade(points, samples=samples, seed=seed)
+                if self._looks_through:
+                    parts = assign_to_lobes(points.surface, light.diffuse, light.specular)
+                    light = Indirect(*parts, light.hit_distance)
                 # Light that is the same at all points, such as that of a lobe that no surface has, would keep the width
                 # of the first call.
                 there = pixel != NO_PIXEL

@@ -12,7 +12,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface, dispatch_transmission
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.light_sampling import meet_emitter, scatter
-from lobewise.render.tracing.points import MAX_LAYERS, Points
+from lobewise.render.tracing.points import MAX_LAYERS, Points, assign_to_lobes
 from lobewise.sparse_frame import list_places
 
 PATTERN = 4
@@ -98,7 +98,7 @@ def shade_direct(
         state.active = found & (dr.max(state.light) > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
 
     end = follow(_Layers(points.ray), shade_layer, "layers")
-    return Direct(end.emitted, end.diffuse, end.specular)
+    return Direct(end.emitted, *assign_to_lobes(points.surface, end.diffuse, end.specular))
 
 
 def _shade_surface(

@@ -52,6 +52,21 @@ class Indirect:
     hit_distance: Any
 
 
+def assign_to_lobes(surface: Surface, diffuse: Any, specular: Any) -> tuple[Any, Any]:
+    """Return diffuse and specular light, moved to the other part where a surface reflects nothing by the part's lobe.
+
+    A pixel that looks through a pane or a mask has light of several surfaces, and the guides of one. The filters take
+    no light of a lobe that the guides do not name.
+    """
+    no_specular = dr.max(surface.specular_albedo) <= 0
+    no_diffuse = ~no_specular & (dr.max(surface.diffuse_albedo) <= 0)
+    total = diffuse + specular
+    return (
+        dr.select(no_specular, total, dr.select(no_diffuse, 0.0, diffuse)),
+        dr.select(no_diffuse, total, dr.select(no_specular, 0.0, specular)),
+    )
+
+
 def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], samples: Any) -> Indirect:
     """Return the mean over a number of samples, not evaluated yet.
 
