@@ -14,6 +14,7 @@ from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Window
 
 Z_UP = Camera(position=(3.0, -900.0, 40.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=0.7)
+FAR = Camera(position=(2.0, -9000.0, 1800.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=3e-4)
 Y_UP = Camera(position=(0.0, 0.2, 0.3), forward=(0.1, -0.2, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7)
 
 
@@ -24,7 +25,7 @@ def describe(camera: Camera, gap: float) -> Description:
 
 
 class TestScenes:
-    @pytest.mark.parametrize(("camera", "gap"), [(Z_UP, 850.0), (Y_UP, 0.3)])
+    @pytest.mark.parametrize(("camera", "gap"), [(Z_UP, 850.0), (Y_UP, 0.3), (FAR, 9200.0)])
     def test_the_start_is_the_scenes_own_camera(self, camera, gap):
         cameras = CameraMap(describe(camera, gap))
         back = cameras.to_camera(cameras.start)
@@ -41,6 +42,20 @@ class TestScenes:
         step = 0.5 * (start.look_at - start.position)
         moved = cameras.to_camera(replace(start, position=start.position + step, look_at=start.look_at + step))
         np.testing.assert_allclose(moved.position, camera.position + 0.5 * gap * camera.forward, rtol=1e-9)
+
+    def test_a_camera_that_stands_for_parallel_rays(self):
+        cameras = CameraMap(describe(FAR, 9200.0))
+        start, at = cameras.start, FAR.position + 9200.0 * FAR.forward
+        assert start.fov == pytest.approx(0.8)
+        # Both see as much at the look-at point, and half the distance shows half as much.
+        near = cameras.to_camera(replace(start, position=0.5 * (start.position + start.look_at)))
+        np.testing.assert_allclose(near.position, 0.5 * (FAR.position + at), rtol=1e-9)
+        assert near.fov_y == FAR.fov_y
+        seen = np.linalg.norm(start.look_at - start.position) * np.tan(0.5 * start.fov)
+        step = np.array([seen, 0.0, 0.0])
+        aside = replace(start, position=start.position + step, look_at=start.look_at + step)
+        moved = cameras.to_camera(aside)
+        np.testing.assert_allclose(moved.position - FAR.position, [9200.0 * np.tan(1.5e-4), 0.0, 0.0], atol=1e-6)
 
     def test_the_axis_of_the_orbit(self):
         np.testing.assert_array_equal(find_up(Z_UP), [0.0, 0.0, 1.0])

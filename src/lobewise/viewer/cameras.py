@@ -18,6 +18,9 @@ FRAME_FOV = 0.8
 _DISTANCE = 4.0
 """First distance from the browser's camera to its look-at point, in the browser's unit. Its keys fly 2 units a second,
 whatever the scene's unit is."""
+_MIN_FOV = 0.005
+"""Vertical angle of view, radians, below which a camera stands for an orthographic one. The browser's controls do not
+work with such angles, so the browser's camera stands nearer and sees as much at its look-at point."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,15 @@ class CameraMap:
         gap = float(np.dot(np.asarray(found.look_at) - camera.position, camera.forward))
         # With the look-at point behind the camera, any other point will do.
         gap = gap if gap > 1e-9 else 1.0
+        self._far: tuple[float, float] | None = None
+        """Of a far camera: its distance over that of the browser's camera, and its angle of view."""
+        if camera.fov_y < _MIN_FOV:
+            half_height = gap * float(np.tan(0.5 * camera.fov_y))
+            self._scale = _DISTANCE * float(np.tan(0.5 * FRAME_FOV)) / half_height
+            self._far = gap / _DISTANCE, camera.fov_y
+            look_at = self._scale * (camera.position + gap * camera.forward)
+            self.start = Pose(look_at - _DISTANCE * camera.forward, look_at, find_up(camera), FRAME_FOV)
+            return
         self._scale = _DISTANCE / gap
         position = self._scale * camera.position
         self.start = Pose(position, position + _DISTANCE * camera.forward, find_up(camera), camera.fov_y)
@@ -63,6 +75,9 @@ class CameraMap:
         across = float(np.linalg.norm(np.cross(forward, pose.up)))
         if not self._scene or not across > 1e-6 * float(np.linalg.norm(forward) * np.linalg.norm(pose.up)):
             return None
+        if self._far is not None:
+            ratio, angle = self._far
+            return Camera(pose.look_at / self._scale - ratio * forward, forward, pose.up, angle)
         return Camera(position=pose.position / self._scale, forward=forward, up=pose.up, fov_y=pose.fov)
 
     def to_window(self, pose: Pose, width: int, height: int) -> Window:
