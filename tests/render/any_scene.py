@@ -297,6 +297,11 @@ def _make_with_integrator(integrator: Items, mi: Any) -> Items:
     return make_room(mi, integrator=integrator, object=make_ball({"type": "dielectric"}), walls=walls)
 
 
+def _make_with_one_vertex(mi: Any) -> Items:
+    lamp = make_ball({"type": "diffuse"}, emitter={"type": "area", "radiance": 2.0})
+    return make_room(mi, depth=1, object=lamp)
+
+
 _NULL = {"type": "null"}
 _CROP = {"width": 40, "height": 36, "crop_width": SIZE, "crop_height": SIZE, "crop_offset_x": 12, "crop_offset_y": 4}
 SCENES: dict[str, Make] = {
@@ -314,6 +319,7 @@ SCENES: dict[str, Make] = {
         _make_with_medium, lambda _: _FOG, {"type": "roughdielectric"}, {"type": "volpath", "max_depth": 16}
     ),
     "camera in fog": _make_in_fog,
+    "one vertex": _make_with_one_vertex,
     "three vertices": partial(_make_with_integrator, {"type": "path", "max_depth": 3}),
     "endless paths": partial(_make_with_integrator, {"type": "path", "max_depth": -1}),
     "direct light alone": partial(_make_with_integrator, {"type": "direct"}),

@@ -11,7 +11,7 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.render import render_frame
-from tests.render.any_scene import load, make_ball, make_flat_sensor, make_room, make_texture
+from tests.render.any_scene import load, make_ball, make_flat_sensor, make_room, make_sensor, make_texture
 
 pytestmark = pytest.mark.mitsuba
 
@@ -191,3 +191,23 @@ def test_a_mirrored_orthographic_sensor_is_refused(mi: Any) -> None:
     sensor["to_world"] = sensor["to_world"].scale([-1.0, 1.0, 1.0])
     with pytest.raises(InputError, match=r"not mirrored.*remove negative scales"):
         render_frame(mi.load_dict(make_room(mi, sensor=sensor)), spp=1)
+
+
+def test_light_behind_a_tinted_pane_is_tinted(mi: Any) -> None:
+    tint = np.array([0.9, 0.3, 0.5])
+    pane = {"type": "thindielectric", "specular_transmittance": {"type": "rgb", "value": list(tint)}}
+    where = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
+    sensor = make_sensor(mi, to_world=where, fov=20.0)
+    scene = mi.load_dict({"type": "scene", "sensor": sensor, "pane": {"type": "rectangle", "bsdf": pane},
+                          "sky": {"type": "constant", "radiance": 2.0}})  # fmt: skip
+    frame = render_frame(scene, spp=1024)
+    assert frame.gbuffer.mean_emission is not None
+    # Both faces of a pane of index 1.5046 / 1.000277 reflect 2 r / (1 + r) of the light from straight ahead.
+    index = 1.5046 / 1.000277
+    reflected = ((index - 1.0) / (index + 1.0)) ** 2
+    expected = 2.0 * tint * (1.0 - 2.0 * reflected / (1.0 + reflected))
+    middle = np.s_[10:14, 10:14]
+    np.testing.assert_allclose(frame.gbuffer.mean_emission[middle].mean(axis=(0, 1)), expected, rtol=0.01)
+    scattered = frame.radiance.diffuse + frame.radiance.specular
+    emitted = (frame.radiance.color - scattered)[middle].mean(axis=(0, 1))
+    np.testing.assert_allclose(emitted, expected, rtol=0.03)

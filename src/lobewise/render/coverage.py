@@ -15,7 +15,7 @@ from lobewise.camera import Camera
 from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.camera import is_flat
 from lobewise.render.materials.bsdfs import Material
-from lobewise.render.materials.dispatch import dispatch_surface
+from lobewise.render.materials.dispatch import dispatch_surface, dispatch_transmission
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.points import MAX_LAYERS, MIN_SURFACE_OPACITY, find_points
 from lobewise.render.tracing.rays import make_ray
@@ -92,6 +92,9 @@ class _Layers:
     surface: Surface = field(default_factory=Surface)
     settled: Any = starts_as("Bool")
     light: Any = starts_as("Float", 1)
+    """Share that is not opaque, of the surfaces so far."""
+    passing: Any = starts_as("Color3f", 1)
+    """Share of light that the surfaces so far let pass."""
     normal: Any = starts_as("Vector3f")
     diffuse_albedo: Any = starts_as("Color3f")
     specular_albedo: Any = starts_as("Color3f")
@@ -196,17 +199,21 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
     surfaces in front let through.
     """
 
+    transparent = any(material.can_be_transparent for material in materials.values())
+
     def add(state: _Layers) -> _Layers:
         si = scene.ray_intersect(state.ray, mi.RayFlags.All, True, state.active)
         found = state.active & si.is_valid()
         surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
         share = dr.select(found, state.light * surface.opacity, 0.0)
         emitted = si.emitter(scene, state.active).eval(si, state.active)
-        state.emission += dr.select(state.active, state.light * emitted, 0.0)
+        state.emission += dr.select(state.active, state.passing * emitted, 0.0)
         state.normal += share * surface.normal
         state.diffuse_albedo += share * surface.diffuse_albedo
         state.specular_albedo += share * surface.specular_albedo
         state.light *= 1.0 - surface.opacity
+        if transparent:
+            state.passing *= dispatch_transmission(materials, si.bsdf(state.ray), si, found)
         state.count += 1
         state.si = dr.select(state.settled, state.si, si)
         state.surface = dr.select(state.settled, state.surface, surface)
@@ -215,7 +222,7 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
         state.active = found & (state.light > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
         return state
 
-    if not any(material.can_be_transparent for material in materials.values()):
+    if not transparent:
         return add(_Layers(ray))
     end: _Layers = follow(_Layers(ray), add, "layers")
     return end

@@ -278,4 +278,7 @@ class Stages:
         if self.own_light is not None:
             guides |= forget_lobes(guides, points)
         light = shade_direct(self.scene, self.materials, points, width, shifts)
-        return [*(guides[name] for name in _GUIDES), light.emitted, light.diffuse, light.specular]
+        scattered = (light.diffuse, light.specular)
+        if self.max_depth < 2:
+            scattered = (dr.zeros(mi.Color3f, dr.width(pixel)),) * 2
+        return [*(guides[name] for name in _GUIDES), light.emitted, *scattered]
