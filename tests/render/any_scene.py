@@ -297,6 +297,15 @@ def _make_with_integrator(integrator: Items, mi: Any) -> Items:
     return make_room(mi, integrator=integrator, object=make_ball({"type": "dielectric"}), walls=walls)
 
 
+def _make_with_lamp_in_view(integrator: Items, mi: Any, pane: Items | None = None) -> Items:
+    room = make_room(mi, integrator=integrator, object=make_ball(_PAINT))
+    del room["wall"]
+    lamp = make_plate(mi, {"type": "diffuse"})
+    where = mi.ScalarTransform4f().translate([-0.6, 0.2, 1.5]).scale(0.3)
+    room["sign"] = {**lamp, "to_world": where, "emitter": {"type": "area", "radiance": 4.0}}
+    return room if pane is None else {**room, "pane": {**make_plate(mi, pane), "to_world": where.translate([0, 0, 1])}}
+
+
 def _make_with_one_vertex(mi: Any) -> Items:
     lamp = make_ball({"type": "diffuse"}, emitter={"type": "area", "radiance": 2.0})
     return make_room(mi, depth=1, object=lamp)
@@ -323,7 +332,11 @@ SCENES: dict[str, Make] = {
     "three vertices": partial(_make_with_integrator, {"type": "path", "max_depth": 3}),
     "endless paths": partial(_make_with_integrator, {"type": "path", "max_depth": -1}),
     "direct light alone": partial(_make_with_integrator, {"type": "direct"}),
-    "hidden lamps": partial(_make_with_integrator, {"type": "path", "hide_emitters": True}),
+    "hidden lamps": partial(_make_with_lamp_in_view, {"type": "path", "hide_emitters": True}),
+    "hidden lamps of volpath": partial(_make_with_lamp_in_view, {"type": "volpath", "hide_emitters": True}),
+    "lamps hidden behind nothing": partial(
+        _make_with_lamp_in_view, {"type": "volpath", "hide_emitters": True}, pane={"type": "null"}
+    ),
 }
 """By what a scene shows, a function of the module ``mitsuba`` that describes it."""
 

@@ -92,7 +92,8 @@ def test_a_ball_of_fog_is_as_bright_as_mitsuba_renders_it(mi: Any) -> None:
         ({"type": "volpathmis"}, True),
         ({"type": "prbvolpath", "max_depth": 16}, True),
         ({"type": "ptracer", "max_depth": 6}, False),
-        ({"type": "path", "max_depth": 8, "hide_emitters": True}, False),
+        ({"type": "prb", "max_depth": 8, "hide_emitters": True}, False),
+        ({"type": "volpath", "max_depth": 8, "hide_emitters": True}, True),
         ({"type": "direct", "bsdf_samples": 0}, False),
         ({"type": "moment", "inner": {"type": "path", "max_depth": 3}}, False),
         ({"type": "aov", "aovs": "dd:depth", "inner": {"type": "direct", "hide_emitters": True}}, False),
@@ -115,6 +116,9 @@ def test_the_scenes_own_integrator_renders_what_paths_do_not(mi: Any, integrator
         (None, DEPTH),
         ({"type": "path"}, MAX_DEPTH),
         ({"type": "path", "max_depth": 3}, 3),
+        ({"type": "path", "max_depth": 6, "hide_emitters": True}, 6),
+        ({"type": "volpath", "max_depth": 6, "hide_emitters": True}, 6),
+        ({"type": "direct", "hide_emitters": True}, 2),
         ({"type": "prb", "max_depth": 4}, 4),
         ({"type": "direct"}, 2),
         ({"type": "volpath", "max_depth": 5}, 5),
@@ -138,10 +142,10 @@ def test_what_asked_for_goes_first(mi: Any) -> None:
     scene = make_scene(mi, {"type": "path", "max_depth": 5})
     assert plan_light(scene, "paths", 3).max_depth == 3
     assert plan_light(scene, "scene").own is not None
-    hidden = make_scene(mi, {"type": "path", "max_depth": 5, "hide_emitters": True})
+    hidden = make_scene(mi, {"type": "prb", "max_depth": 5, "hide_emitters": True})
     plan = plan_light(hidden, "paths")
     assert plan.own is None
-    assert "the scene's own 'path' would give other light" in plan.told
+    assert "the scene's own 'prb' would give other light" in plan.told
 
 
 def test_surfaces_that_hold_media_have_no_lobe(mi: Any) -> None:

@@ -18,7 +18,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface, dispatch_transmission
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.points import MAX_LAYERS, MIN_SURFACE_OPACITY, find_points
-from lobewise.render.tracing.rays import make_ray
+from lobewise.render.tracing.rays import hides_emitters, make_ray
 
 RAYS = 16
 """Rays of the pattern: each of 16 rows and each of 16 columns of the pixel holds one."""
@@ -207,6 +207,8 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
         surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
         share = dr.select(found, state.light * surface.opacity, 0.0)
         emitted = si.emitter(scene, state.active).eval(si, state.active)
+        if hides_emitters(scene):
+            emitted = dr.select(si.is_valid(), emitted, 0.0)
         state.emission += dr.select(state.active, state.passing * emitted, 0.0)
         state.normal += share * surface.normal
         state.diffuse_albedo += share * surface.diffuse_albedo

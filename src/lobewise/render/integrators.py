@@ -35,6 +35,9 @@ VOLUMES = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl", "PRBVolpathIn
 """Integrators that estimate the light of paths if the scene has neither media nor null surfaces."""
 DIRECT = ("DirectIntegrator", "DirectProjectiveIntegrator")
 """Integrators that estimate the light of paths of `DIRECT_DEPTH` vertices."""
+HIDING = ("PathIntegrator", "VolumetricPathIntegrator", "DirectIntegrator")
+"""Integrators whose light paths estimate also where emitters are hidden. Behind null surfaces only the first of them
+hides emitters as paths do."""
 DIRECT_DEPTH = 2
 TOLD_OF_FLAT = "The sensor is orthographic: in the camera of the frame a pinhole far away stands for it."
 _TWINS = {
@@ -207,7 +210,9 @@ def _find_depth(scene: Any, integrator: Any) -> int | None:
         if len(nested) != 1 or not nested[0].startswith("PathIntegrator") or not _shows_emitters(integrator):
             return None
         return _read_depth(nested[0])
-    if getattr(integrator, "hide_emitters", True):
+    if getattr(integrator, "hide_emitters", True) and (
+        kind not in HIDING or (kind != "PathIntegrator" and _has_volumes(scene))
+    ):
         return None
     if kind in DIRECT:
         counts = re.findall(r"(?:emitter|bsdf)_samples = (\d+)", text)

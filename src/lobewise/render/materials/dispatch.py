@@ -121,6 +121,9 @@ def find_null_transmission(material: Material, si: Any, active: Any) -> Any:
 def _dispatch(
     materials: dict[int, Material], ask: Callable[..., Any], make_nothing: Callable[[], Any], bsdf: Any, *arguments: Any
 ) -> Any:
+    if not materials:
+        return make_nothing()  # Dr.Jit refuses a call of nothing
+
     def visit(self: Any, *arguments: Any) -> Any:
         material = materials.get(self.ptr)
         # Dr.Jit visits every BSDF that is alive, nested ones and those of other scenes included.

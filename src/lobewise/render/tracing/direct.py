@@ -13,6 +13,7 @@ from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface,
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.light_sampling import meet_emitter, scatter
 from lobewise.render.tracing.points import MAX_LAYERS, Points, assign_to_lobes
+from lobewise.render.tracing.rays import hides_emitters
 from lobewise.sparse_frame import list_places
 
 PATTERN = 4
@@ -126,9 +127,11 @@ def _shade_surface(
     hit_share = dr.select(found.is_delta, 0.0, hit_share)
     found_light = dr.select(following, found.factor * emission * weight, 0.0)
 
-    own = si.emitter(scene)
+    emitted = si.emitter(scene).eval(si, mi.Bool(True))
+    if hides_emitters(scene):
+        emitted = dr.select(si.is_valid(), emitted, 0.0)
     return Direct(
-        emitted=own.eval(si, mi.Bool(True)),
+        emitted=emitted,
         diffuse=diffuse + found_light * hit_share,
         specular=specular + found_light * (1.0 - hit_share),
     )

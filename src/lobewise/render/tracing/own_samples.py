@@ -89,7 +89,8 @@ def _launch(scene: Any, integrator: Any, pixel: Any, rounds: int, seed: int, cen
     lanes = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, count * rounds) % dr.opaque(mi.UInt32, count))
     width, height = (dr.opaque(mi.UInt32, length) for length in get_image_size(scene))
     place = mi.Point2f(0.5) if centred else sampler.next_2d()
-    ray = make_ray(scene, lanes, (width, height), place, sampler.next_2d())
+    # The integrator hides lamps by itself, and media in front of them are seen.
+    ray = make_ray(scene, lanes, (width, height), place, sampler.next_2d(), hides=False)
     with dr.suspend_grad():
         found = integrator.sample(scene, sampler, mi.RayDifferential3f(ray), sensor.get_medium())[0]
         light = np.array(dr.zeros(mi.Color3f, count * rounds) + mi.Color3f(found), dtype=np.float64)

@@ -16,7 +16,7 @@ from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
 from lobewise.render.materials.surface import find_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Indirect, Points, average_samples
-from lobewise.render.tracing.rays import draw_point, invert_distance, make_opaque, make_ray, make_rng
+from lobewise.render.tracing.rays import draw_point, hides_emitters, invert_distance, make_opaque, make_ray, make_rng
 from lobewise.render.tracing.samples import Sample, Sums, add_sample, make_sample
 
 ROULETTE_DEPTH = 5
@@ -98,6 +98,8 @@ class _Bounces:
             self._count_hit(path, si)
         if settings.radiance:
             emitted, weight = meet_emitter(self.scene, si, path.last, path.last.pdf > 0)
+            if hides_emitters(self.scene):
+                emitted = dr.select((path.bounces > 0) | si.is_valid(), emitted, 0.0)
             self._add_light(path, path.bounces, path.share, path.throughput * emitted * weight)
         going = si.is_valid() & (path.depth + 1 < self.max_depth)
         bsdf = si.bsdf(path.ray)

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.camera import get_sensor
 
 
-def make_ray(scene: Any, pixel: Any, size: tuple[Any, Any], place: Any, aperture: Any = None) -> Any:
+@dataclass
+class _Skip:
+    """State of the walk through hidden lamps."""
+
+    ray: Any
+    active: Any = starts_as("Bool", True)
+
+
+def hides_emitters(scene: Any) -> bool:
+    """Return whether the scene's integrator hides lamps and background from rays that nothing has scattered yet."""
+    return bool(getattr(scene.integrator(), "hide_emitters", False))
+
+
+def make_ray(
+    scene: Any, pixel: Any, size: tuple[Any, Any], place: Any, aperture: Any = None, *, hides: bool = True
+) -> Any:
     """Return rays through pixels. ``place`` in [0, 1) counts right and down from a pixel's corner.
 
     ``aperture`` (Point2f in the unit square) chooses points of a lens. Without it rays pass through its middle, which
-    is the only point of a pinhole.
+    is the only point of a pinhole. With ``hides`` the rays begin behind lamps that the scene's integrator hides.
     """
     width, height = size
     x = (mi.Float(pixel % width) + place.x) / mi.Float(width)
     y = (mi.Float(pixel // width) + place.y) / mi.Float(height)
     ray, _ = get_sensor(scene).sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5) if aperture is None else aperture)
-    return ray
+    return _skip_lamps(scene, ray) if hides and hides_emitters(scene) else ray
+
+
+def _skip_lamps(scene: Any, ray: Any) -> Any:
+    if not any(shape.is_emitter() for shape in scene.shapes()):
+        return ray
+
+    def skip(state: _Skip) -> None:
+        si = scene.ray_intersect(state.ray, state.active)
+        state.active &= si.is_valid() & si.shape.is_emitter()
+        state.ray = dr.select(state.active, si.spawn_ray(state.ray.d), state.ray)
+
+    return follow(_Skip(ray), skip, "lamps").ray
 
 
 def make_rng(pixel: Any, index: Any, seed: Any) -> Any:
