@@ -67,6 +67,13 @@ ALPHAS = [
         1.0,
         np.sqrt(0.1),
     ),
+    (
+        "thin principled",
+        {"type": "principledthin", "roughness": 0.5, "anisotropic": 0.8, "spec_trans": 0.5},
+        LobeKind.GGX,
+        0.25 / (1.0 - 0.9 * 0.8) ** 0.5,
+        0.25 * (1.0 - 0.9 * 0.8) ** 0.5,
+    ),
     ("smooth principled", {"type": "principled", "roughness": 0.0}, LobeKind.GGX, 0.001, 0.001),
 ]
 
@@ -191,6 +198,18 @@ FURNACE = [
         PRINCIPLED_DIFFUSE,
     ),
     ("two-sided", {"type": "twosided", "inner": PLASTIC}, ALBEDO_FIT),
+    (
+        "thin principled",
+        {
+            "type": "principledthin",
+            "base_color": rgb(0.7, 0.4, 0.2),
+            "roughness": 0.4,
+            "spec_trans": 0.6,
+            "diff_trans": 0.8,
+            "eta": 1.5,
+        },
+        PRINCIPLED_DIFFUSE,
+    ),
 ]
 
 

@@ -334,7 +334,7 @@ class TestOtherPlugins:
         # D(half) cos(half) over half vectors, which is 1.
         assert np.allclose(found.rows[-1, 0, 2:5], [0.8, 0.4, 0.2], rtol=0.05)
 
-    @pytest.mark.parametrize("plugin", [pytest.param("hair", marks=pytest.mark.slow), "principledthin", "pplastic"])
+    @pytest.mark.parametrize("plugin", [pytest.param("hair", marks=pytest.mark.slow), "pplastic"])
     def test_albedos_are_the_furnace_radiance(self, furnace: Furnace, plugin: str) -> None:
         frame = furnace({"type": "mask", "opacity": 1.0, "inner": {"type": plugin}}, spp=512)
         assert np.all(frame.gbuffer.lobe_kind == LobeKind.GGX)

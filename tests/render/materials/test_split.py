@@ -114,6 +114,18 @@ def test_share_of_principled_is_its_diffuse_part(mi: Any, directions: tuple[Any,
     assert np.allclose(find_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
 
 
+def test_share_of_thin_principled_is_its_part_without_transmission(mi: Any, directions: tuple[Any, Any]) -> None:
+    thin = {"type": "principledthin", "roughness": 0.4, "diff_trans": 0.7, "sheen": 0.5, "flatness": 0.3, "eta": 1.4}
+    si, wo = directions
+    alone, glossy = (evaluate(mi, mi.load_dict({**thin, "spec_trans": each}), si, wo) for each in (0.0, 1.0))
+    bsdf = mi.load_dict({**thin, "spec_trans": 0.25})
+    total = 0.75 * alone + 0.25 * glossy
+    np.testing.assert_allclose(evaluate(mi, bsdf, si, wo), total, rtol=1e-4, atol=1e-6)
+    expected = np.divide(0.75 * alone, total, out=np.zeros_like(total), where=total > 0.0)
+    np.testing.assert_allclose(find_share(mi, bsdf, si, wo), expected, atol=SHARE)
+    assert expected.std() > 0.1
+
+
 @pytest.mark.parametrize("wrap", ["twosided", "mask", "normalmap", "deep"])
 def test_share_of_wrapped_principled(mi: Any, directions: tuple[Any, Any], wrap: str) -> None:
     si, wo = directions

@@ -30,6 +30,7 @@ PLUGIN_OF_CLASS = {
     "SmoothPlastic": "plastic",
     "RoughPlastic": "roughplastic",
     "Principled": "principled",
+    "PrincipledThin": "principledthin",
     "Null": "null",
     "TwoSidedBRDF": "twosided",
     "NormalMap": "normalmap",
@@ -78,6 +79,8 @@ class Material:
     """Kind of the material's own specular lobe; NONE for a wrapper."""
     diffuse_spread: float = 0.0
     """For plastics: `measure_diffuse_spread`."""
+    without_specular: Any = None
+    """For a thin principled BSDF: the same one with ``spec_trans`` 0, whose light is the diffuse part of it."""
     fitted: FittedLobes | None = None
     number: int = 0
     """For a fitted material with a lobe table: the number of the table in the scene, from 1. Otherwise 0."""
@@ -100,7 +103,8 @@ class Material:
     def obeys_context(self) -> bool:
         """Whether this material, and all nested ones, evaluate only the lobes that a context asks for."""
         return all(
-            node.plugin != "principled" and (node.fitted is None or node.fitted.fit.parts.obeys_context)
+            node.plugin not in ("principled", "principledthin")
+            and (node.fitted is None or node.fitted.fit.parts.obeys_context)
             for node in self
         )
 
@@ -145,7 +149,7 @@ def list_nested(bsdf: Any) -> list[Any]:
 def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
     if plugin in ("conductor", "dielectric", "plastic"):
         return LobeKind.DELTA
-    if plugin == "principled":
+    if plugin in ("principled", "principledthin"):
         return LobeKind.GGX
     if plugin in ("roughconductor", "roughdielectric", "roughplastic"):
         # Only the text description of the object names the microfacet distribution.
@@ -228,6 +232,9 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
         nested=tuple(read_material(objects[name], fits) for name in names),
         lobe_kind=lobe_kind,
         diffuse_spread=spread,
+        without_specular=mi.load_dict({"type": plugin, **objects, "spec_trans": 0.0})
+        if plugin == "principledthin"
+        else None,
     )
 
 

@@ -72,6 +72,10 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
     if material.plugin == "principled":
         total = material.bsdf.eval(everything, si, wo, active)
         return _divide(evaluate_principled_diffuse(material, si, wo, active), total)
+    if material.without_specular is not None:
+        opaque = 1.0 - read_number(material, "spec_trans", si, active)
+        part = opaque * material.without_specular.eval(everything, si, wo, active)
+        return _divide(part, material.bsdf.eval(everything, si, wo, active))
     if material.fitted is not None and not material.fitted.fit.parts.diffuse:
         return mi.Color3f(0)
     if material.obeys_context:

@@ -200,6 +200,29 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
     )
 
 
+def _describe_thin(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
+    """Describe a thin principled BSDF, which is the same on both sides and does not bend light.
+
+    Source: Burley 2015, "Extending the Disney BRDF", section 4.2. Departs: the wider lobe of transmission is neglected,
+    and the albedo is that without a tint.
+    """
+    cos_view = dr.abs(si.wi.z)
+    base = read_color(material, "base_color", si, active)
+    through = read_number(material, "spec_trans", si, active)
+    roughness, anisotropy = (read_number(material, name, si, active) for name in ("roughness", "anisotropic"))
+    alpha_u, alpha_v = find_principled_alphas(DRJIT, roughness, anisotropy)
+    f0 = find_f0_dielectric(read_number(material, "eta", si, active))
+    reflected = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, mi.Color3f(f0))
+    return _make_surface(
+        material,
+        frame,
+        alpha_u=alpha_u,
+        alpha_v=alpha_v,
+        diffuse_albedo=(1.0 - through) * base,
+        specular_albedo=through * (reflected + (1.0 - reflected) * base),
+    )
+
+
 def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     return _make_surface(material, frame, opacity=mi.Float(0))
 
@@ -309,6 +332,7 @@ _DESCRIBERS: dict[str, Callable[[Material, Any, WorldFrame, Any], Surface]] = {
     "plastic": _describe_plastic,
     "roughplastic": _describe_plastic,
     "principled": _describe_principled,
+    "principledthin": _describe_thin,
     "null": _describe_null,
     FITTED: _describe_fitted,
     "twosided": _describe_twosided,
