@@ -67,7 +67,7 @@ INNER_ROOMS = {
         "sequence",
         "stages",
     ],
-    "interactive": ["settings", "methods", "views", "direct_filter", "resting", "frames", "session"],
+    "interactive": ["settings", "methods", "views", "direct_filter", "resting", "lens", "frames", "session"],
 }
 """The order within rooms that have one, of their files and folders."""
 OWNERS = {

@@ -13,9 +13,6 @@ from lobewise.sparse_frame import SparseFrame
 
 FILTERED_WORTH = 32.0
 """Weight of the filtered light in the mean, in samples of the pixel itself."""
-SHARP_WORTH = 4.0
-"""The same of the picture without the lens, in the mean of light through a lens. It shows other light, so that it must
-vanish soon."""
 HALF_TRUST_SAMPLES = 16.0
 """Number of a pixel's own samples at which their mean counts with half its weight. The mean of fewer samples may show a
 firefly."""

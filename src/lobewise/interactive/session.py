@@ -21,8 +21,9 @@ from lobewise.errors import InputError, name_value
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.direct_filter import filter_direct
 from lobewise.interactive.frames import STAGES, InteractiveFrame
+from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
-from lobewise.interactive.resting import SHARP_WORTH, Again, Resting
+from lobewise.interactive.resting import Again, Resting
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
@@ -62,8 +63,7 @@ class _Chain:
     number: int = 0
     """Frames so far."""
     resting: Resting = field(default_factory=Resting)
-    lens: Resting = field(default_factory=lambda: Resting(SHARP_WORTH))
-    """The mean of the light through a lens, while the camera stands still."""
+    lens: LensMean = field(default_factory=LensMean)
 
 
 @dataclass
@@ -237,7 +237,7 @@ class Session:
             chain.chosen, chain.temporal = chosen, TemporalFilter(chosen)
         same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
         if not (same and settings.accumulate):
-            chain.resting, chain.lens = Resting(), Resting(SHARP_WORTH)
+            chain.resting, chain.lens = Resting(), LensMean()
         chain.settings, chain.camera = settings, camera
         chain.number += 1
         self._chains[index] = chain
@@ -280,8 +280,7 @@ class Session:
             indirect = chain.resting.add_indirect(result.image, sparse, again)
             image = direct.total + indirect
             if self._stages.has_lens and chain.resting.frames > 1:
-                chain.lens.frames += 1
-                image = chain.lens.add_indirect(image, self._shade_lens(chain, shared), None)
+                image = chain.lens.add(image, self._stages, shared.hits, settings, chain.number, shared.seed)
         seconds["total"] = math.fsum(seconds[name] for name in STAGES)
         recomputed = int(result.settings.get("recomputed", 0))
         history = chain.temporal.history_length if settings.temporal else None
@@ -296,8 +295,9 @@ class Session:
             scale = max(1, scale // STILL_SCALE_DIVISOR)
         places = list_places(scale)
         place = places[chain.number % len(places)]
-        grid, shape = _list_grid(place, scale, self._size)
-        radiance = self._shade(method, grid, chain.settings.spp, shared.seed, shape)
+        rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
+        grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
+        radiance = self._shade(method, grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
         return SparseFrame(
             radiance,
             shared.hits.gbuffer,
@@ -307,15 +307,6 @@ class Session:
             spp=max(1, round(chain.settings.spp * method.worth)),
             lobe_tables=shared.hits.lobe_tables,
         )
-
-    def _shade_lens(self, chain: _Chain, shared: _Shared) -> SparseFrame:
-        """Return all light through the lens at some pixels of a camera that stands still."""
-        scale = max(1, min(chain.settings.scale, *self._size) // STILL_SCALE_DIVISOR)
-        places = list_places(scale)
-        place = places[chain.number % len(places)]
-        (rows, columns), shape = _list_grid(place, scale, self._size)
-        color = self._stages.shade_through_lens(shared.camera, rows, columns, chain.settings.spp, shared.seed)
-        return SparseFrame(Radiance(color.reshape(*shape, 3)), shared.hits.gbuffer, scale, place, shared.camera)
 
     def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
         """Return the indirect light of some pixels as an image of the shape ``shape``."""
@@ -364,12 +355,6 @@ class Session:
         if not settings.filter_direct or settings.similarity == UNFILTERED:
             return mean
         return filter_direct(mean, shared.hits, settings.make_filter_settings(), chain.resting.frames)
-
-
-def _list_grid(place: tuple[int, int], scale: int, size: tuple[int, int]) -> tuple[Pixels, tuple[int, int]]:
-    """Return the pixels at ``place`` in every block of an image of ``size`` (width, height), and their numbers."""
-    rows, columns = np.arange(place[0], size[1], scale), np.arange(place[1], size[0], scale)
-    return (np.repeat(rows, columns.size), np.tile(columns, rows.size)), (rows.size, columns.size)
 
 
 def _is_same(first: Camera, second: Camera) -> bool:
