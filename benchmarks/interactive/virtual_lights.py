@@ -105,7 +105,8 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
     """Return the figures of a scene, and its images."""
     from lobewise.render import render_frame
     from lobewise.render.tracing.paths import PathLight
-    from lobewise.render.virtual_lights.instant_radiosity import LIGHTS_PER_SAMPLE, VirtualLights, find_sharpness_limit
+    from lobewise.render.virtual_lights.instant_radiosity import VirtualLights, find_sharpness_limit
+    from lobewise.render.virtual_lights.point_walk import LIGHTS_PER_SAMPLE
 
     (scene, materials), look = open_scene(name, SIZE)
     method = VirtualLights(scene, materials, count=PATHS)

@@ -328,7 +328,7 @@ def test_clamping_takes_light_and_compensation_brings_it_back(cornell: Any, corn
 
 @pytest.mark.slow
 def test_samples_are_parts_of_the_whole(cornell: Any) -> None:
-    from lobewise.render.virtual_lights.instant_radiosity import LIGHTS_PER_SAMPLE
+    from lobewise.render.virtual_lights.point_walk import LIGHTS_PER_SAMPLE
 
     points = view(cornell)
     method = make_lights(cornell, count=512)

@@ -7,9 +7,10 @@ from typing import Any
 from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
-from lobewise.render.tracing.points import MAX_LAYERS, Points
+from lobewise.render.tracing.points import Points
 from lobewise.render.tracing.rays import draw_point
 from lobewise.render.virtual_lights.light_paths import LightSet, evaluate_towards
+from lobewise.render.virtual_lights.visibility import Visibility
 
 _MIN_DISTANCE = 1e-6
 """Smallest distance to a light, over the largest coordinate plus 1. It avoids a division by 0."""
@@ -25,10 +26,9 @@ class Lighting:
     def __init__(
         self, scene: Any, materials: dict[int, Material], lights: LightSet, *, shortest: float, radius: float
     ) -> None:
-        self._scene = scene
         self._materials = materials
         self._lights = lights
-        self._is_clear = not any(material.can_be_transparent for material in materials.values())
+        self._visibility = Visibility(scene, materials)
         self._number = dr.opaque(mi.UInt32, lights.number)
         self._has_spheres = radius > 0.0
         self._radius = dr.opaque(mi.Float, radius)
@@ -156,21 +156,5 @@ class Lighting:
         return diffuse * strength, specular * strength
 
     def _see(self, si: Any, light: LightSet, active: Any) -> Any:
-        """Return the visibility of a light (Color3f): 0 or 1, or in between behind masked surfaces."""
-        ray = si.spawn_ray_to(light.si.p)
-        if self._is_clear:
-            return mi.Color3f(dr.select(active & ~self._scene.ray_test(ray, active), 1.0, 0.0))
-
-        def pass_through(ray: Any, through: Any, layers: Any) -> tuple[Any, Any, Any]:
-            hit = self._scene.ray_intersect(ray)
-            met = hit.is_valid()
-            passed = hit.bsdf().eval_null_transmission(hit, met)
-            through *= dr.select(met, passed, 1.0)
-            onward = hit.spawn_ray_to(light.si.p)
-            layers = dr.select(met & (dr.max(through) > 0), layers - 1, 0)
-            # A light behind `MAX_LAYERS` layers counts as hidden.
-            through = dr.select(met & (layers == 0), 0.0, through)
-            return onward, through, layers
-
-        start = (ray, mi.Color3f(dr.select(active, 1.0, 0.0)), dr.select(active, mi.UInt32(MAX_LAYERS), 0))
-        return dr.while_loop(start, lambda *state: state[2] > 0, pass_through, label="visibility")[1]
+        """Return the visibility of a light (Color3f)."""
+        return self._visibility.see(si, light.si.p, active)

@@ -1,0 +1,161 @@
+"""Indirect light at surfaces from clusters of virtual lights, and from what mirrors and very narrow lobes reflect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from lobewise.render.bridge import dr, follow, mi, starts_as
+from lobewise.render.materials.bsdfs import Material
+from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
+from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.points import Points
+from lobewise.render.tracing.rays import draw_point, invert_distance, make_rng
+from lobewise.render.virtual_lights.gaussian_lighting import GaussianLighting
+from lobewise.render.virtual_lights.places import choose_place
+from lobewise.render.virtual_lights.receivers import Receiver, lets_through, make_receiver, weigh_distance
+
+CLUSTERS_PER_SAMPLE = 4
+"""Clusters per sample of a pixel."""
+
+
+@dataclass
+class _Walk:
+    """State of the loop that follows mirrors, refractions and narrow lobes.
+
+    ``kept`` is the part of the last scattering by lobes that are followed, and ``mix`` the part by which a hit emitter
+    counts. ``reach`` is that of the last lobe, infinite for mirrors, and ``travelled`` the way from it to the last
+    surface that let the ray pass.
+    """
+
+    active: Any
+    ray: Any
+    rng: Any
+    reach: Any
+    start: Any = starts_as("Bool", True)
+    throughput: Any = starts_as("Color3f", 1)
+    kept: Any = starts_as("Color3f", 1)
+    mix: Any = starts_as("Color3f", 1)
+    travelled: Any = starts_as("Float")
+    depth: Any = starts_as("UInt32")
+    bounces: Any = starts_as("UInt32")
+    last: Vertex = field(default_factory=make_eye)
+    diffuse: Any = starts_as("Color3f")
+    specular: Any = starts_as("Color3f")
+    looks: Any = starts_as("Bool")
+    hit_count: Any = starts_as("Float")
+    hit_inverse: Any = starts_as("Float")
+
+
+class GaussianWalk:
+    """The light of drawn clusters at pixels.
+
+    ``numbers`` holds opaque numbers (UInt32): ``max_depth`` and ``width`` of the image.
+    """
+
+    def __init__(
+        self, scene: Any, materials: dict[int, Material], lighting: GaussianLighting, numbers: Mapping[str, Any]
+    ) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._lighting = lighting
+        self._numbers = numbers
+        flags = mi.BSDFFlags
+        followed = (flags.Null, flags.Delta, flags.Glossy)
+        self._follows = any(
+            mi.has_flag(node.bsdf.flags(), flag)
+            for material in materials.values()
+            for node in material
+            for flag in followed
+        )
+
+    @property
+    def state(self) -> Any:
+        """Arrays that the walk reads beside the scene (a PyTree)."""
+        return self._lighting.state
+
+    def take(self, points: Points, index: Any, end: Any, seed: Any, all_lights: bool) -> tuple[Any, Any, Any, Any]:
+        """Return sample number ``index`` of ``end``; see `lobewise.render.tracing.points.average_samples`."""
+        rng = make_rng(points.pixel, index, seed)
+        steps = 1 << 24
+        place = mi.Float(choose_place(points.pixel, self._numbers["width"], mi.UInt32(steps), seed)) * (1.0 / steps)
+        # The clusters of all samples of a pixel are at equal distances.
+        place = (mi.Float(index) + place) / mi.Float(end)
+        walk = _Walk(mi.Bool(points.active), mi.Ray3f(points.ray), rng, mi.Float(dr.inf))
+        if self._follows:
+            walk = follow(walk, lambda walk: self._visit(walk, points, place, all_lights), "mirrors")
+        else:
+            at = make_receiver(points.si, points.surface, points.bsdf, self._lighting.width)
+            walk.diffuse, walk.specular = self._gather(points.si, at, place, rng, points.active, all_lights)
+        return walk.diffuse, walk.specular, walk.hit_count, walk.hit_inverse
+
+    def _gather(self, si: Any, at: Receiver, place: Any, rng: Any, active: Any, all_lights: bool) -> tuple[Any, Any]:
+        if all_lights:
+            return self._lighting.gather_all(si, at, rng, active)
+        return self._lighting.gather(si, at, place, mi.UInt32(CLUSTERS_PER_SAMPLE), rng, active)
+
+    def _visit(self, walk: _Walk, points: Points, place: Any, all_lights: bool) -> None:
+        """Add the light at the next surface of a walk, and sample the next direction."""
+        scene, max_depth = self._scene, self._numbers["max_depth"]
+        si = dr.select(walk.start, points.si, scene.ray_intersect(walk.ray, ~walk.start))
+        met = si.is_valid()
+        later = ~walk.start
+
+        # Count the hit of the first mirror.
+        walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
+        walk.hit_inverse += invert_distance(si, walk.looks & met)
+
+        # Add hit emitters, except as direct light.
+        emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
+        self._add(walk, walk.bounces >= 2, emitted * weight * walk.mix, mi.Color3f(0))
+
+        walk.throughput *= walk.kept
+        walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
+        bsdf = si.bsdf()
+        surface = dispatch_surface(self._materials, bsdf, si, walk.active & later)
+        surface = dr.select(walk.start, points.surface, surface)
+        at = make_receiver(si, surface, bsdf, self._lighting.width)
+        # Clusters have shown the rest of what the surface sends to the last lobe.
+        distance = walk.travelled + dr.select(later, si.t, 0.0)
+        near = dr.select(lets_through(bsdf), 1.0, 1.0 - weigh_distance(distance, walk.reach))
+
+        # Add virtual lights.
+        lit = walk.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        place = dr.select(walk.start, place, walk.rng.next_float32())
+        diffuse, specular = self._gather(si, at, place, walk.rng, lit, all_lights)
+        self._add(walk, lit, near * (diffuse + specular), dr.select(walk.bounces == 0, diffuse, 0.0))
+
+        # Sample direct light, which counts as indirect after the first scattering, and the next direction.
+        numbers = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
+        found = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
+        self._add(walk, found.lit, found.value * found.radiance * (found.weight * near), mi.Color3f(0))
+        self._go_on(walk, found, at, near)
+        walk.travelled = dr.select(found.is_null, distance, 0.0)
+
+    def _go_on(self, walk: _Walk, found: Scattering, at: Receiver, near: Any) -> None:
+        """Continue along the sampled direction if the lobe is followed, or to hit an emitter.
+
+        No cluster shows what mirrors reflect, so their rays count fully.
+        """
+        is_delta, is_null = found.is_delta, found.is_null
+        share = dispatch_share(self._materials, found.si.bsdf(), found.si, found.chosen.wo, walk.active & ~is_delta)
+        walk.kept = dr.select(is_delta, 1.0, dr.select(at.reach > 0, (1.0 - share) * near, 0.0))
+        walk.mix = dr.select(is_null, walk.mix, dr.select(is_delta, 1.0, near))
+        walk.reach = dr.select(is_null, walk.reach, dr.select(is_delta, dr.inf, at.reach))
+        first = (walk.bounces == 0) & ~is_null
+        walk.active &= (dr.max(found.factor) > 0) & ((dr.max(walk.kept) > 0) | ~first)
+        walk.looks = walk.active & first & is_delta
+        walk.ray = found.ray
+        walk.throughput *= found.factor
+        walk.depth += 1
+        walk.bounces += dr.select(is_null, mi.UInt32(0), 1)
+        walk.last = found.vertex
+        walk.start = mi.Bool(False)
+
+    def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:
+        """Add ``value``, whose diffuse part at the first surface is ``diffuse``; rays follow specular light only."""
+        value = walk.throughput * dr.select(active, value, 0.0)
+        diffuse = walk.throughput * dr.select(active, diffuse, 0.0)
+        walk.diffuse += diffuse
+        walk.specular += value - diffuse

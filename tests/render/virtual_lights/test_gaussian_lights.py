@@ -1,0 +1,202 @@
+"""Clusters of virtual lights against closed forms, against paths, against point lights, and against themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.metrics import rel_mse
+from tests.render.virtual_lights.test_virtual_lights import (
+    PATHS_NOISE,
+    expect_one_light,
+    find_paths,
+    get_image,
+    make_cornell_box,
+    make_corner,
+    make_lights,
+    total,
+    view,
+)
+
+DARKER = 0.08
+"""Light that metal boxes lack: clusters near an edge reach beyond it."""
+
+pytestmark = pytest.mark.mitsuba
+
+
+def make_clusters(scene: Any, **options: Any) -> Any:
+    return make_lights(scene, kind="gaussians", **options)
+
+
+@pytest.fixture(scope="module")
+def cornell(mi: Any) -> Any:
+    return make_cornell_box(mi)
+
+
+def make_copper_box(mi: Any, alpha: float, size: int = 32) -> Any:
+    """Return the Cornell box with boxes of copper."""
+    items = mi.cornell_box()
+    items["sensor"]["film"].update(width=size, height=size)
+    copper = {"type": "roughconductor", "material": "Cu", "alpha": alpha, "distribution": "ggx"}
+    items["small-box"]["bsdf"] = items["large-box"]["bsdf"] = copper
+    return mi.load_dict(items)
+
+
+def test_one_light_is_the_closed_form(mi: Any) -> None:
+    scene = make_corner(mi)
+    points = view(scene)
+    method = make_clusters(scene, count=1, max_depth=3)
+    expected = expect_one_light(method, points)
+    assert expected.max() > 0.0
+    for all_lights in (False, True):
+        found = method.shade(points, samples=1, seed=0, all_lights=all_lights)
+        np.testing.assert_allclose(get_image(found.diffuse), expected, rtol=2e-3, atol=1e-4 * expected.max())
+        assert get_image(found.specular).max() == 0.0
+        assert np.array(found.hit_distance).max() == 0.0
+
+
+@pytest.mark.slow
+def test_clusters_of_one_light_are_point_lights(cornell: Any) -> None:
+    points = view(cornell)
+    # Most of the light must not come from lights that are nearer than their share of the walls.
+    plain = total(make_lights(cornell, count=64, clamp=0.0).shade(points, samples=1, seed=0, all_lights=True))
+    method = make_clusters(cornell, count=64, cluster_size=1)
+    found = total(method.shade(points, samples=1, seed=0, all_lights=True))
+    assert np.median(np.abs(found - plain)[plain > 0] / plain[plain > 0]) < 1e-3
+    assert found.mean() == pytest.approx(plain.mean(), rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [None, 0.12])
+def test_drawn_clusters_are_the_sum_over_all(mi: Any, alpha: float | None) -> None:
+    scene = make_cornell_box(mi) if alpha is None else make_copper_box(mi, alpha)
+    points = view(scene)
+    method = make_clusters(scene, count=512)
+    whole = np.mean([total(method.shade(points, samples=4, seed=k, all_lights=True)) for k in range(16)], axis=0)
+    drawn = np.array([total(method.shade(points, samples=16, seed=k)) for k in range(32)])
+    error = drawn.std(axis=0) / np.sqrt(len(drawn))
+    assert drawn.mean() == pytest.approx(whole.mean(), rel=5e-3)
+    lit = whole > 0.05 * whole.mean()
+    assert np.median(error[lit] / whole[lit]) < 0.03
+    # Each of the two means has noise of its own.
+    off = np.abs(drawn.mean(axis=0) - whole)[lit] / (error[lit] + 0.02 * whole[lit])
+    assert np.percentile(off, 95) < 3.0
+
+
+@pytest.mark.slow
+def test_light_comes_near_paths(cornell: Any) -> None:
+    points = view(cornell)
+    paths = total(find_paths(cornell, points, samples=1024))
+    errors = []
+    for count in (256, 2048, 16384):
+        image = total(make_clusters(cornell, count=count).shade(points, samples=64, seed=0))
+        errors.append(rel_mse(image, paths))
+    assert errors[2] < 0.5 * errors[0]
+    assert errors[2] < 0.01
+    assert image.mean() == pytest.approx(paths.mean(), rel=2 * PATHS_NOISE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [0.03, 0.12, 0.35])
+def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: float) -> None:
+    scene = make_copper_box(mi, alpha)
+    points = view(scene)
+    metal = (np.array(points.surface.alpha_u) > 0)[None]
+    assert 0.1 < metal.mean() < 0.5
+    paths = total(find_paths(scene, points, samples=2048))
+    spikes = total(make_lights(scene).shade(points, samples=1, seed=0))
+    all_spikes = total(make_lights(scene).shade(points, samples=1, seed=0, all_lights=True))
+    found = total(make_clusters(scene).shade(points, samples=1, seed=0))
+    converged = total(make_clusters(scene).shade(points, samples=64, seed=1))
+    assert rel_mse(found, paths, metal) < 0.5 * rel_mse(spikes, paths, metal)
+    # Lobes of this width have no spikes when all lights are taken.
+    assert rel_mse(converged, paths, metal) < (1.2 if alpha > 0.3 else 0.5) * rel_mse(all_spikes, paths, metal)
+    assert converged[metal].mean() == pytest.approx(paths[metal].mean(), rel=DARKER)
+
+
+def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
+    from lobewise.render.bridge import dr, mi
+    from lobewise.render.materials.bsdfs import read_scene_materials
+    from lobewise.render.tracing.points import find_points
+
+    method = make_clusters(cornell, count=256)
+    first = total(method.shade(view(cornell), samples=2, seed=7))
+    method.update()
+    np.testing.assert_array_equal(total(method.shade(view(cornell), samples=2, seed=7)), first)
+    assert not np.array_equal(total(method.shade(view(cornell), samples=2, seed=8)), first)
+    order = np.random.default_rng(0).permutation(32 * 32)[:100].astype(np.uint32)
+    size = (dr.opaque(mi.UInt32, 32), dr.opaque(mi.UInt32, 32))
+    some = find_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
+    np.testing.assert_array_equal(total(method.shade(some, samples=2, seed=7)), first[:, order])
+
+
+def test_nothing_is_compiled_twice(mi: Any) -> None:
+    from lobewise.render.bridge import dr
+
+    scene = make_copper_box(mi, 0.1)
+    method = make_clusters(scene, count=256)
+
+    def run(seed: int, samples: int) -> None:
+        method.update()
+        dr.eval(method.shade(view(scene), samples=samples, seed=seed))
+
+    run(0, 1)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        run(1, 2)
+        run(12345, 1)
+        kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    assert len(kernels) >= 4
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+@pytest.mark.parametrize("bsdf", [{"type": "conductor", "material": "Al"}, {"type": "roughconductor", "alpha": 0.01}])
+def test_mirrors_show_what_is_lit(mi: Any, bsdf: dict[str, Any]) -> None:
+    scene = make_corner(mi, cone=30.0, bsdf=bsdf)
+    points = view(scene)
+    mirror = np.abs(np.array(points.si.n)[2]) > 0.5
+    assert 0.2 < mirror.mean() < 0.9
+    paths = find_paths(scene, points, samples=4096)
+    found = make_clusters(scene, count=4096).shade(points, samples=64, seed=0)
+    assert get_image(found.diffuse)[:, mirror].max() == 0.0
+    lit, expected = get_image(found.specular)[:, mirror], get_image(paths.specular)[:, mirror]
+    assert expected.max() > 0.01
+    assert lit.mean() == pytest.approx(expected.mean(), rel=PATHS_NOISE)
+
+
+def test_light_behind_a_mask_passes(mi: Any) -> None:
+    mask = {"type": "mask", "opacity": 0.25, "inner": {"type": "diffuse"}}
+    transform = mi.ScalarTransform4f().translate([0, 1.0, -0.3]).scale([2, 2, 1])
+    scene = make_corner(mi, screen={"type": "rectangle", "to_world": transform, "bsdf": mask})
+    points = view(scene)
+    wall = np.array(points.si.p)[2] < -0.99
+    method = make_clusters(scene, count=1, max_depth=3)
+    found = get_image(method.shade(points, samples=256, seed=0).diffuse)[:, wall]
+    expected = 0.75 * expect_one_light(method, points)[:, wall]
+    np.testing.assert_allclose(found, expected, rtol=5e-3, atol=1e-4 * expected.max())
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"kind": "spheres"}, "kind"),
+        ({"kind": "gaussians", "radius": 0.1}, 'use kind="points"'),
+        ({"kind": "gaussians", "compensate": True}, 'use kind="points"'),
+        ({"kind": "gaussians", "cluster_size": 0}, "cluster_size"),
+        ({"kind": "gaussians", "cluster_size": 257}, "cluster_size"),
+    ],
+)
+def test_bad_options_are_told(mi: Any, options: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        make_lights(make_corner(mi), **options)
+
+
+def test_clusters_need_no_band_limit(mi: Any) -> None:
+    scene = make_corner(mi)
+    method = make_clusters(scene, count=16)
+    assert method.find_band_limit(view(scene), 1) == 0.0
+    with pytest.raises(InputError, match="clusters need no band-limit"):
+        method.count_lights_seen(view(scene))
