@@ -20,8 +20,9 @@ _RATE_SPAN = 3.0
 """Time over which pictures per second are counted, seconds."""
 TARGET = 0.2
 """Seconds that a frame may take while the camera moves."""
-STEPS = (1.0, 0.71, 0.5, 0.35, 0.25)
-"""Factors of width and height. Each step halves the number of pixels, about."""
+STEPS = (1.0, 0.84, 0.71, 0.59, 0.5)
+"""Factors of width and height. Every second step halves the number of pixels, about. With less than half of the columns
+and rows a picture is too coarse to steer by."""
 _MAX_LOAD = 0.6
 """Largest expected time of a larger picture, relative to the target, at which the larger picture is tried."""
 _SMOOTHING = 0.5
