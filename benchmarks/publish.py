@@ -60,7 +60,7 @@ PAGES = {
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
     "docs/upsampling.md": Source(upsampling.make_sky_figures, ("skies",)),
     "docs/users_results.md": Source(users.make_figures, ("users",)),
-    "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights",)),
+    "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights", "virtual_light_clusters")),
 }
 """The pages that have marked places."""
 

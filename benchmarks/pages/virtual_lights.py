@@ -1,4 +1,4 @@
-"""The figures of docs/virtual_lights.md, measured by `interactive/virtual_lights.py`."""
+"""The figures of docs/virtual_lights.md, measured by `interactive/virtual_lights.py` and `interactive/clusters.py`."""
 
 from __future__ import annotations
 
@@ -21,6 +21,10 @@ TITLES = {
 ERRORS = ("paths, all", "paths, sharp", "all lights, sharp")
 """What images are compared with, and in which pixels."""
 SIMILARITIES = ("sg", "ggx")
+CLUSTER_METHODS = {"paths": "paths", "points": "points", "clusters": "clusters"}
+"""Methods that are compared at equal time, and their titles."""
+CLUSTER_PARTS = ("all", "glossy")
+"""Pixels whose errors are shown."""
 
 
 def make_error_table(scenes: Mapping[str, Any]) -> str:
@@ -74,7 +78,31 @@ def make_box_table(counts: Mapping[str, Any]) -> str:
     return make_table(["light paths", *kinds], rows)
 
 
-def make_figures(results: Mapping[str, Any]) -> dict[str, str]:
+def make_cluster_table(scenes: Mapping[str, Any], stage: str) -> str:
+    """Return the errors of a stage by scene and method, over all pixels and over glossy ones."""
+    header = [f"{title}, {part}" for part in CLUSTER_PARTS for title in CLUSTER_METHODS.values()]
+    rows = [
+        [name, *(f"{row['errors'][method][stage][part]:.3f}" for part in CLUSTER_PARTS for method in CLUSTER_METHODS)]
+        for name, row in scenes.items()
+    ]
+    return make_table(["", *header], rows)
+
+
+def make_cluster_time_table(scenes: Mapping[str, Any]) -> str:
+    """Return the time of a sample, the samples that each method took, and the brightness over that of paths."""
+    titles = list(CLUSTER_METHODS.values())
+    rows = [
+        [
+            name,
+            *(f"{row['milliseconds'][method]:.0f} ms x {row['samples'][method]}" for method in CLUSTER_METHODS),
+            *(f"{100.0 * (row['errors'][method]['brightness'] - 1.0):+.1f} %" for method in ("points", "clusters")),
+        ]
+        for name, row in scenes.items()
+    ]
+    return make_table(["", *titles, "brightness of points", "of clusters"], rows)
+
+
+def make_figures(results: Mapping[str, Any], clusters: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/virtual_lights.md by place."""
     scenes = results["scenes"]
     speed = [
@@ -87,4 +115,8 @@ def make_figures(results: Mapping[str, Any]) -> dict[str, str]:
         "limits": make_limit_table(scenes),
         "errors": make_error_table(scenes),
         "sweep": make_sweep_table(scenes),
+        "clusters-plain": make_cluster_table(clusters["scenes"], "not filtered"),
+        "clusters-one": make_cluster_table(clusters["scenes"], "one frame"),
+        "clusters-eighth": make_cluster_table(clusters["scenes"], "eighth frame"),
+        "clusters-times": make_cluster_time_table(clusters["scenes"]),
     }

@@ -171,7 +171,8 @@ def test_methods_agree_about_the_brightness(session: Session, method: str) -> No
     assert samples[1].mean() == pytest.approx(samples[0].mean(), rel=0.25)
 
 
-def test_lobes_are_no_sharper_than_virtual_lights_are_dense(session: Session) -> None:
+def test_lobes_are_no_sharper_than_virtual_lights_are_dense(scene: Any) -> None:
+    session = Session(scene, options={"virtual_lights": {"kind": "points"}})
     asked = replace(QUICK, method="virtual_lights")
     found = {}
     for limit, settings in ((True, asked), (False, replace(asked, limit_lobes=False))):
@@ -179,6 +180,16 @@ def test_lobes_are_no_sharper_than_virtual_lights_are_dense(session: Session) ->
     assert found[True] > 1.5 * found[False]
     # What a user sets is left alone.
     assert session.render(None, replace(asked, tau=0.02)).parts.result.settings["tau"] == 0.02
+
+
+def test_virtual_lights_are_clusters_unless_points_are_asked_for(scene: Any) -> None:
+    asked = replace(QUICK, method="virtual_lights")
+    found = {}
+    for kind in (None, "gaussians", "points"):
+        options = {"virtual_lights": {"kind": kind}} if kind else None
+        found[kind] = Session(scene, options=options).render(None, asked).get_view("indirect")
+    np.testing.assert_array_equal(found[None], found["gaussians"])
+    assert not np.allclose(found[None], found["points"], rtol=0.05)
 
 
 def test_lights_that_change_are_noticed(mi: Any) -> None:

@@ -72,6 +72,13 @@ class Clusters:
         """Number of clusters."""
         return len(self.members)
 
+    def find_variance(self) -> float:
+        """Return the mean variance of a cluster's places along its plane, weighted by flux, square scene units."""
+        leaves = slice(-self.count, None)
+        flux = (self.diffuse + self.glossy)[leaves].sum(axis=1)
+        # A flat cluster varies in two directions.
+        return float(np.average(0.5 * self.covariance[leaves][:, [0, 3, 5]].sum(axis=1), weights=flux + _TINY))
+
 
 def make_clusters(lights: Lights, size: int) -> Clusters:
     """Return clusters of at most ``size`` neighbouring lights with similar normals, and all nodes above them.

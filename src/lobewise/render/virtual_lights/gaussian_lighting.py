@@ -8,6 +8,7 @@ drawn down a tree in proportion to their estimated light as in Tokuyoshi, Ikeda,
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,9 @@ SPREAD = 3.0
 ``w^2 / 12``; Gaussians of variance ``w^2 / 4`` around the centres of cells add up to a constant within 3 %."""
 COSINE_SPREAD = 2.0
 """The same for light on diffuse surfaces, whose wide cosine hides gaps. A larger value makes corners darker."""
-MIN_CHANCE = 0.01
-"""Smallest probability of a half of a group of clusters."""
+MIN_CHANCE = 0.1
+"""Smallest probability of a half of a node, unless it is dark. It bounds the weight of clusters whose light is
+underestimated. With 0.01 single pixels are much too bright; other pixels have no more noise."""
 MIN_SHARPNESS, MAX_SHARPNESS = 1e-2, 1e6
 """Sharpness of directions in a node of the tree, inverse square radians."""
 MIN_SQUARE_DISTANCE = 1e-12
@@ -61,14 +63,10 @@ class GaussianLighting:
         self.clusters = make_clusters(described, size)
         self._visibility = Visibility(scene, materials)
         self._arrays = _pack(self.clusters, described)
-        leaves = self.clusters.covariance[-self.clusters.count :]
-        flux = (self.clusters.diffuse + self.clusters.glossy)[-self.clusters.count :].sum(axis=1)
-        # The lights of a flat cluster vary in two directions.
-        variance = float(np.average(0.5 * leaves[:, [0, 3, 5]].sum(axis=1), weights=flux + 1e-300))
         self._numbers = {
             "count": dr.opaque(mi.UInt32, self.clusters.count),
             "levels": dr.opaque(mi.UInt32, self.clusters.count.bit_length() - 1),
-            "width": dr.opaque(mi.Float, math.sqrt(max(SPREAD * variance, 1e-20))),
+            "width": dr.opaque(mi.Float, math.sqrt(SPREAD * self.clusters.find_variance())),
             "size": dr.opaque(mi.UInt32, self.clusters.members.shape[1]),
         }
 
@@ -88,30 +86,32 @@ class GaussianLighting:
         The clusters are drawn at equal distances in [0, 1) of their sums of chances, beginning at ``start`` in [0, 1)
         distances.
         """
-        end = dr.select(active, count, 0)
         share = dr.rcp(mi.Float(count))
 
-        def add(index: Any, diffuse: Any, specular: Any, rng: Any) -> tuple[Any, ...]:
+        def take(index: Any) -> tuple[Any, Any]:
             leaf, chance = self._draw(at, dr.minimum((mi.Float(index) + start) * share, 1.0 - 2.0**-24))
-            more = self._shine(si, at, leaf, rng.next_float32(), index < end)
-            scale = dr.select(chance > 0, share / chance, 0.0)
-            return diffuse + more[0] * scale, specular + more[1] * scale, rng
+            return leaf, dr.select(chance > 0, share / chance, 0.0)
 
-        state = repeat(add, mi.UInt32(0), end, mi.Color3f(0), mi.Color3f(0), rng, label="clusters")
-        rng.state, rng.inc = state[2].state, state[2].inc
-        return state[0], state[1]
+        return self._add_up(si, at, take, dr.select(active, count, 0), rng)
 
     def gather_all(self, si: Any, at: Receiver, rng: Any, active: Any) -> tuple[Any, Any]:
         """Return diffuse and specular radiance towards the viewer from all clusters."""
         end = dr.select(active, self._numbers["count"], 0)
+        return self._add_up(si, at, lambda index: (index, mi.Float(1)), end, rng)
+
+    def _add_up(
+        self, si: Any, at: Receiver, take: Callable[[Any], tuple[Any, Any]], end: Any, rng: Any
+    ) -> tuple[Any, Any]:
+        """Return the light of ``end`` clusters; ``take`` returns the cluster and the weight of a number below it."""
 
         def add(index: Any, diffuse: Any, specular: Any, rng: Any) -> tuple[Any, ...]:
-            more = self._shine(si, at, index, rng.next_float32(), index < end)
-            return diffuse + more[0], specular + more[1], rng
+            leaf, weight = take(index)
+            more = self._shine(si, at, leaf, rng.next_float32(), index < end)
+            return diffuse + more[0] * weight, specular + more[1] * weight, rng
 
-        state = repeat(add, mi.UInt32(0), end, mi.Color3f(0), mi.Color3f(0), rng, label="clusters")
-        rng.state, rng.inc = state[2].state, state[2].inc
-        return state[0], state[1]
+        diffuse, specular, used = repeat(add, mi.UInt32(0), end, mi.Color3f(0), mi.Color3f(0), rng, label="clusters")
+        rng.state, rng.inc = used.state, used.inc
+        return diffuse, specular
 
     def _draw(self, at: Receiver, place: Any) -> tuple[Any, Any]:
         """Return a cluster, drawn by a number in [0, 1), and its chance."""

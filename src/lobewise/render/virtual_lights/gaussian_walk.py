@@ -18,6 +18,8 @@ from lobewise.render.virtual_lights.receivers import Receiver, lets_through, mak
 
 CLUSTERS_PER_SAMPLE = 4
 """Clusters per sample of a pixel."""
+CLUSTERS_PER_RAY = 2
+"""Clusters per surface that a ray from a lobe or mirror hits."""
 
 
 @dataclass
@@ -87,13 +89,17 @@ class GaussianWalk:
             walk = follow(walk, lambda walk: self._visit(walk, points, place, all_lights), "mirrors")
         else:
             at = make_receiver(points.si, points.surface, points.bsdf, self._lighting.width)
-            walk.diffuse, walk.specular = self._gather(points.si, at, place, rng, points.active, all_lights)
+            walk.diffuse, walk.specular = self._gather(
+                points.si, at, place, mi.UInt32(CLUSTERS_PER_SAMPLE), rng, points.active, all_lights
+            )
         return walk.diffuse, walk.specular, walk.hit_count, walk.hit_inverse
 
-    def _gather(self, si: Any, at: Receiver, place: Any, rng: Any, active: Any, all_lights: bool) -> tuple[Any, Any]:
+    def _gather(
+        self, si: Any, at: Receiver, place: Any, count: Any, rng: Any, active: Any, all_lights: bool
+    ) -> tuple[Any, Any]:
         if all_lights:
             return self._lighting.gather_all(si, at, rng, active)
-        return self._lighting.gather(si, at, place, mi.UInt32(CLUSTERS_PER_SAMPLE), rng, active)
+        return self._lighting.gather(si, at, place, count, rng, active)
 
     def _visit(self, walk: _Walk, points: Points, place: Any, all_lights: bool) -> None:
         """Add the light at the next surface of a walk, and sample the next direction."""
@@ -123,7 +129,8 @@ class GaussianWalk:
         # Add virtual lights.
         lit = walk.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         place = dr.select(walk.start, place, walk.rng.next_float32())
-        diffuse, specular = self._gather(si, at, place, walk.rng, lit, all_lights)
+        count = dr.select(walk.start, mi.UInt32(CLUSTERS_PER_SAMPLE), CLUSTERS_PER_RAY)
+        diffuse, specular = self._gather(si, at, place, count, walk.rng, lit, all_lights)
         self._add(walk, lit, near * (diffuse + specular), dr.select(walk.bounces == 0, diffuse, 0.0))
 
         # Sample direct light, which counts as indirect after the first scattering, and the next direction.

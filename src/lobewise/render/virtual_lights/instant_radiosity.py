@@ -32,7 +32,7 @@ MAX_CLUSTER_SIZE = 256
 """Largest number of lights of a cluster."""
 DEFAULT_PATHS = {"points": 1024, "gaussians": 16384}
 """Number of light paths by the kind of lights."""
-WORTH = {"points": 4.0, "gaussians": 16.0}
+WORTH = {"points": 4.0, "gaussians": 4.0}
 """Variance of one path over that of one sample, by the kind of lights. Median over pixels in three built-in scenes: for
 points 1.7 to 39 for diffuse light, 1.5 to 6 for specular light."""
 

@@ -23,6 +23,8 @@ from lobewise.render.virtual_lights.light_paths import LightSet
 MAX_FOLLOWED_ALPHA = 0.25
 """Alpha below which rays show what a lobe reflects within its reach."""
 
+REACH = 1.5
+"""Reach of a lobe over the distance at which the Gaussian of a cluster looks as wide as the lobe."""
 MIN_WHITE_ALBEDO = 0.2
 """Smallest albedo of a white lobe: that of GGX of alpha 1 is 0.3."""
 
@@ -75,9 +77,7 @@ def make_receiver(si: Any, surface: Surface, bsdf: Any, width: Any) -> Receiver:
     mean_alpha *= dr.select(beckmann, 0.5, 1.0)
     white = ggx_directional_albedo(dr.abs(dr.dot(normal, si.to_world(si.wi))), mean_alpha, 1.0)
     only_rays = through | (surface.lobe_kind == float(LobeKind.DELTA))
-    # The smaller principal variance is at least the determinant over the trace.
-    narrowest = lobe.determinant / (covariance.x + covariance.z)
-    reach = dr.select(only_rays, dr.inf, width * dr.rsqrt(narrowest))
+    reach = dr.select(only_rays, dr.inf, (REACH * width) * dr.rsqrt(dr.sqrt(lobe.determinant)))
     followed = through | (surface.alpha_u * surface.alpha_v < MAX_FOLLOWED_ALPHA**2)
     followed &= surface.lobe_kind != float(LobeKind.NONE)
     return Receiver(
