@@ -1,7 +1,7 @@
 """Measure clusters of virtual lights against point lights and paths, at equal time, before and after the filter.
 
 Cornell boxes with copper and aluminium, and built-in scenes, under a camera that moves by half a degree a frame. Each
-method takes as many samples as fit in the time of one sample of clusters, at least one. Errors are of indirect light
+other method takes as many samples as fill the time of one sample of clusters, rounded up. Errors are of indirect light
 alone, against paths.
 
     python -m benchmarks.interactive.clusters --cache ~/.cache/lobewise-quality \\
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -38,7 +39,7 @@ DEGREES_PER_FRAME = 0.5
 REFERENCE_SPP = 512
 """Samples of each of the two halves of a reference. The halves tell the error of the reference."""
 SEEDS = 3
-TIMINGS = 12
+TIMINGS = 24
 GAP = 4
 
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -112,6 +113,17 @@ def time_samples(sessions: Mapping[str, Session]) -> dict[str, float]:
     return {name: round(1e3 * min(values[2:]), 2) for name, values in spent.items()}
 
 
+def time_update(session: Session) -> float:
+    """Return the time of tracing the lights and joining them to clusters, milliseconds of all threads together."""
+    method: Any = session._methods.get("virtual_lights")
+    spent = []
+    for _ in range(3):
+        begin = time.process_time()
+        method.update()
+        spent.append(time.process_time() - begin)
+    return round(1e3 * min(spent), 1)
+
+
 def find_errors(image: FloatArray, truth: FloatArray, glossy: Any) -> dict[str, float]:
     """Return rel_mse over all pixels and over glossy ones."""
     return {"all": rel_mse(image, truth), "glossy": rel_mse(image, truth, glossy)}
@@ -141,8 +153,9 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, dict[st
     cameras = make_orbit(camera, find_orbit_centre(scene), FRAMES, DEGREES_PER_FRAME)
     truth, noise = fetch_reference(scene, cameras[-1], cache, name)
     times = time_samples(sessions)
-    samples = {method: max(1, round(times["clusters"] / spent)) for method, spent in times.items()}
+    samples = {method: math.ceil(times["clusters"] / spent) for method, spent in times.items()}
     row: dict[str, Any] = {"milliseconds": times, "samples": samples, "reference_error": noise, "errors": {}}
+    row["update_milliseconds"] = {method: time_update(sessions[method]) for method in ("points", "clusters")}
     pictures: dict[str, dict[str, FloatArray]] = {"reference": dict.fromkeys(STAGES, truth)}
     for method in METHODS:
         found: dict[str, dict[str, list[float]]] = {stage: {part: [] for part in PARTS} for stage in STAGES}

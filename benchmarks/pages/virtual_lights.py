@@ -95,11 +95,13 @@ def make_cluster_time_table(scenes: Mapping[str, Any]) -> str:
         [
             name,
             *(f"{row['milliseconds'][method]:.0f} ms x {row['samples'][method]}" for method in CLUSTER_METHODS),
+            *(f"{row['update_milliseconds'][method]:.0f} ms" for method in ("points", "clusters")),
             *(f"{100.0 * (row['errors'][method]['brightness'] - 1.0):+.1f} %" for method in ("points", "clusters")),
         ]
         for name, row in scenes.items()
     ]
-    return make_table(["", *titles, "brightness of points", "of clusters"], rows)
+    header = ["", *titles, "tracing points", "tracing clusters", "brightness of points", "of clusters"]
+    return make_table(header, rows)
 
 
 def make_figures(results: Mapping[str, Any], clusters: Mapping[str, Any]) -> dict[str, str]:

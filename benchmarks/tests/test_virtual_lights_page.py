@@ -29,6 +29,32 @@ def test_limit_mends_what_the_default_leaves(results: dict[str, Any]) -> None:
             assert limited < 1.15 * best, name
 
 
+@pytest.fixture
+def clusters() -> dict[str, Any]:
+    found = json.loads((ROOT / "benchmarks" / "results" / "virtual_light_clusters.json").read_text())
+    scenes: dict[str, Any] = found["scenes"]
+    return scenes
+
+
+def test_clusters_have_less_error_than_points(clusters: dict[str, Any]) -> None:
+    assert len(clusters) == 8
+    for name, row in clusters.items():
+        for stage in ("not filtered", "one frame", "eighth frame"):
+            for part in ("all", "glossy"):
+                found, points = (row["errors"][method][stage][part] for method in ("clusters", "points"))
+                assert found < points, (name, stage, part)
+
+
+def test_clusters_on_metal_boxes_come_near_paths_at_equal_time(clusters: dict[str, Any]) -> None:
+    boxes = {name: row for name, row in clusters.items() if "alpha" in name}
+    assert len(boxes) == 3
+    for name, row in boxes.items():
+        for stage in ("not filtered", "one frame", "eighth frame"):
+            for part in ("all", "glossy"):
+                found, paths = (row["errors"][method][stage][part] for method in ("clusters", "paths"))
+                assert found < 1.5 * paths, (name, stage, part)
+
+
 @pytest.mark.mitsuba
 def test_code_runs() -> None:
     pytest.importorskip("mitsuba")

@@ -179,6 +179,17 @@ def test_light_behind_a_mask_passes(mi: Any) -> None:
     np.testing.assert_allclose(found, expected, rtol=5e-3, atol=1e-4 * expected.max())
 
 
+def test_light_that_hits_nothing_is_dark(mi: Any) -> None:
+    away = mi.ScalarTransform4f().look_at(origin=[0, 3, 0], target=[0, 9, 0], up=[1, 0, 0])
+    spot = {"type": "spot", "to_world": away, "intensity": {"type": "rgb", "value": 10.0}}
+    scene = make_corner(mi, spot=spot)
+    method = make_clusters(scene, count=64)
+    assert method.lights.number == 0
+    for all_lights in (False, True):
+        found = total(method.shade(view(scene), samples=2, seed=0, all_lights=all_lights))
+        np.testing.assert_array_equal(found, 0.0)
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [

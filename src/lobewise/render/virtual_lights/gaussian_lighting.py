@@ -164,7 +164,7 @@ class GaussianLighting:
         specular = arriving * at.specular * (lobe * above * weigh_distance(dr.rsqrt(place.inverse), at.reach))
         some = active & (dr.max(diffuse + specular) > 0)
         through = self._see(si, leaf, place_in, some)
-        return diffuse * through, specular * through
+        return dr.select(some, diffuse * through, 0.0), dr.select(some, specular * through, 0.0)
 
     def _see(self, si: Any, leaf: Any, place: Any, active: Any) -> Any:
         """Return the visibility of one light of a cluster."""

@@ -105,7 +105,8 @@ def read_lights(materials: dict[int, Material], lights: LightSet) -> Lights:
     )
 
     def take(value: Any) -> Any:
-        return np.array(value, dtype=np.float64).T[: lights.number]
+        # The one dark light of an empty set lies nowhere.
+        return np.nan_to_num(np.array(value, dtype=np.float64).T, posinf=0.0, neginf=0.0)
 
     return Lights(
         position=take(mi.Point3f(lights.si.p)),
