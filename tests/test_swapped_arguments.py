@@ -31,6 +31,8 @@ SYMMETRIC = {
     ("excess", "filtered", "noisy"),
     # Without a history the samples are all that a sum has.
     ("accumulation", "weight", "weight_sum"),
+    # A sum.
+    ("joined", "variance0", "variance1"),
     # Products.
     ("dual buffer", "lobes_exponent0", "lobes_feature0_scalar0"),
     *((name, "alpha_u", "alpha_v") for name in ("lobes", "tolerances")),
