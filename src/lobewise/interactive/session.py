@@ -264,8 +264,7 @@ class Session:
         seconds = dict(shared.seconds)
         method = self._methods.get(settings.method)
         if isinstance(method, OwnLight):
-            black = np.zeros_like(shared.direct.emitted)
-            shared = replace(shared, direct=DirectLight(black, black, black))
+            shared = replace(shared, direct=shared.direct.make_black())
         with _watch(seconds, "indirect"):
             sparse = self._shade_sparse(chain, shared, method)
         with _watch(seconds, "upsampling"):
@@ -312,9 +311,8 @@ class Session:
         """Return the indirect light of some pixels as an image of the shape ``shape``."""
         parts = self._stages.shade_indirect(method, *pixels, samples, seed)[:2]
         diffuse, specular = (light.reshape(*shape, 3) for light in parts)
-        if isinstance(method, OwnLight):
-            return Radiance(diffuse)
-        return Radiance(diffuse + specular, diffuse=diffuse, specular=specular)
+        split = {} if isinstance(method, OwnLight) else {"diffuse": diffuse, "specular": specular}
+        return Radiance(diffuse + specular, **split)
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
         settings = chain.settings

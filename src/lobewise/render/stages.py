@@ -97,6 +97,11 @@ class DirectLight:
         """The sum of the three."""
         return self.emitted + self.diffuse + self.specular
 
+    def make_black(self) -> DirectLight:
+        """Return no light at as many pixels."""
+        black = np.zeros_like(self.emitted)
+        return DirectLight(black, black, black)
+
 
 NO_PIXEL = (1 << 32) - 1
 """Number that no pixel has."""
