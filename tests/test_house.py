@@ -50,10 +50,12 @@ ROOMS = [
 INNER_ROOMS = {
     "render": [
         "bridge",
+        "frozen",
         "variant",
         "camera",
         "camera_path",
         "loading",
+        "moving",
         "materials",
         "tracing",
         "gbuffer",
@@ -67,7 +69,19 @@ INNER_ROOMS = {
         "sequence",
         "stages",
     ],
-    "interactive": ["settings", "methods", "views", "direct_filter", "resting", "lens", "frames", "session"],
+    "interactive": [
+        "settings",
+        "methods",
+        "changes",
+        "filter_choice",
+        "gradients",
+        "views",
+        "direct_filter",
+        "resting",
+        "lens",
+        "frames",
+        "session",
+    ],
 }
 """The order within rooms that have one, of their files and folders."""
 OWNERS = {

@@ -59,6 +59,32 @@ class TestSequence:
         moved = np.linalg.norm(second.gbuffer.motion, axis=-1) > 1e-2
         assert 0.01 < moved.mean() < 0.2
 
+    def test_objects_move_as_a_file_says(self, render, tmp_path):
+        up = {"keys": [{"frame": 1}, {"frame": 3, "translate": [0, 0.4, 0]}]}
+        (tmp_path / "moves.json").write_text(json.dumps({"chalk": up}))
+        render("--frames 3 --camera-path still --moving-objects moves.json --width 64 --height 64 -o m.#.exr --float")
+        frames = [read_frame(tmp_path / f"m.{number}.exr") for number in (1, 2, 3)]
+        for step, frame in enumerate(frames):
+            # The ball of radius 0.38, which is nearest to the camera there.
+            position = frame.gbuffer.position - np.array([0.95, 0.38 + 0.2 * step, 1.3])
+            ball = np.abs(np.linalg.norm(position, axis=-1) - 0.38) < 1e-3
+            assert ball.sum() > 10
+            if step:
+                assert (frame.gbuffer.motion[ball][:, 1] > 1.0).all()
+                assert np.abs(frame.gbuffer.motion[~ball]).max() < 1e-2
+        # A rest of the path is that of the whole.
+        render(
+            "--frames 1 --start 3 --camera-path still --moving-objects moves.json"
+            " --width 64 --height 64 -o r.#.exr --float"
+        )
+        assert (tmp_path / "r.3.exr").read_bytes() == (tmp_path / "m.3.exr").read_bytes()
+
+    def test_the_word_after_the_switch_may_be_the_scene(self, mi, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        line = "render --frames 2 --moving-objects showroom --spp 1 --width 8 --height 8 -o m.#.exr"
+        assert run(line.split()) == 0
+        assert read_frame(tmp_path / "m.2.exr").gbuffer.motion is not None
+
     def test_path_of_a_file(self, render, tmp_path, capsys):
         cameras = [{"position": [x, 3.0, 7.0], "target": [0, 0.7, 0]} for x in (0.0, 0.25)]
         (tmp_path / "path.json").write_text(json.dumps(cameras))
@@ -85,6 +111,8 @@ class TestMistakes:
             ("--speed 1", "--speed: expected --frames beside it"),
             ("--start 2", "--start: expected --frames beside it"),
             ("--moving-objects", "--moving-objects: expected --frames beside it"),
+            ("--moving-objects moves.json", "--moving-objects: expected --frames beside it"),
+            ("--frames 2 --moving-objects absent.json", "no such file"),
             ("--frames 2 --aov-only", "no --aov-only beside it"),
             ("--frames 2 --scale 4 --place 1,1", "no --place beside it"),
             ("--frames 2 --scale 4 --reference", "no --reference beside it"),
@@ -100,6 +128,22 @@ class TestMistakes:
         line = line if "-o" in line.split() else f"{line} -o out.####.exr"
         assert message in fail(capsys, render, line)
         assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        ("moves", "message"),
+        [
+            ({"chalks": {"keys": [{"frame": 1}]}}, "did you mean 'chalk'"),
+            ({"chalk": {"matrices": [np.eye(4).tolist()]}}, "at least 2 matrices"),
+            ({"chalk": {"matrices": [np.eye(4).tolist(), np.zeros((4, 4)).tolist()]}}, "matrix 2: expected a matrix"),
+            ({"chalk": {"matrices": [np.diag([1.0, 0, 1, 1]).tolist()] * 2}}, "got a singular one"),
+            ({"chalk": {"keys": [{"frame": 2, "scale": [1, 2, 1]}]}}, "one scale"),
+        ],
+        ids=["id", "count", "last row", "singular", "sphere"],
+    )
+    def test_wrong_moves_of_a_file(self, render, tmp_path, capsys, moves, message):
+        (tmp_path / "moves.json").write_text(json.dumps(moves))
+        assert message in fail(capsys, render, "--frames 2 --moving-objects moves.json -o out.####.exr")
+        assert [path.name for path in tmp_path.iterdir()] == ["moves.json"]
 
     def test_scenes_without_moving_objects_say_which_have(self, render, capsys):
         assert run(["render", "brushed", "--frames", "2", "--moving-objects", "-o", "out.####.exr"]) == 2

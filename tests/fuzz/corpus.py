@@ -159,6 +159,13 @@ def write_cameras(folder: Path) -> None:
     )
     frames = [{"position": [0, 1, 5], "target": [0, 0, 0], "fov_y": 40}, {"position": [0, 1, 4], "forward": [0, 0, -1]}]
     _put(folder / "camera_path" / "two.json", json.dumps(frames))
+    keys = [{"frame": 1}, {"frame": 3, "translate": [0, 1, 0], "degrees": 90, "scale": [1, 2, 1]}]
+    _put(
+        folder / "object_paths" / "keys.json",
+        json.dumps({"cube": {"axis": [0, 0, 1], "about": [1, 2, 3], "keys": keys}}),
+    )
+    still = [[1, 0, 0, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]
+    _put(folder / "object_paths" / "matrices.json", json.dumps({"ball": {"matrices": [still, still]}}))
     _put(
         folder / "camera_xml" / "scene.xml",
         """<?xml version="1.0"?>

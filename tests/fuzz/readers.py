@@ -207,6 +207,16 @@ def read_camera_path(path: Path, _: Answer) -> None:
         _use(camera)
 
 
+def read_object_paths(path: Path, _: Answer) -> None:
+    from lobewise.render.moving.paths import read_object_paths
+
+    paths = read_object_paths(path)
+    for frame in (1.0, 2.0):
+        if all(len(one.matrices) != 1 or frame == 1.0 for one in paths.paths.values()):
+            for matrix in paths.find_places(frame).values():
+                assert matrix.shape == (4, 4)
+
+
 def read_camera(path: Path, _: Answer) -> None:
     from lobewise.interchange.cameras.files import read_camera_file
 
@@ -353,6 +363,7 @@ READERS = {
     "lobes": Reader(".lobes", read_lobes, "lobes/sg.lobes"),
     "merl": Reader(".json", read_merl, "merl/whole.json"),
     "camera_path": Reader(".json", read_camera_path, "camera_path/two.json"),
+    "object_paths": Reader(".json", read_object_paths, "object_paths/keys.json"),
     "camera_json": Reader(".json", read_camera, "camera_json/camera.json"),
     "camera_xml": Reader(".xml", read_camera, "camera_xml/scene.xml"),
     "camera_gltf": Reader(".gltf", read_camera, "camera_gltf/nodes.gltf"),
@@ -367,6 +378,7 @@ READERS = {
 }
 NEEDS = {
     "camera_path": "mitsuba",
+    "object_paths": "mitsuba",
     "definitions": "mitsuba",
     "camera_usda": "pxr",
     "camera_usdc": "pxr",

@@ -311,6 +311,7 @@ def _make(kind: str) -> SearchStrategy[bytes]:
         "merl": make_merl,
         "lobes": lambda: st.one_of(change_json(seeds), change_json(seeds), JSON),
         "camera_path": lambda: st.one_of(change_json(seeds), change_json(seeds), JSON),
+        "object_paths": lambda: st.one_of(change_json(seeds), change_json(seeds), JSON),
         "camera_json": lambda: st.one_of(change_json(seeds), change_json(seeds), JSON),
         "camera_gltf": lambda: st.one_of(change_json(seeds), change_json(seeds), JSON),
         "camera_glb": lambda: make_glb(seeds, read_seeds("camera_gltf")),

@@ -8,7 +8,18 @@ from tests.fuzz.fuzzing import check_kind
 
 
 @pytest.mark.parametrize(
-    "kind", ["lobes", "camera_path", "camera_json", "camera_xml", "camera_gltf", "preset", "map", "definitions"]
+    "kind",
+    [
+        "lobes",
+        "camera_path",
+        "object_paths",
+        "camera_json",
+        "camera_xml",
+        "camera_gltf",
+        "preset",
+        "map",
+        "definitions",
+    ],
 )
 def test_documents(kind: str) -> None:
     check_kind(kind)

@@ -23,6 +23,7 @@ BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 def run(arguments: list[str]) -> int:
     """Run the program and return its exit code."""
     from lobewise.cli.commands import app
+    from lobewise.cli.rendering import give_switches_values
     from lobewise.cli.terminal.help import asks_for_all
 
     for stream in (sys.stdout, sys.stderr):
@@ -33,6 +34,7 @@ def run(arguments: list[str]) -> int:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
+    arguments = give_switches_values(arguments)
     command = typer.main.get_command(app)
     warnings.showwarning = _show_warning
     try:

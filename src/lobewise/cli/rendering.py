@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from lobewise.frame import Frame
     from lobewise.sparse_frame import SparseFrame
 
+BY_THEMSELVES = "by-themselves"
+"""The value of --moving-objects without a file."""
 CAMERA_PATHS = ("orbit", "still")
 
 
@@ -63,12 +65,12 @@ class Sampling:
         """Return parameters of `lobewise.render.render_frame` and similar functions."""
         return {name: getattr(self, name) for name in ("spp", "seed", "max_depth", "light", "integrator")}
 
-    def load(self, scene: str) -> Any:
-        """Return the scene, loaded with Mitsuba."""
+    def load(self, scene: str, *, merge: bool = True) -> Any:
+        """Return the scene, loaded with Mitsuba; ``merge`` is that of `lobewise.render.load_scene`."""
         from lobewise.render import load_scene
 
         parameters = parse_definitions(self.define or [])
-        return load_scene(scene, width=self.width, height=self.height, parameters=parameters)
+        return load_scene(scene, width=self.width, height=self.height, parameters=parameters, merge=merge)
 
     def describe_light(self, scene: Any) -> None:
         """Print who computes the light, if there is a choice; raise InputError for a wrong integrator."""
@@ -139,8 +141,18 @@ class Motion:
         sequence_option(metavar="N", min=1, help="With --frames: first frame of the path to render.", show_default="1"),
     ] = None
     moving_objects: Annotated[
-        bool, sequence_option("--moving-objects", help="With --frames: objects move too, in showroom and parlour.")
-    ] = False
+        str | None,
+        sequence_option(
+            metavar="[FILE.json]",
+            help="With --frames: objects move too, as the file says, or as showroom and parlour do by themselves.",
+            show_default=False,
+        ),
+    ] = None
+
+    @property
+    def objects(self) -> str | None:
+        """Name of the file by which objects move, if there is one."""
+        return None if self.moving_objects == BY_THEMSELVES else self.moving_objects
 
     @property
     def path(self) -> str:
@@ -185,13 +197,26 @@ def render(
         _render_whole(scene, output, sampling, contents, picture)
 
 
+def give_switches_values(arguments: Sequence[str]) -> list[str]:
+    """Return a command line in which --moving-objects has a value: the parser knows no value that may be missing.
+
+    A word after it is its value if it ends in ``.json``.
+    """
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    words = list(arguments)
+    for place, word in enumerate(words[:end]):
+        if word == "--moving-objects" and not (place + 1 < end and words[place + 1].lower().endswith(".json")):
+            words[place] = f"--moving-objects={BY_THEMSELVES}"
+    return words
+
+
 def _refuse_contradictions(contents: Contents, sparse: Sparse, motion: Motion, picture: Picture) -> None:
     """Raise InputError if two options exclude each other, or an option lacks another that it needs."""
     needs_frames = {
         "--camera-path": motion.camera_path is not None,
         "--speed": motion.speed is not None,
         "--start": motion.start is not None,
-        "--moving-objects": motion.moving_objects,
+        "--moving-objects": motion.moving_objects is not None,
     }
     if motion.frames is None:
         for other, given in needs_frames.items():
@@ -275,18 +300,25 @@ def _render_sequence(
 ) -> None:
     """Render the frames of a camera path. Each is written as soon as it is rendered."""
     from lobewise.io.files import require_other_files, require_writable
-    from lobewise.render import MovingScene, render_sequence
+    from lobewise.render import MovingScene, PlacedScene, read_object_paths, render_sequence
     from lobewise.sparse_frame import SparseFrame
 
     files = motion.list_files(output)
     first, last = min(files), max(files)
     require_writable(files[first])
-    require_other_files(files.values(), [scene, motion.path])
+    sources = [scene, motion.path, *([motion.objects] if motion.objects else [])]
+    require_other_files(files.values(), sources)
     pictures = picture.plan(files[first])
     if pictures is not None:
-        protect_from_pictures(files.values(), [scene, motion.path])
-    moving = MovingScene(scene, sampling.width, sampling.height) if motion.moving_objects else None
-    loaded = sampling.load(scene)
+        protect_from_pictures(files.values(), sources)
+    paths = read_object_paths(motion.objects) if motion.objects else None
+    moving: Any = None
+    if motion.moving_objects and paths is None:
+        moving = MovingScene(scene, sampling.width, sampling.height)
+    loaded = sampling.load(scene, merge=paths is None)
+    if paths is not None:
+        paths.require_frames(last)
+        moving = PlacedScene(loaded, paths)
     sampling.describe_light(loaded)
     cameras = _plan_cameras(loaded, motion.path, last, motion.speed)
     with Steps() as steps:

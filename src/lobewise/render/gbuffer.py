@@ -102,8 +102,9 @@ def _number_shapes(shape: Any) -> Any:
 def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves) -> FloatArray:
     """Return where each pixel's surface point was in the previous frame, (height, width, 3).
 
-    ``shape`` (height, width) holds the numbers of `trace_guides`. Shapes move as rigid bodies or by another affine map.
-    InputError if the scene has no shape with an id of ``moves``, or a matrix is not finite or not (4, 4).
+    ``shape`` (height, width) holds the numbers of `trace_guides`. Shapes and instances move as rigid bodies or by
+    another affine map. InputError if the scene has no shape with an id of ``moves``, or a matrix is not finite or not
+    (4, 4).
     """
     numbers = {each.id(): int(_number_shapes(mi.ShapePtr(each))[0]) for each in scene.shapes()}
     before = position

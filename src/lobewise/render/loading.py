@@ -43,6 +43,7 @@ def load_scene(
     height: int | None = None,
     time: float = 0.0,
     parameters: Mapping[str, str] | None = None,
+    merge: bool = True,
 ) -> Any:
     """Load a built-in scene by name, or a Mitsuba XML file by path.
 
@@ -57,6 +58,9 @@ def load_scene(
         Time in frames, for the objects of a scene of `lobewise.scenes.list_moving_scenes`.
     parameters : mapping of str to str, optional
         Values for ``$name`` in an XML file, in place of the file's own defaults.
+    merge : bool
+        Whether Mitsuba may merge the meshes of a file, which then lose their ids. Shapes that shall move must keep
+        theirs.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def load_scene(
     path = Path(text)
     if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
         require_choice("scene", text, list_scenes())
-    return _load_file(path, width, height, parameters or {})
+    return _load_file(path, width, height, parameters or {}, merge)
 
 
 @dataclass(frozen=True)
@@ -177,7 +181,7 @@ def _make_mesh(item: dict[str, Any]) -> Any:
     return mesh
 
 
-def _load_file(path: Path, width: int | None, height: int | None, parameters: Mapping[str, str]) -> Any:
+def _load_file(path: Path, width: int | None, height: int | None, parameters: Mapping[str, str], merge: bool) -> Any:
     if not path.is_file():
         got = "a folder" if path.is_dir() else "nothing there"
         raise FileError(str(path), expected="a Mitsuba XML file", got=got, action="check the path")
@@ -187,7 +191,7 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
             raise InputError("parameter", expected=expected, got=repr(name), action="rename it in the scene's file")
     mi = load_mitsuba()
     try:
-        scene = mi.load_file(str(path), **parameters)
+        scene = mi.load_file(str(path), optimize=merge, **parameters)
     except (RuntimeError, OSError) as error:
         _refuse_unused(path, parameters, str(error))
         expected = "a scene that Mitsuba understands"

@@ -9,6 +9,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.render.camera import get_camera, set_camera
 from lobewise.render.loading import MovingScene
+from lobewise.render.moving.paths import PlacedScene
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
 from lobewise.sparse_frame import AnyFrame, list_places
 
@@ -35,8 +36,9 @@ def render_sequence(
 
     Parameters
     ----------
-    scene : mitsuba.Scene or MovingScene
-        The sensor of a ``mitsuba.Scene`` is moved. A `MovingScene` is loaded again for the time of each frame.
+    scene : mitsuba.Scene, MovingScene or PlacedScene
+        The sensor of a ``mitsuba.Scene`` is moved. A `MovingScene` is loaded again for the time of each frame. The
+        shapes of a `PlacedScene` move in the loaded scene.
     cameras : sequence of Camera
         One camera for each frame, counted from 0.
     spp : int
@@ -91,7 +93,7 @@ def _render_path(
     scene: Any, cameras: Sequence[Camera], first: int, render: Callable[[Any, int, dict[str, Any]], AnyFrame]
 ) -> Iterator[AnyFrame]:
     """Yield ``render(scene, index, since)`` for each camera; ``since`` holds the motion since the previous frame."""
-    moving = scene if isinstance(scene, MovingScene) else None
+    moving = scene if isinstance(scene, MovingScene | PlacedScene) else None
     current = None if moving else scene
     previous: Camera | None = None
     for index in range(first, len(cameras)):
