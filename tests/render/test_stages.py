@@ -190,7 +190,7 @@ def test_garbage_waits_until_a_recording_is_done(stages: Stages) -> None:
         return [pixel + 1.0]
 
     from lobewise.render.bridge import dr, mi
-    from lobewise.render.stages import Frozen
+    from lobewise.render.frozen import Frozen
 
     frozen = Frozen(record, lambda: None)
     for _ in range(2):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from lobewise.camera import Camera
@@ -12,6 +15,14 @@ from lobewise.interactive.views import VIEWS, Parts, make_view
 
 STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
 """Stages that are timed, in their order. Direct light counts as part of "gbuffer"."""
+
+
+@contextmanager
+def watch(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the wall time of a ``with`` block to the seconds of a stage."""
+    start = time.perf_counter()
+    yield
+    seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
 @dataclass(frozen=True)

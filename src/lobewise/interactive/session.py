@@ -6,21 +6,22 @@ Source: Tokuyoshi 2015, slides "Spatio-Temporal Upsampling" and "Adaptive Sampli
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lobewise.adaptive import recompute
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
 from lobewise.frame import Radiance, Result
+from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import filter_direct
-from lobewise.interactive.frames import STAGES, InteractiveFrame
+from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION, FilterChoice
+from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
+from lobewise.interactive.gradients import Pixels, Shaded, find_changes, relight
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
@@ -34,19 +35,8 @@ from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
 
-MIN_PATHS_FOR_INTERPOLATION = 8.0
-"""Paths per pixel, counted by the worth of a sample, from which samples have so little noise that the kernel need only
-interpolate between them."""
-INTERPOLATION_SIGMA = 1.25
-"""Standard deviation of the screen distance for that, in distances between samples. Of 0.75, 1.25 and 2 it has the
-lowest error of a single frame in showroom and brushed. Over eight frames a lower value would do there, but it leaves
-more noise in other scenes."""
 STILL_SCALE_DIVISOR = 2
 """The scale is divided by this while the camera stands still, so that more pixels are shaded in each frame."""
-
-
-Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""Rows and columns."""
 
 
 @dataclass
@@ -57,7 +47,10 @@ class _Chain:
     chosen: DenoiseSettings
     """The settings of the filter."""
     temporal: TemporalFilter
-    camera: Camera | None = None
+    shaded: Shaded | None = None
+    """The samples of the last frame, if its history was kept."""
+    seen: Seen | None = None
+    """The scene as the last frame showed it."""
     size: tuple[int, int] | None = None
     """Columns and rows."""
     number: int = 0
@@ -122,11 +115,12 @@ class Session:
         loaded = load_scene(scene, width=width, height=height) if isinstance(scene, str) else scene
         self._stages = Stages(loaded)
         self._methods = Methods(self._stages, progress, options)
+        self._changes = SceneChanges(self._stages, self._methods)
+        self._choice = FilterChoice(self._stages, self._methods, self._changes)
         self._settings = settings or InteractiveSettings()
         self._seed = seed
         start = self._stages.start_size
         self.resize(width or start[0], height or start[1])
-        self._limits: dict[tuple[str, int], float] = {}
         self._chains: dict[int, _Chain] = {}
 
     @property
@@ -178,10 +172,38 @@ class Session:
         """
         self._methods.get(method)
 
+    def move(self, name: str, transform: ArrayLike) -> None:
+        """Move one shape; see `set_transforms`."""
+        self.set_transforms({name: transform})
+
+    def set_transforms(self, transforms: Mapping[str, ArrayLike]) -> None:
+        """Move shapes of the scene before the next frame. Histories follow the surfaces of these shapes.
+
+        The loaded scene changes, and with it all sessions of `make_sibling`. A lamp is moved like any other shape.
+
+        Parameters
+        ----------
+        transforms : mapping of str to array_like, shape (4, 4)
+            By the ids of shapes: the matrix in world space that leads each point of the shape from its place in the
+            scene as it was given to this session to its new place. The identity puts a shape back. Shapes that are not
+            named stay where they are. Meshes and instances take any matrix that does not mirror; other shapes take
+            rotations, translations and one scale.
+
+        Raises
+        ------
+        InputError
+            If the scene has no shape of such an id, or a matrix cannot be used; then nothing has moved.
+        """
+        self._changes.move(transforms)
+
     def update_lights(self) -> None:
-        """Prepare the methods anew and forget all histories, after lights, materials or geometry changed."""
-        self._methods.update()
-        self._limits.clear()
+        """Take note that parameters of emitters changed. Histories are kept, and follow the light."""
+        self._changes.note_lights()
+
+    def update_scene(self) -> None:
+        """Prepare the methods anew and forget all histories, after materials or geometry changed in other ways."""
+        self._changes.note_scene()
+        self._choice.forget()
         self.reset()
 
     def render(self, camera: Camera | None = None, settings: InteractiveSettings | None = None) -> InteractiveFrame:
@@ -218,46 +240,46 @@ class Session:
 
     def _render(self, camera: Camera, asked: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
         seconds: dict[str, float] = {}
-        with _watch(seconds, "gbuffer"):
+        with watch(seconds, "gbuffer"):
             self._stages.place_camera(camera, *self._size)
+        with watch(seconds, "indirect"):
+            for settings in asked:
+                self._methods.advance(settings.method)
         chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
+        with watch(seconds, "indirect"):
+            for chain in chains:
+                if chain.shaded is not None and chain.seen is not None and chain.seen.changes != self._changes.count:
+                    self._relight_history(chain, chain.shaded)
+                    self._stages.place_camera(camera, *self._size)
         seed = (self._seed << 20) + chains[0].number
-        with _watch(seconds, "gbuffer"):
+        with watch(seconds, "gbuffer"):
             hits, direct = self._stages.trace_first(camera, seed)
         shared = _Shared(camera, seed, hits, direct, seconds)
-        return [self._finish(chain, shared) for chain in chains]
+        frames = []
+        for chain in chains:
+            with watch(seconds, "gbuffer"):
+                moved = replace(shared, hits=self._changes.add_motion(hits, chain.seen))
+            chain.seen = self._changes.look(camera)
+            frames.append(self._finish(chain, moved))
+        return frames
 
     def _find_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
         """Return the stream number ``index``, with these settings and camera; its mean starts anew if they changed."""
         chain = self._chains.get(index)
-        chosen = self._choose_filter(settings)
+        chosen = self._choice.choose(settings)
         if chain is None or chain.size != self._size or chain.settings.method != settings.method:
             chain = _Chain(settings, chosen, TemporalFilter(chosen), size=self._size)
         elif chain.chosen != chosen:
             chain.chosen, chain.temporal = chosen, TemporalFilter(chosen)
-        same = chain.settings == settings and chain.camera is not None and _is_same(chain.camera, camera)
+        seen = chain.seen
+        still = seen is not None and seen.changes == self._changes.count and _is_same(seen.camera, camera)
+        same = chain.settings == settings and still
         if not (same and settings.accumulate):
             chain.resting, chain.lens = Resting(), LensMean()
-        chain.settings, chain.camera = settings, camera
+        chain.settings = settings
         chain.number += 1
         self._chains[index] = chain
         return chain
-
-    def _choose_filter(self, settings: InteractiveSettings) -> DenoiseSettings:
-        """Return the settings of the filter.
-
-        Samples with little noise get a narrower kernel, and sparse virtual lights get wider lobes.
-        """
-        chosen, method = settings.make_filter_settings(), self._methods.get(settings.method)
-        if settings.screen_sigma == "auto" and settings.spp * method.worth >= MIN_PATHS_FOR_INTERPOLATION:
-            chosen = replace(chosen, screen_sigma=INTERPOLATION_SIGMA * settings.scale)
-        if settings.tau != "auto" or not settings.limit_lobes:
-            return chosen
-        key = settings.method, settings.spp
-        if key not in self._limits:
-            self._limits[key] = self._stages.find_band_limit(method, settings.spp)
-        limit = self._limits[key]
-        return replace(chosen, tau=limit) if limit > 0.0 else chosen
 
     def _finish(self, chain: _Chain, shared: _Shared) -> InteractiveFrame:
         settings = chain.settings
@@ -265,16 +287,16 @@ class Session:
         method = self._methods.get(settings.method)
         if isinstance(method, OwnLight):
             shared = replace(shared, direct=shared.direct.make_black())
-        with _watch(seconds, "indirect"):
+        with watch(seconds, "indirect"):
             sparse = self._shade_sparse(chain, shared, method)
-        with _watch(seconds, "upsampling"):
+        with watch(seconds, "upsampling"):
             result = self._upsample(chain, sparse)
             before = result
         again = None
-        with _watch(seconds, "adaptive"):
+        with watch(seconds, "adaptive"):
             if settings.adaptive > 0.0 and settings.scale > 1:
                 result, again = self._repair(chain, shared, method, result, sparse)
-        with _watch(seconds, "composite"):
+        with watch(seconds, "composite"):
             direct = self._settle_direct(chain, shared)
             indirect = chain.resting.add_indirect(result.image, sparse, again)
             image = direct.total + indirect
@@ -297,6 +319,11 @@ class Session:
         rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
         grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
         radiance = self._shade(method, grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
+        chain.shaded = None
+        if chain.settings.temporal:
+            depth = np.asarray(shared.hits.gbuffer.depth)[place[0] :: scale, place[1] :: scale]
+            spp, seed = chain.settings.spp, shared.seed
+            chain.shaded = Shaded(shared.camera, grid, scale, place, spp, seed, radiance, depth)
         return SparseFrame(
             radiance,
             shared.hits.gbuffer,
@@ -306,6 +333,16 @@ class Session:
             spp=max(1, round(chain.settings.spp * method.worth)),
             lobe_tables=shared.hits.lobe_tables,
         )
+
+    def _relight_history(self, chain: _Chain, former: Shaded) -> None:
+        """Let the history follow the light, which changed by as much as the last frame's samples if taken again."""
+        self._stages.place_camera(former.camera, *self._size)
+        method = self._methods.get(chain.settings.method)
+        rows, columns = former.depth.shape
+        radiance = self._shade(method, former.pixels, former.spp, former.seed, (rows, columns))
+        depth = self._stages.find_depth(*former.pixels, former.camera).reshape(rows, columns)
+        width, height = self._size
+        relight(chain.temporal, find_changes(former, radiance, depth, (height, width)))
 
     def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
         """Return the indirect light of some pixels as an image of the shape ``shape``."""
@@ -358,11 +395,3 @@ class Session:
 def _is_same(first: Camera, second: Camera) -> bool:
     names = ("position", "forward", "up", "fov_y")
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)
-
-
-@contextmanager
-def _watch(seconds: dict[str, float], stage: str) -> Iterator[None]:
-    """Add the wall time of a ``with`` block to the seconds of a stage."""
-    start = time.perf_counter()
-    yield
-    seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start

@@ -11,6 +11,9 @@ from collections.abc import Callable
 from dataclasses import field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lobewise.errors import MissingDependencyError
 from lobewise.lobes.numbers import Namespace
 
@@ -24,6 +27,9 @@ except ImportError as error:
         got=f"no module {error.name!r}",
         action="pip install 'lobewise[mitsuba]'",
     ) from error
+
+ALIGNMENT_BYTES = 64
+"""Width of the widest vectors of a processor."""
 
 dr: Any = drjit
 mi: Any = mitsuba
@@ -75,3 +81,31 @@ def repeat(take: Callable[..., tuple[Any, ...]], first: Any, end: Any, *state: A
 
     _, *found = dr.while_loop((first, *state), lambda index, *_: index < end, step, label=label)
     return tuple(found)
+
+
+def take_vectors(kind: Any, values: NDArray[Any]) -> Any:
+    """Return vectors or colours of a Mitsuba type from an array (3, count).
+
+    Dr.Jit's own conversion compiles a kernel for every count, and so does that of `give_vectors`.
+    """
+    return kind(*(take_numbers(mi.Float, row) for row in values))
+
+
+def take_numbers(kind: Any, values: NDArray[Any]) -> Any:
+    """Return an array of Dr.Jit, `mi.Float` or `mi.UInt32`, from numbers (count,).
+
+    Dr.Jit reads the memory of NumPy in place, and compiles a kernel for each combination of arrays that begin on a
+    border of `ALIGNMENT_BYTES` and arrays that do not. So the numbers are copied to such a border.
+    """
+    dtype = np.dtype(np.uint32 if kind is mi.UInt32 else np.float32)
+    memory = np.empty(values.size * dtype.itemsize + ALIGNMENT_BYTES, np.uint8)
+    start = -memory.ctypes.data % ALIGNMENT_BYTES
+    numbers = memory[start : start + values.size * dtype.itemsize].view(dtype)
+    numbers[:] = values
+    return kind(numbers)
+
+
+def give_vectors(values: Any) -> NDArray[np.float32]:
+    """Return vectors or colours as an array (3, count)."""
+    dr.eval(values)
+    return np.stack([np.array(row, dtype=np.float32) for row in values])

@@ -6,10 +6,7 @@ frozen by Dr.Jit: the first call records the kernels, later calls launch them wi
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +15,11 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobe_table import LobeTable
-from lobewise.render.bridge import dr, mi
+from lobewise.motion import compute_motion
+from lobewise.render.bridge import dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
-from lobewise.render.gbuffer import find_guides
+from lobewise.render.frozen import Frozen
+from lobewise.render.gbuffer import Moves, find_guides, move_back
 from lobewise.render.integrators import check_scene, find_lens_light, find_own_light, find_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
@@ -29,59 +28,18 @@ from lobewise.render.tracing.own_samples import OwnLight, sample_own
 from lobewise.render.tracing.points import Indirect, IndirectMethod, assign_to_lobes, find_points
 from lobewise.render.tracing.rays import make_opaque
 
-UNRECORDABLE = "The frozen function included a virtual function call"
-"""Dr.Jit's message for a function that it cannot record because it calls nested objects, such as BSDFs under a map."""
-
-
-class Frozen:
-    """A Dr.Jit function that is recorded once and then replayed. If Dr.Jit cannot record it, it runs every time.
-
-    ``function`` takes Dr.Jit arrays and returns a list of them. ``find_state`` returns the objects that ``function``
-    reads beside its arguments, such as the scene and other Dr.Jit arrays. With ``records`` false nothing is recorded.
-    """
-
-    def __init__(
-        self, function: Callable[..., list[Any]], find_state: Callable[[], Any], *, records: bool = True
-    ) -> None:
-        self._plain = function
-        self._run = dr.freeze(function, state_fn=lambda *_, **__: find_state()) if records else function
-
-    def __call__(self, *arguments: Any) -> list[FloatArray]:
-        """Return the results as NumPy arrays of one dimension."""
-        # Flatten the results outside the recording: where each vector goes depends on the number of lanes.
-        try:
-            with _no_collection():
-                found = self._run(*arguments)
-        except RuntimeError as error:
-            if UNRECORDABLE not in str(error.__cause__):
-                raise
-            self._run = self._plain
-            found = self._plain(*arguments)
-        results = [_flatten(result) for result in found]
-        dr.eval(results)
-        # On the CPU these are views that keep Dr.Jit's memory alive.
-        return [result.numpy() for result in results]
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Switch off Python's garbage collection: freeing an old scene while Dr.Jit records crashes the process."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
 
 @dataclass(frozen=True)
 class FirstHits:
-    """The guides at all pixel centres, albedos included, and the camera in the sensor's precision."""
+    """The guides at all pixel centres, albedos included, and the camera in the sensor's precision.
+
+    ``shape`` (height, width) holds the numbers of shapes for `lobewise.render.gbuffer.move_back`.
+    """
 
     gbuffer: GBuffer
     camera: Camera
     lobe_tables: tuple[LobeTable, ...]
+    shape: FloatArray
 
 
 @dataclass(frozen=True)
@@ -121,8 +79,9 @@ _GUIDES = {
     "diffuse_albedo": 3,
     "specular_albedo": 3,
     "hit_distance": 1,
+    "shape": 1,
 }
-"""Guides that the filters read, with their number of channels."""
+"""Guides that the filters read, with their number of channels, and the numbers of shapes."""
 
 
 def _make_opaque_size(width: int, height: int) -> tuple[Any, Any]:
@@ -150,12 +109,7 @@ def _place_sensor(scene: Any, camera: Camera, size: tuple[int, int]) -> None:
 
 
 def _number_pixels(rows: NDArray[np.intp], columns: NDArray[np.intp], width: int) -> Any:
-    return mi.UInt32((rows * width + columns).astype(np.uint32))
-
-
-def _flatten(value: Any) -> Any:
-    """Return an array of vectors as an array of numbers, lane after lane."""
-    return dr.ravel(value) if dr.depth_v(value) > 1 else value
+    return take_numbers(mi.UInt32, rows * width + columns)
 
 
 class Stages:
@@ -183,7 +137,14 @@ class Stages:
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
         self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)
+        self._depth = Frozen(self._find_depth, lambda: (scene, self._sensor), records=self._records)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
+
+    def forget_recordings(self) -> None:
+        """Record all functions again: Dr.Jit 1.5 replays them with the addresses of a mesh's former arrays."""
+        self._first.forget()
+        self._depth.forget()
+        self._indirect.clear()
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
         """Move the sensor to the camera of the next frame, and set the size of its film in pixels."""
@@ -207,9 +168,22 @@ class Stages:
             for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
         ]
         guides = dict(zip(_GUIDES, images, strict=False))
+        shape = guides.pop("shape")
         if not self.lobe_tables:
             del guides["material"]
-        return FirstHits(GBuffer(**guides), camera, self.lobe_tables), DirectLight(*images[len(_GUIDES) :])
+        return FirstHits(GBuffer(**guides), camera, self.lobe_tables, shape), DirectLight(*images[len(_GUIDES) :])
+
+    def add_motion(self, hits: FirstHits, previous: Camera, moves: Moves) -> FirstHits:
+        """Return first hits whose guides hold ``motion`` since a frame with the camera ``previous``.
+
+        ``moves`` are those of `lobewise.render.gbuffer.move_back`, which says what it raises.
+        """
+        position, depth = hits.gbuffer.position, hits.gbuffer.depth
+        assert position is not None
+        assert depth is not None
+        before = move_back(self.scene, hits.shape, position, moves)
+        motion = compute_motion(hits.camera, previous, before, depth)
+        return replace(hits, gbuffer=replace(hits.gbuffer, motion=motion))
 
     def shade_indirect(
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
@@ -242,6 +216,13 @@ class Stages:
             diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
+    def find_depth(self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera) -> FloatArray:
+        """Return the depths of some pixels, (count,), as in `FirstHits`; ``camera`` is that of `place_camera`."""
+        width, height = self._get_size()
+        eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
+        with use_sensor(self._sensor):
+            return self._depth(_number_pixels(rows, columns, width), *_make_opaque_size(width, height), *eye)[0]
+
     @property
     def has_lens(self) -> bool:
         """Whether the scene is seen through a lens wider than a pinhole."""
@@ -273,6 +254,10 @@ class Stages:
         with use_sensor(self._sensor):
             points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
         return method.find_band_limit(points, samples)
+
+    def _find_depth(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
+        points = find_points(self.scene, self.materials, pixel, (width, height))
+        return [dr.select(points.active, dr.norm(points.si.p - mi.Point3f(x, y, z)), 0.0)]
 
     def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))

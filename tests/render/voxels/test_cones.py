@@ -288,7 +288,7 @@ def test_hit_distance_of_a_mirror_is_that_of_rays(mi: Any, shade: Cones, make_bo
 
 def test_rays_count_the_area_of_a_ball(mi: Any) -> None:
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.voxels.hits import RAYS, cast_hits, find_bounds
+    from lobewise.render.voxels.hits import RAYS, Caster, cast_hits, find_bounds
 
     both = {"type": "twosided", "inner": gray(0.5)}
     scene = mi.load_dict(
@@ -296,17 +296,17 @@ def test_rays_count_the_area_of_a_ball(mi: Any) -> None:
     )
     bounds = find_bounds(scene, 64)
     calls: list[None] = []
-    hits = cast_hits(scene, read_scene_materials(scene), bounds, lambda: calls.append(None))
+    hits = cast_hits(Caster(scene, read_scene_materials(scene)), bounds, lambda: calls.append(None))
     assert len(calls) == 3
     # Along each axis the ball shows its disc from both sides.
-    seen = np.bincount(hits.sides[0].direction // 2) * (bounds.voxel / RAYS) ** 2
+    seen = np.bincount(hits.axis) * (bounds.voxel / RAYS) ** 2
     assert np.abs(seen / (2.0 * np.pi * 1.5**2) - 1.0).max() < AREA
     center = np.array([1.0, 2.0, 3.0])[:, None]
     position, normal = np.array(hits.position), np.array(hits.normal)
     assert np.abs(np.linalg.norm(position - center, axis=0) - 1.5).max() < ROUNDING * 100
-    axis = hits.sides[0].direction // 2
+    axis = hits.axis
     assert (np.take_along_axis(normal, axis[None], axis=0) <= 0).all()
-    np.testing.assert_allclose(np.array(hits.sides[0].albedo), 0.5, atol=ROUNDING)
+    np.testing.assert_allclose(np.array(hits.first), 0.5, atol=ROUNDING)
     place = np.stack([hits.cell % 64, hits.cell // 64 % 64, hits.cell // 64**2])
     middle = np.array(bounds.lower)[:, None] + (place + 0.5) * bounds.voxel
     assert np.abs(position - middle).max() < (0.5 + 1e-3) * bounds.voxel
@@ -460,7 +460,7 @@ def test_update_follows_lights_and_shapes(mi: Any, shade: Cones) -> None:
 
 
 def test_series_is_extended_to_its_limit(mi: Any) -> None:
-    from lobewise.render.voxels.cones import _extend
+    from lobewise.render.voxels.lighting import _extend
 
     start, gain = np.array([[1.0, 2.0], [3.0, 0.5], [0.0, 0.0]]), np.array([[0.5], [0.25], [0.0]])
     first = np.array([[0.4, 0.8], [0.1, 0.3], [0.0, 0.0]])

@@ -5,28 +5,19 @@ Source: Crassin et al. 2011, "Interactive Indirect Illumination Using Voxel Cone
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
-
-import numpy as np
 
 from lobewise.errors import InputError, name_value, require_integer
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
+from lobewise.render.moving.shapes import Box
 from lobewise.render.tracing.points import Indirect, Points
-from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
-from lobewise.render.voxels.grid import (
-    Faces,
-    Floats,
-    Grid,
-    average_radiance,
-    fill_grid,
-    find_depth,
-    make_faces,
-    plan_layout,
-)
-from lobewise.render.voxels.hits import Hits, cast_hits, find_bounds
+from lobewise.render.tracing.rays import make_opaque, make_rng
+from lobewise.render.voxels.grid import Grid
+from lobewise.render.voxels.hits import Caster, cast_hits, contains, find_bounds, recast_hits
+from lobewise.render.voxels.lighting import SideLights, Surfaces, VoxelLight, make_surfaces
 from lobewise.render.voxels.march import (
     MIN_TAN,
     draw_jitter,
@@ -38,9 +29,6 @@ from lobewise.render.voxels.refraction import can_refract, cross_glass
 
 RESOLUTIONS = (16, 32, 64, 128, 256)
 """Numbers of voxels along an edge of the grid that users can choose."""
-
-MAX_GAIN = 0.9
-"""Largest ratio of successive bounces in the extrapolation to infinitely many bounces."""
 
 Progress = Callable[[int, int], None]
 
@@ -93,28 +81,62 @@ class VoxelCones:
         require_integer("bounces", bounces, 0, 16)
         require_integer("light_samples", light_samples, 1, 1024)
         self._scene = scene
-        self._materials = materials
+        self._caster = Caster(scene, materials)
         self._resolution = resolution
         self._bounces = bounces
-        self._light_samples = light_samples
+        self._lights = SideLights(scene, light_samples)
         self._is_clear = can_refract(scene)
-        self._grid = self._build(progress)
+        self._light = self._build(progress)
 
     @property
     def state(self) -> Grid:
         """The grid, which `shade` reads beside the points; see `lobewise.render.tracing.points.IndirectMethod`."""
-        return self._grid
+        return self.grid
 
     @property
     def grid(self) -> Grid:
         """The voxels."""
-        return self._grid
+        grid = self._light.grid
+        assert grid is not None
+        return grid
 
     def update(self, progress: Progress | None = None) -> None:
-        """Fill the voxels again after a change of the scene."""
-        self._grid = self._build(progress)
+        """Fill the voxels again after any change of the scene."""
+        self._light = self._build(progress)
 
-    def _build(self, progress: Progress | None) -> Grid:
+    def update_lights(self) -> None:
+        """Light the voxels again after lights changed; `refine` completes it."""
+        with dr.suspend_grad():
+            self._light.follow()
+
+    def update_shapes(self, boxes: Sequence[Box]) -> None:
+        """Fill the voxels again where shapes moved, and light all voxels again; `refine` completes it.
+
+        ``boxes`` are those of the moved shapes, before and after. A shape that leaves the grid makes it anew.
+        """
+        surfaces = self._light.surfaces
+        if not all(contains(surfaces.bounds, box) for box in boxes):
+            self.update()
+            return
+        with dr.suspend_grad():
+            hits = recast_hits(self._caster, surfaces.bounds, surfaces.hits, boxes)
+            former, self._light = self._light, self._make_light(make_surfaces(surfaces.bounds, hits))
+            self._light.take_over(former)
+
+    def refine(self) -> None:
+        """Compute some more bounces of a change of the light; see `VoxelLight.refine`."""
+        with dr.suspend_grad():
+            self._light.refine()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether all bounces are those of the scene as it is, so that `refine` has nothing left to do."""
+        return self._light.is_settled
+
+    def _make_light(self, surfaces: Surfaces) -> VoxelLight:
+        return VoxelLight(self._lights, surfaces, self._bounces)
+
+    def _build(self, progress: Progress | None) -> VoxelLight:
         total, done = 4 + self._bounces, 0
 
         def report() -> None:
@@ -125,21 +147,10 @@ class VoxelCones:
 
         with dr.suspend_grad():
             bounds = find_bounds(self._scene, self._resolution)
-            hits = cast_hits(self._scene, self._materials, bounds, report)
-            layout = plan_layout(bounds, hits)
-            depth, count = find_depth(layout, hits)
-            faces = make_faces(layout, hits, count)
-            direct = average_radiance(layout, faces, _light_sides(self._scene, hits, self._light_samples), count)
-            grid = fill_grid(layout, faces, depth, direct)
-            report()
-            series = [direct]
-            for bounce in range(self._bounces):
-                series.append(_bounce(faces, direct, grid, bounce))
-                grid = fill_grid(layout, faces, depth, series[-1])
-                report()
-            if len(series) > 2:
-                grid = fill_grid(layout, faces, depth, _extend(series[-3:], count[np.array(faces.slot)]))
-        return grid
+            hits = cast_hits(self._caster, bounds, report)
+            light = self._make_light(make_surfaces(bounds, hits))
+            light.solve(report)
+        return light
 
     def find_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
@@ -147,7 +158,7 @@ class VoxelCones:
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` sets of jittered cones; see `IndirectMethod`."""
-        grid, surface = self._grid, points.surface
+        grid, surface = self.grid, points.surface
         seed_value, end = make_opaque(seed), make_opaque(samples)
         origin, normal, shading = points.si.p, mi.Vector3f(points.si.n), surface.normal
         matte = points.active & (dr.max(surface.diffuse_albedo) > 0)
@@ -183,50 +194,6 @@ class VoxelCones:
         """Return the albedo of the reflection without refraction, and the radiance through clear surfaces."""
         crossing = cross_glass(self._scene, points.si, rng, points.active)
         ray = crossing.ray
-        cone = trace_cone(self._grid, ray.o, ray.d, ray.d, mi.Float(MIN_TAN), jitter, crossing.active)
+        cone = trace_cone(self.grid, ray.o, ray.d, ray.d, mi.Float(MIN_TAN), jitter, crossing.active)
         through = crossing.weight * (cone.radiance + crossing.emitted)
         return points.surface.specular_albedo - crossing.first, dr.select(crossing.active, through, 0.0)
-
-
-def _light_sides(scene: Any, hits: Hits, samples: int) -> tuple[Any, Any]:
-    """Return the direct light that each side of the hits reflects, like a diffuse surface (Color3f)."""
-    si = dr.zeros(mi.SurfaceInteraction3f, len(hits))
-    si.p, si.n = mi.Point3f(hits.position), mi.Normal3f(hits.normal)
-    lane = dr.arange(mi.UInt32, len(hits))
-    end = dr.opaque(mi.UInt32, samples)
-
-    def take(index: Any, first: Any, second: Any) -> tuple[Any, Any]:
-        point = draw_point(make_rng(lane, index, mi.UInt32(0)))
-        light, radiance = scene.sample_emitter_direction(si, point, True, mi.Bool(True))
-        # A hit inside a light source gets NaN or infinity from it.
-        arriving = mi.Color3f(radiance) * dr.dot(light.d, hits.normal)
-        arriving = dr.select((light.pdf > 0) & dr.isfinite(dr.sum(arriving)), arriving, 0.0)
-        return first + dr.maximum(arriving, 0.0), second + dr.maximum(-arriving, 0.0)
-
-    dark = (dr.zeros(mi.Color3f, len(hits)) for _ in hits.sides)
-    first, second = repeat(take, mi.UInt32(0), end, *dark, label="light samples")
-    scale = dr.inv_pi / mi.Float(end)
-    reflected = first * hits.sides[0].albedo * scale, second * hits.sides[1].albedo * scale
-    dr.eval(reflected)
-    return reflected
-
-
-def _bounce(faces: Faces, direct: Any, grid: Grid, bounce: int) -> Any:
-    """Return the radiance of faces: the direct light plus the light that they reflect from the grid (Color3f)."""
-    rng = make_rng(faces.slot, dr.opaque(mi.UInt32, bounce), mi.UInt32(0))
-    position, reflects = mi.Point3f(faces.position), dr.max(faces.albedo) > 0
-    radiance = direct + faces.albedo * gather_diffuse(grid, position, faces.normal, faces.normal, rng, reflects)
-    dr.eval(radiance)
-    return radiance
-
-
-def _extend(series: list[Any], area: Floats) -> Any:
-    """Return the limit of a series from its last three members, as if it continued as a geometric series.
-
-    The ratio is that of the total light of all faces, for each colour.
-    """
-    before, last, end = (np.array(member, dtype=np.float64) for member in series)
-    gains = (last - before) @ area, (end - last) @ area
-    ratio = np.clip(np.divide(gains[1], gains[0], out=np.zeros(3), where=gains[0] > 0), 0.0, MAX_GAIN)
-    limit = end + np.maximum(end - last, 0.0) * (ratio / (1.0 - ratio))[:, None]
-    return mi.Color3f(limit.astype(np.float32))

@@ -6,14 +6,13 @@ against the ray. Both add up along a ray, so the result does not depend on the p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, mi, repeat, take_numbers, take_vectors
 from lobewise.render.voxels.hits import RAYS, Bounds, Hits
 
 DIRECTIONS = 6
@@ -48,38 +47,85 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Faces:
-    """The surfaces in a voxel seen along one direction, for all pairs of voxel and direction with hits.
+class Pairs:
+    """The surfaces in a voxel seen along one axis, from both sides: all pairs of voxel and axis with hits.
 
-    ``slot`` is the row times six plus the direction. Positions, normals and albedos are means over hits. ``planes`` is
-    that of `Grid`.
+    ``key`` is that of `Hits`, sorted. ``first`` is the number of the first hit, ``count`` the number of hits. Positions
+    (n, 3), normals (n, 3), opacity (n,) and the two albedos (n, 3) are means over hits; normals are not of unit length.
+    """
+
+    key: NDArray[np.int64]
+    first: NDArray[np.int64]
+    count: NDArray[np.int64]
+    position: Floats
+    normal: Floats
+    opacity: Floats
+    albedos: tuple[Floats, Floats]
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The surfaces in a voxel seen along one direction: the first side of each of `Pairs`, then its second side.
+
+    ``slot`` is the row times six plus the direction, ``number`` the number of the voxel times six plus the direction.
+    ``position``, ``normal`` and ``albedo`` are means over hits.
+    ``depth`` is the optical depth, ``planes`` that of `Grid`. ``first`` and ``end`` are the numbers of the first hit
+    and of the one after the last, and ``side`` is 0 or 1.
     """
 
     slot: Any
+    number: Any
     position: Any
     normal: Any
     albedo: Any
+    depth: Any
     planes: Any
+    first: Any
+    end: Any
+    side: Any
+
+    def __len__(self) -> int:
+        return int(dr.width(self.slot))
 
 
 @dataclass(frozen=True)
 class Level:
-    """The voxels of one level that are not empty: their numbers in the level, and the row of the first one."""
+    """The voxels of one level that are not empty: their numbers in the level, and the row of the first one.
+
+    ``number`` holds the numbers as a Dr.Jit array, and ``start`` is where the level begins in `Grid.row`.
+    """
 
     cells: NDArray[np.int64]
+    number: Any
     first_row: int
+    start: int
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The voxels that are not empty, and the slots of the hits (for both sides) in level 0."""
+    """The voxels that are not empty, and the rows of pairs in level 0."""
 
     bounds: Bounds
     levels: tuple[Level, ...]
     row: Any
     starts: Any
-    slots: tuple[NDArray[np.int64], NDArray[np.int64]]
+    rows_of_pairs: NDArray[np.int64]
     rows: int
+
+
+def gather_pairs(hits: Hits) -> Pairs:
+    """Return the pairs of voxel and axis with hits, and the means over the hits of each."""
+    first = np.flatnonzero(np.diff(hits.key, prepend=-1))
+    count = np.diff(first, append=len(hits))
+
+    def average(values: Any) -> Floats:
+        sums = np.add.reduceat(values, first, axis=-1, dtype=np.float64) if len(first) else values.astype(np.float64)
+        return np.asarray((sums / count).T)
+
+    position, normal, opacity, *albedos = (
+        average(values) for values in (hits.position, hits.normal, hits.opacity, hits.first, hits.second)
+    )
+    return Pairs(hits.key[first], first, count, position, normal, opacity, (albedos[0], albedos[1]))
 
 
 def _find_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
@@ -89,113 +135,107 @@ def _find_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64
     return x // 2 + half * (y // 2 + half * (z // 2))
 
 
-def plan_layout(bounds: Bounds, hits: Hits) -> Layout:
+def plan_layout(bounds: Bounds, pairs: Pairs) -> Layout:
     """Return the voxels with hits, level by level up to 2x2x2."""
     size = bounds.resolution
-    cells = np.unique(hits.cell)
+    own = pairs.key // 3
+    cells = own[np.diff(own, prepend=-1) > 0]
     levels: list[Level] = []
-    starts: list[int] = []
-    tables: list[NDArray[np.uint32]] = []
-    rows = 1
-    while size >= 2:
-        table = np.zeros(size**3, dtype=np.uint32)
-        table[cells] = np.arange(rows, rows + len(cells))
-        levels.append(Level(cells, rows))
-        starts.append(sum(len(other) for other in tables))
-        tables.append(table)
-        rows += len(cells)
-        cells, size = np.unique(_find_parents(cells, size)), size // 2
-    row_of_hit = tables[0][hits.cell].astype(np.int64)
-    slots = tuple(row_of_hit * DIRECTIONS + side.direction for side in hits.sides)
+    sizes = [size >> level for level in range(size.bit_length() - 1)]
+    table = np.zeros(sum(each**3 for each in sizes), dtype=np.uint32)
+    rows, start = 1, 0
+    for each in sizes:
+        table[start + cells] = np.arange(rows, rows + len(cells))
+        levels.append(Level(cells, take_numbers(mi.UInt32, cells), rows, start))
+        rows, start = rows + len(cells), start + each**3
+        filled = np.zeros((each // 2) ** 3, np.bool_)
+        filled[_find_parents(cells, each)] = True
+        cells = np.flatnonzero(filled)
     return Layout(
         bounds=bounds,
         levels=tuple(levels),
-        row=mi.UInt32(np.concatenate(tables)),
-        starts=mi.UInt32(np.array(starts, dtype=np.uint32)),
-        slots=(slots[0], slots[1]),
+        row=take_numbers(mi.UInt32, table),
+        starts=take_numbers(mi.UInt32, np.array([level.start for level in levels])),
+        rows_of_pairs=table[own].astype(np.int64),
         rows=rows,
     )
 
 
-def _sum(layout: Layout, weights: Sequence[Any]) -> Floats:
-    """Return the sums per slot of a weight of each side's hits, in a fixed order."""
-    length = layout.rows * DIRECTIONS
-    total = np.zeros(length)
-    for slot, weight in zip(layout.slots, weights, strict=True):
-        total += np.bincount(slot, weights=weight, minlength=length)
-    return total
-
-
-def _average(layout: Layout, values: Sequence[Any], count: Floats) -> Floats:
-    """Return the means per slot, (slots, 3), of a vector of each side's hits."""
-    parts = [np.array(value, dtype=np.float64) for value in values]
-    sums = [_sum(layout, [part[i] for part in parts]) for i in range(3)]
-    return np.stack(sums, axis=-1) / np.maximum(count, 1.0)[:, None]
-
-
-def find_depth(layout: Layout, hits: Hits) -> tuple[Floats, Floats]:
-    """Return the optical depth and the number of hits of every slot.
+def find_depth(pairs: Pairs) -> Floats:
+    """Return the optical depth of every pair.
 
     If a share ``c`` of the rays through a voxel hits an opaque surface in it, the opacity is ``1 - (1 - c)^2``.
 
     Departs from Crassin 2011: the square keeps walls closed that pass through two voxels and cover each in part. Each
     axis has its own opacity.
     """
-    ones = np.ones(len(hits))
-    count = _sum(layout, (ones, ones))
-    opacity = _sum(layout, (hits.opacity, hits.opacity)) / np.maximum(count, 1.0)
-    covered = np.minimum(count / RAYS**2, 1.0)
-    alpha = opacity * (1.0 - (1.0 - covered) ** 2)
-    return -np.log(np.maximum(1.0 - alpha, np.exp(-MAX_OPTICAL_DEPTH))), count
+    covered = np.minimum(pairs.count / RAYS**2, 1.0)
+    alpha = pairs.opacity * (1.0 - (1.0 - covered) ** 2)
+    return np.asarray(-np.log(np.maximum(1.0 - alpha, np.exp(-MAX_OPTICAL_DEPTH))))
 
 
-def make_faces(layout: Layout, hits: Hits, count: Floats) -> Faces:
-    """Return the faces of every slot that has hits."""
-    (filled,) = np.nonzero(count)
-    position = np.array(hits.position, dtype=np.float64)
-    normal = np.array(hits.normal, dtype=np.float64)
-    normals = _average(layout, (normal, -normal), count)
-    positions = _average(layout, (position, position), count)
-    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+def make_faces(layout: Layout, pairs: Pairs) -> Faces:
+    """Return the two faces of every pair."""
+    lengths = np.linalg.norm(pairs.normal, axis=-1, keepdims=True)
+    unit = pairs.normal / np.maximum(lengths, 1e-6)
+    sides = np.tile(np.arange(2, dtype=np.uint32), len(pairs.key))
+    slot = layout.rows_of_pairs * DIRECTIONS + 2 * (pairs.key % 3)
     return Faces(
-        slot=mi.UInt32(filled.astype(np.uint32)),
-        position=_make(mi.Vector3f, positions[filled]),
-        normal=_make(mi.Vector3f, (normals / np.maximum(lengths, 1e-6))[filled]),
-        albedo=_make(mi.Color3f, _average(layout, [side.albedo for side in hits.sides], count)[filled]),
-        planes=_find_planes(layout, normals[::2], positions[::2], count[::2]),
+        slot=take_numbers(mi.UInt32, slot.repeat(2) + sides),
+        number=take_numbers(mi.UInt32, (2 * pairs.key).repeat(2) + sides),
+        position=take_vectors(mi.Vector3f, pairs.position.repeat(2, axis=0).T),
+        normal=take_vectors(mi.Vector3f, np.stack([unit, -unit], axis=1).reshape(-1, 3).T),
+        albedo=take_vectors(mi.Color3f, np.stack(pairs.albedos, axis=1).reshape(-1, 3).T),
+        depth=take_numbers(mi.Float, find_depth(pairs).repeat(2)),
+        planes=_find_planes(layout, pairs),
+        first=take_numbers(mi.UInt32, pairs.first.repeat(2)),
+        end=take_numbers(mi.UInt32, (pairs.first + pairs.count).repeat(2)),
+        side=take_numbers(mi.UInt32, sides),
     )
 
 
-def _find_planes(layout: Layout, normals: Floats, positions: Floats, count: Floats) -> Any:
-    """Return `Grid.planes` from the means of level 0 per row and axis."""
-    sums = np.concatenate([normals, positions, np.ones((len(count), 1))], axis=-1) * count[:, None]
-    sums = sums.reshape(layout.rows, 3, 7)
+def _find_planes(layout: Layout, pairs: Pairs) -> Any:
+    """Return `Grid.planes` from the means of level 0."""
+    values = np.concatenate([pairs.normal.T, pairs.position.T, np.ones((1, len(pairs.key)))]) * pairs.count
+    axis = pairs.key % 3
+    sums = np.zeros((3, 7, layout.rows))
+    for k in range(3):
+        sums[k][:, layout.rows_of_pairs[axis == k]] = values[:, axis == k]
     size = layout.bounds.resolution
     for below, above in zip(layout.levels, layout.levels[1:], strict=False):
-        rows = above.first_row + np.searchsorted(above.cells, _find_parents(below.cells, size))
-        np.add.at(sums, rows, sums[below.first_row : below.first_row + len(below.cells)])
+        places = np.searchsorted(above.cells, _find_parents(below.cells, size))
+        rows = slice(above.first_row, above.first_row + len(above.cells))
+        for total in sums.reshape(21, -1):
+            part = total[below.first_row : below.first_row + len(below.cells)]
+            total[rows] = np.bincount(places, weights=part, minlength=len(above.cells))
         size //= 2
-    mean = sums[..., :6] / np.maximum(sums[..., 6:], 1.0)
-    length = np.linalg.norm(mean[..., :3], axis=-1, keepdims=True)
-    normal = np.where(length >= MIN_PLANAR_LENGTH, mean[..., :3] / np.maximum(length, 1e-6), 0.0)
-    planes = np.concatenate([normal, np.sum(normal * mean[..., 3:], axis=-1, keepdims=True)], axis=-1)
-    return mi.Float(planes.astype(np.float32).ravel())
+    normal, position = sums[:, :3], sums[:, 3:6] / np.maximum(sums[:, 6:], 1.0)
+    length = np.sqrt((normal**2).sum(axis=1, keepdims=True))
+    planar = length >= MIN_PLANAR_LENGTH * np.maximum(sums[:, 6:], 1.0)
+    normal = np.where(planar, normal / np.maximum(length, 1e-6), 0.0)
+    planes = np.concatenate([normal, (normal * position).sum(axis=1, keepdims=True)], axis=1)
+    return take_numbers(mi.Float, planes.transpose(2, 0, 1).ravel())
 
 
-def _make(kind: Any, values: Floats) -> Any:
-    return kind(np.ascontiguousarray(values.T, dtype=np.float32))
-
-
-def average_radiance(layout: Layout, faces: Faces, radiance: Sequence[Any], count: Floats) -> Any:
+def average_radiance(faces: Faces, radiance: tuple[Any, Any]) -> Any:
     """Return the mean radiance (Color3f) of every face, from the radiance of each side of the hits."""
-    return _make(mi.Color3f, _average(layout, radiance, count)[np.array(faces.slot)])
+    is_first = faces.side == 0
+
+    def take(hit: Any, total: Any) -> tuple[Any]:
+        first, second = (
+            dr.gather(mi.Color3f, side, hit, mine) for side, mine in zip(radiance, (is_first, ~is_first), strict=True)
+        )
+        return (total + first + second,)
+
+    (total,) = repeat(take, mi.UInt32(faces.first), faces.end, dr.zeros(mi.Color3f, len(faces)), label="hits of faces")
+    return total / mi.Float(faces.end - faces.first)
 
 
-def fill_grid(layout: Layout, faces: Faces, depth: Floats, radiance: Any) -> Grid:
+def fill_grid(layout: Layout, faces: Faces, radiance: Any) -> Grid:
     """Return the grid, with all its levels, from the radiance (Color3f) of the faces."""
     bounds = layout.bounds
     values = dr.zeros(mi.Float, layout.rows * DIRECTIONS * 4)
-    tau = dr.gather(mi.Float, mi.Float(depth.astype(np.float32)), faces.slot)
+    tau = faces.depth
     dr.scatter(values, mi.Vector4f(radiance.x * tau, radiance.y * tau, radiance.z * tau, tau), faces.slot)
     for below, level in enumerate(layout.levels[1:]):
         _fill_level(layout, values, below, level)
@@ -222,12 +262,12 @@ def _fill_level(layout: Layout, values: Any, below: int, level: Level) -> None:
     half = size // 2
     lane = dr.arange(mi.UInt32, len(level.cells) * DIRECTIONS)
     direction = lane % DIRECTIONS
-    number = dr.gather(mi.UInt32, mi.UInt32(level.cells.astype(np.uint32)), lane // DIRECTIONS)
+    number = dr.gather(mi.UInt32, level.number, lane // DIRECTIONS)
     corner = mi.Vector3u(number % half, number // half % half, number // (half * half)) * 2
     axis, backwards = direction // 2, direction % 2
     strides = mi.Vector3u(1, size, size * size)
     along, across, aside = (_pick(strides, (axis + i) % 3) for i in range(3))
-    first = dr.dot(corner, strides) + int(np.array(layout.starts)[below])
+    first = dr.dot(corner, strides) + layout.levels[below].start
 
     total = mi.Vector4f(0)
     for column in range(4):
@@ -238,7 +278,8 @@ def _fill_level(layout: Layout, values: Any, below: int, level: Level) -> None:
     total *= 0.25
     tau = -dr.log(dr.maximum(1.0 - total.w, float(np.exp(-MAX_OPTICAL_DEPTH))))
     scale = dr.select(total.w > 0, tau / total.w, 0.0)
-    slot = level.first_row * DIRECTIONS + lane
+    # Opaque, so that no kernel is compiled for every layout.
+    slot = dr.opaque(mi.UInt32, level.first_row * DIRECTIONS) + lane
     dr.scatter(values, mi.Vector4f(total.x * scale, total.y * scale, total.z * scale, tau), slot)
     dr.eval(values)
 

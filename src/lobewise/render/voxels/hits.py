@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, give_vectors, mi, take_vectors
+from lobewise.render.frozen import Recorded
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
+from lobewise.render.moving.shapes import Box, find_box
 from lobewise.render.tracing.rays import make_rng
 from lobewise.render.voxels.refraction import can_refract, refract
 
@@ -29,6 +31,7 @@ MARGIN = 0.3
 _MEAN_COSINE = 2.0 / 3.0
 
 Report = Callable[[], None]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -41,46 +44,59 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Side:
-    """One side of every hit surface: its albedo (Color3f), and the index of the ray direction that sees it."""
-
-    albedo: Any
-    direction: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
 class Hits:
-    """All hits of the rays, one per lane.
+    """All hits of the rays, sorted by ``key``.
 
-    ``position`` and ``normal`` (world space, unit, of the first side) are Dr.Jit arrays, and so are the albedos.
-    ``cell`` is the number of the voxel, x fastest. ``opacity`` in [0, 1] is the share of light along the ray that the
-    surface does not transmit. The first side faces the ray's origin, so rays along ``+axis`` see it; rays along
-    ``-axis`` see the second side.
+    Parameters
+    ----------
+    key : int array, shape (count,)
+        Three times the number of the voxel, x fastest, plus the axis of the ray.
+    position, normal : array, shape (3, count)
+        World space; the unit normal of the first side.
+    opacity : array, shape (count,)
+        Share of the light along the ray that the surface does not transmit, 0 to 1.
+    first, second : array, shape (3, count)
+        Albedos of the two sides. The first side faces the ray's origin, so rays along ``+axis`` see it; rays along
+        ``-axis`` see the second side.
     """
 
-    position: Any
-    normal: Any
-    cell: NDArray[np.int64]
-    opacity: NDArray[np.float64]
-    sides: tuple[Side, Side]
+    key: NDArray[np.int64]
+    position: Floats
+    normal: Floats
+    opacity: Floats
+    first: Floats
+    second: Floats
 
     def __len__(self) -> int:
-        return len(self.cell)
+        return len(self.key)
+
+    @property
+    def cell(self) -> NDArray[np.int64]:
+        """Numbers of the voxels, x fastest."""
+        return self.key // 3
+
+    @property
+    def axis(self) -> NDArray[np.int64]:
+        """Axes of the rays, 0 to 2."""
+        return self.key % 3
 
 
-def _find_box(shape: Any) -> NDArray[np.float64]:
-    """Return the corners (2, 3) of a shape's box. Meshes that Mitsuba has merged have no valid box of their own."""
-    if shape.is_mesh():
-        vertices = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
-        return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    box = shape.bbox()
-    return np.stack([np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)])
+def _join_hits(parts: Sequence[Hits], chosen: NDArray[np.intp] | None = None) -> Hits:
+    """Return the hits of some parts, sorted. Hits with equal keys keep their order.
+
+    ``chosen`` are the numbers of hits, counted through all parts, that are wanted; by default all.
+    """
+    key = np.concatenate([part.key for part in parts])
+    wanted = np.arange(len(key)) if chosen is None else chosen
+    order = wanted[np.argsort(key[wanted], kind="stable")]
+    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts], -1) for each in fields(Hits)}
+    return Hits(**{name: np.take(values, order, axis=-1) for name, values in joined.items()})
 
 
 def find_bounds(scene: Any, resolution: int) -> Bounds:
     """Return the cube around a scene's surfaces, slightly enlarged; InputError if no surface has a finite size."""
     # The scene's own box includes point lights and cameras, which need no voxels, and an infinite sky.
-    boxes = np.array([_find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
+    boxes = np.array([find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
     if not extent > 0.0:
@@ -91,15 +107,33 @@ def find_bounds(scene: Any, resolution: int) -> Bounds:
     return Bounds((float(corner[0]), float(corner[1]), float(corner[2])), voxel, resolution)
 
 
-def _make_rays(bounds: Bounds, axis: int) -> Any:
-    """Return the rays along one axis, `RAYS` squared of them through every column of voxels."""
+def contains(bounds: Bounds, box: Box) -> bool:
+    """Return whether a box lies within the cube of voxels."""
+    lower = np.array(bounds.lower)
+    return bool((box[0] >= lower).all() and (box[1] <= lower + bounds.resolution * bounds.voxel).all())
+
+
+def _list_rays(bounds: Bounds, axis: int, columns: NDArray[np.bool_] | None = None) -> NDArray[np.uint32]:
+    """Return the numbers of the rays along an axis, `RAYS` squared of them through every column of voxels.
+
+    ``columns`` (resolution, resolution) chooses columns, by their places along the next axis and the one after it.
+    """
+    if columns is None:
+        return np.arange((bounds.resolution * RAYS) ** 2, dtype=np.uint32)
+    return np.flatnonzero(columns.T.repeat(RAYS, 0).repeat(RAYS, 1)).astype(np.uint32)
+
+
+def _make_rays(bounds: Bounds, numbers: Sequence[NDArray[np.uint32]]) -> Any:
+    """Return rays along the three axes by their numbers."""
     across = bounds.resolution * RAYS
-    lane = dr.arange(mi.UInt32, across * across)
     step = bounds.voxel / RAYS
-    places = [mi.Float(0), (mi.Float(lane % across) + 0.5) * step, (mi.Float(lane // across) + 0.5) * step]
-    place = [places[(i - axis) % 3] + bounds.lower[i] for i in range(3)]
-    direction = [1.0 if i == axis else 0.0 for i in range(3)]
-    return mi.Ray3f(mi.Point3f(*place), mi.Vector3f(*direction))
+    origins, directions = [], []
+    for axis, lane in enumerate(numbers):
+        places = np.stack([np.zeros(len(lane)), (lane % across + 0.5) * step, (lane // across + 0.5) * step])
+        origins.append(np.roll(places, axis, axis=0) + np.array(bounds.lower)[:, None])
+        directions.append(np.tile(np.eye(3)[:, axis : axis + 1], len(lane)))
+    origin, direction = (np.concatenate(parts, axis=1) for parts in (origins, directions))
+    return mi.Ray3f(take_vectors(mi.Point3f, origin), take_vectors(mi.Vector3f, direction))
 
 
 def _look_at_side(materials: dict[int, Material], si: Any, bsdf: Any, front: Any) -> Any:
@@ -115,16 +149,46 @@ def _find_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
     return dr.clip(weight * dr.square(chosen.eta), 0.0, 1.0)
 
 
-def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int, clear: bool) -> list[dict[str, Any]]:
-    ray = _make_rays(bounds, axis)
-    layers: list[dict[str, Any]] = []
-    while len(layers) < MAX_HITS and dr.width(ray):
-        si = scene.ray_intersect(ray)
+class Caster:
+    """Casts the rays along the axes of a scene, again and again."""
+
+    def __init__(self, scene: Any, materials: dict[int, Material]) -> None:
+        self._scene = scene
+        self._materials = materials
+        self._clear = can_refract(scene)
+        self._look = Recorded(self._find_layer, lambda: scene)
+
+    def cast(self, ray: Any) -> Iterator[dict[str, Any]]:
+        """Yield the first surfaces that rays hit, the second ones and so on, with ``axis``, that of the ray."""
+        axis = dr.select(ray.d.x > 0.5, mi.UInt32(0), dr.select(ray.d.y > 0.5, mi.UInt32(1), mi.UInt32(2)))
+        origin, direction = ray.o, ray.d
+        # Recorded functions read meshes from their first addresses, which only stay the same on processors.
+        look = self._look.run if dr.backend_v(axis) == dr.JitBackend.LLVM else self._find_layer
+        for _ in range(MAX_HITS):
+            if not dr.width(origin):
+                return
+            dr.eval(origin, direction, axis)
+            lane = dr.arange(mi.UInt32, dr.width(origin))
+            found, valid, onward = look(origin, direction, lane)
+            dr.eval(found, valid, onward)
+            alive = dr.compress(valid)
+            if not len(alive):
+                return
+            found["axis"] = axis
+            layer = {name: dr.gather(type(value), value, alive) for name, value in found.items()}
+            origin, direction = dr.gather(mi.Point3f, onward, alive), dr.gather(mi.Vector3f, direction, alive)
+            axis = layer["axis"]
+            dr.eval(layer)
+            yield layer
+
+    def _find_layer(self, origin: Any, direction: Any, lane: Any) -> tuple[dict[str, Any], Any, Any]:
+        """Return the surfaces that rays hit, where there are any, and the origins of the rays behind them."""
+        si = self._scene.ray_intersect(mi.Ray3f(origin, direction))
         bsdf, valid = si.bsdf(), si.is_valid()
-        front = dr.dot(si.n, ray.d) < 0
-        seen, first = _look_at_side(materials, si, bsdf, front)
-        _, second = _look_at_side(materials, si, bsdf, ~front)
-        through = _find_transmittance(bsdf, seen, dr.arange(mi.UInt32, dr.width(ray))) if clear else mi.Color3f(0)
+        front = dr.dot(si.n, direction) < 0
+        seen, first = _look_at_side(self._materials, si, bsdf, front)
+        _, second = _look_at_side(self._materials, si, bsdf, ~front)
+        through = _find_transmittance(bsdf, seen, lane) if self._clear else mi.Color3f(0)
         kept = dr.maximum(1.0 - mi.luminance(through), 1e-3)
         found = {
             "position": mi.Vector3f(si.p),
@@ -134,41 +198,63 @@ def _cast(scene: Any, materials: dict[int, Material], bounds: Bounds, axis: int,
         for name, side in (("first", first), ("second", second)):
             # The albedo of the light that is not transmitted.
             total = side.diffuse_albedo + side.specular_albedo - through
-            found[name] = dr.clip(total / kept, 0.0, 1.0)
-        onward = si.spawn_ray(ray.d)
-        dr.eval(found, valid, onward)
-        alive = dr.compress(valid)
-        if not len(alive):
-            break
-        layers.append({name: dr.gather(type(value), value, alive) for name, value in found.items()})
-        ray = dr.gather(mi.Ray3f, onward, alive)
-        dr.eval(layers[-1], ray)
-    return layers
+            found[name] = mi.Vector3f(dr.clip(total / kept, 0.0, 1.0))
+        return found, valid, si.spawn_ray(direction).o
 
 
-def cast_hits(scene: Any, materials: dict[int, Material], bounds: Bounds, report: Report) -> Hits:
+def _collect(bounds: Bounds, layers: Iterable[dict[str, Any]]) -> Hits:
+    """Return the hits of some layers, sorted."""
+    parts = []
+    for layer in layers:
+        arrays = {
+            name: give_vectors(value) if dr.depth_v(value) > 1 else np.array(value) for name, value in layer.items()
+        }
+        place = (arrays["position"].astype(np.float64) - np.array(bounds.lower)[:, None]) / bounds.voxel
+        x, y, z = np.clip(place.astype(np.int64), 0, bounds.resolution - 1)
+        cell = x + bounds.resolution * (y + bounds.resolution * z)
+        parts.append(Hits(key=3 * cell + arrays.pop("axis").astype(np.int64), **arrays))
+    none, nowhere = np.zeros(0, np.float32), np.zeros((3, 0), np.float32)
+    return _join_hits([Hits(np.zeros(0, np.int64), nowhere, nowhere, none, nowhere, nowhere), *parts])
+
+
+def cast_hits(caster: Caster, bounds: Bounds, report: Report) -> Hits:
     """Return the hits of rays along the three axes, through every column of voxels.
 
     The number of rays that hit a flat wall is proportional to its projected area. So the share of a voxel's rays with
     hits is its coverage along the axis. ``report`` is called after each axis.
     """
-    clear = can_refract(scene)
-    names = ("position", "normal", "opacity", "first", "second")
-    layers = [{name: np.zeros((0,) if name == "opacity" else (3, 0), dtype=np.float32) for name in names}]
-    axes = [np.zeros(0, dtype=np.int64)]
+    layers: list[dict[str, Any]] = []
+    none = np.zeros(0, np.uint32)
     for axis in range(3):
-        for layer in _cast(scene, materials, bounds, axis, clear):
-            layers.append({name: np.array(layer[name], dtype=np.float32) for name in names})
-            axes.append(np.full(layers[-1]["opacity"].shape, axis, dtype=np.int64))
+        numbers = [_list_rays(bounds, axis) if axis == other else none for other in range(3)]
+        layers.extend(caster.cast(_make_rays(bounds, numbers)))
         report()
-    joined = {name: np.concatenate([layer[name] for layer in layers], axis=-1) for name in names}
-    first, second = 2 * np.concatenate(axes), 2 * np.concatenate(axes) + 1
-    place = (joined["position"].astype(np.float64) - np.array(bounds.lower)[:, None]) / bounds.voxel
-    x, y, z = np.clip(place.astype(np.int64), 0, bounds.resolution - 1)
-    return Hits(
-        position=mi.Vector3f(joined["position"]),
-        normal=mi.Vector3f(joined["normal"]),
-        cell=x + bounds.resolution * (y + bounds.resolution * z),
-        opacity=joined["opacity"].astype(np.float64),
-        sides=(Side(mi.Color3f(joined["first"]), first), Side(mi.Color3f(joined["second"]), second)),
-    )
+    return _collect(bounds, layers)
+
+
+def recast_hits(caster: Caster, bounds: Bounds, hits: Hits, boxes: Sequence[Box]) -> Hits:
+    """Return the hits of a scene in which only the inside of some boxes changed, with ``hits`` before the change.
+
+    Only the columns of voxels that cross a box are cast again.
+    """
+    if not boxes:
+        return hits
+    columns = [_find_columns(bounds, axis, boxes) for axis in range(3)]
+    size, axis = bounds.resolution, hits.axis
+    place = np.stack([hits.cell % size, hits.cell // size % size, hits.cell // size**2])
+    index = np.arange(len(hits))
+    crossed = np.stack(columns)[axis, place[(axis + 1) % 3, index], place[(axis + 2) % 3, index]]
+    ray = _make_rays(bounds, [_list_rays(bounds, axis, chosen) for axis, chosen in enumerate(columns)])
+    new = _collect(bounds, caster.cast(ray))
+    return _join_hits([hits, new], np.flatnonzero(np.append(~crossed, np.ones(len(new), np.bool_))))
+
+
+def _find_columns(bounds: Bounds, axis: int, boxes: Sequence[Box]) -> NDArray[np.bool_]:
+    """Return which columns of voxels along an axis cross a box; see `_list_rays`."""
+    size = bounds.resolution
+    columns = np.zeros((size, size), np.bool_)
+    for box in boxes:
+        first, last = np.clip((box - np.array(bounds.lower)) / bounds.voxel, 0, size - 1).astype(np.int64)
+        across, aside = ((axis + step) % 3 for step in (1, 2))
+        columns[first[across] : last[across] + 1, first[aside] : last[aside] + 1] = True
+    return columns
