@@ -44,7 +44,7 @@ PAGES = {
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
     "docs/interactive.md": Source(
-        interactive.make_figures, ("interactive_quality", "interactive", "viewer", "interactive_again")
+        interactive.make_figures, ("interactive_quality", "interactive", "viewer", "interactive_again", "moving")
     ),
     "docs/materials.md": Source(materials.make_figures, ("fit_materials",)),
     "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),
