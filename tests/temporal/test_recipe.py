@@ -159,6 +159,18 @@ class TestStill:
             assert value.tobytes() == state[name].tobytes(), name
         assert any(value.tobytes() != saved[name].tobytes() for name, value in active.get_state().items())
 
+    def test_a_changed_history_is_what_the_next_frame_joins(self):
+        frames = make_still(3, 4)
+        changed, other = TemporalFilter(), TemporalFilter()
+        for active in (changed, other):
+            active.change_sums({"diffuse": lambda sums: 2.0 * sums})  # There is no history yet.
+            active.add(frames[0])
+        changed.change_sums({"diffuse": np.zeros_like, "specular": np.zeros_like, "mist": np.zeros_like})
+        assert_same(changed.add(frames[1]), TemporalFilter().add(frames[1]))
+        with pytest.raises(InputError, match="history of diffuse: expected sums of shape"):
+            other.change_sums({"specular": np.zeros_like, "diffuse": lambda sums: sums[1:]})
+        assert (other.history_length > 0.0).any()
+
     def test_variance_tells_the_error(self):
         truth = find_truth()
         results = run(make_still(12))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -123,12 +124,7 @@ def _compare_sums(sums: Any) -> tuple[Any, Any]:
 
 def relight(temporal: TemporalFilter, changes: dict[str, Change]) -> None:
     """Multiply each history by the ratio of its light now and before, and let it count less for the ratio's error."""
-    state = temporal.get_state()
-    for name, change in changes.items():
-        sums = state.get(f"sums/{name}")
-        if sums is not None:
-            state[f"sums/{name}"] = relight_sums(sums, change)
-    temporal.set_state(state)
+    temporal.change_sums({name: partial(relight_sums, change=change) for name, change in changes.items()})
 
 
 def relight_sums(sums: FloatArray, change: Change) -> FloatArray:

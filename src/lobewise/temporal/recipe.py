@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -230,6 +230,28 @@ class TemporalFilter:
             divisor = 1.0 if albedo is None else np.maximum(albedo[rows, columns], np.float32(ALBEDO_FLOOR))
             means = light[:, 0] / divisor
             add_to_sums(self._past.sums[name], (rows, columns), means, weights, self.temporal.strictness)
+
+    def change_sums(self, changes: Mapping[str, Callable[[FloatArray], FloatArray]]) -> None:
+        """Change the history of single layers, for example after a light changed.
+
+        Parameters
+        ----------
+        changes : mapping of callable
+            By the name of a layer, a function that takes its sums, (height, width, 7), and returns the new ones; see
+            `lobewise.filters.history.sums`. Layers that the history does not have are ignored.
+
+        Raises
+        ------
+        InputError
+            If a function returns another shape; then nothing has changed.
+        """
+        sums = {} if self._past is None else self._past.sums
+        found = {name: np.asarray(change(sums[name]), np.float32) for name, change in changes.items() if name in sums}
+        for name, new in found.items():
+            if new.shape != sums[name].shape:
+                expected, got = f"sums of shape {sums[name].shape}", f"shape {new.shape}"
+                raise InputError(f"history of {name}", expected=expected, got=got, action="keep its shape")
+        sums.update(found)
 
     def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> LayerPlan:
         known = min(self.temporal.history_radius, chosen.radius)
