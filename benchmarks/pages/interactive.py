@@ -22,13 +22,13 @@ CHAINS = {
     "asg": "`asg`",
     "ggx": "`ggx`",
 }
-TARGET_RATE = {"paths": 5.0, "voxel_cones": 3.0}
+TARGET_RATE = {"paths": 20.0, "voxel_cones": 12.0}
 """Goals, frames per second on two cores at 512x512."""
 MAX_RATIO = 0.6
 """Goal: largest error of `ggx` over that of the geometry-aware chain."""
 MAX_FRESH_RATIO, MAX_FLICKER_RATIO = 1.3, 0.5
 """Goals: error of new and relit pixels over that of a fresh start, and flicker over that of single frames."""
-MAX_SECONDS_TO_FIRST_PICTURE = 15.0
+MAX_SECONDS_TO_FIRST_PICTURE = 2.0
 """Goal: longest time from the command to the first picture in the browser, seconds."""
 
 
