@@ -142,5 +142,5 @@ def _make_reprojection(features: Sequence[Feature], virtual_from: int | None, ta
     """Return the kernel of `reproject`, ready to be compiled."""
     lanes = max(count_lanes(target), 1)
     funcs = make_reprojection(features, virtual_from, lanes)
-    schedule_reprojection(funcs, lanes)
+    schedule_reprojection(funcs)
     return Scheduled([funcs.out], funcs.signature)

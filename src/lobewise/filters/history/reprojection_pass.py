@@ -28,6 +28,7 @@ from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
+from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
 from lobewise.filters.planes import GuidePlanes, Layout, X, Y, count_inputs, make_guide_planes, prepare_planes
 
 AGREEMENT = HISTORY_CHANNELS
@@ -44,15 +45,10 @@ NEAR = 1 << 8
 NOWHERE, IN_RUNS, APART = range(3)
 """No pixel of a vector has a place near the image; the pixels are loaded as vectors, run by run, or one by one."""
 
-LANE, VECTOR = hl.Var("lane"), hl.Var("vector")
-"""Pixel within a vector, and number of the vector within its row."""
 U, V = hl.Var("u"), hl.Var("v")
 """Column and row among the four pixels of a place."""
 TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 """The four pixels of a place."""
-
-Place = tuple[hl.Expr, hl.Expr]
-"""Column and row of a pixel."""
 
 
 @dataclass
@@ -103,9 +99,9 @@ class ReprojectionFuncs:
 
     out: hl.Func
     signature: Signature
-    pixels: hl.RDom | None
+    pixels: Pixels
+    domain: hl.RDom | None
     """Domain of the output, by lane and vector; None where each pixel has a thread."""
-    found: hl.Func
     ways: list[WayFuncs]
 
 
@@ -190,32 +186,16 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None, lan
         Pixels of a vector; 1 for devices on which each pixel has a thread.
     """
     frames = _Frames(features, 1 if virtual_from is None else 2)
-    width = frames.mask.width()
-
-    def find_column(lane: hl.Expr, vector: hl.Expr) -> hl.Expr:
-        """Return the column of a pixel. The last vector of a row ends with the row."""
-        return hl.min(vector * lanes, width - lanes) + lane if lanes > 1 else vector
-
-    own = find_column(LANE, VECTOR), Y
+    pixels = Pixels(frames.mask.width(), lanes)
     starts = [0] if virtual_from is None else [0, virtual_from]
     ways = [
-        _make_way(frames, place, start, own, lanes, name)
+        _make_way(frames, place, start, pixels, name)
         for place, start, name in zip(frames.places, starts, ("surface", "virtual"), strict=False)
     ]
-    at = LANE, VECTOR, Y
-    mixed, agreement = _mix([[way.sums[at][k] for k in range(len(REPROJECTED))] for way in ways])
-    found = hl.Func("found")
-    found[at] = hl.Tuple([*mixed.fade(frames.memory), agreement])
-    out, pixels = hl.Func("out"), None
-    count = len(REPROJECTED)
-    if lanes == 1:
-        out[X, Y] = hl.Tuple([found[0, X, Y][k] for k in range(count)])
-    else:
-        pixels = hl.RDom([(0, lanes), (0, (width + (lanes - 1)) / lanes)], "pixels")
-        out[X, Y] = hl.Tuple([hl.undef(hl.Float(32))] * count)
-        result = found[pixels.x, pixels.y, Y]
-        out[find_column(pixels.x, pixels.y), Y] = hl.Tuple([result[k] for k in range(count)])
-    return ReprojectionFuncs(out, frames.signature, pixels, found, ways)
+    mixed, agreement = _mix([[way.sums[pixels.at][k] for k in range(len(REPROJECTED))] for way in ways])
+    pixels.keep("found", *mixed.fade(frames.memory), agreement)
+    out, domain = pixels.write(pixels.once[-1], len(REPROJECTED))
+    return ReprojectionFuncs(out, frames.signature, pixels, domain, ways)
 
 
 def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
@@ -231,9 +211,9 @@ def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr,
     return hl.i32(first), value - first
 
 
-def _make_way(frames: _Frames, place: hl.ImageParam, start: int, own: Place, lanes: int, name: str) -> WayFuncs:
+def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels, name: str) -> WayFuncs:
     """Return the sums at one place of each pixel, by the features from ``start`` on."""
-    at = LANE, VECTOR, Y
+    at, own, lanes = pixels.at, pixels.place, pixels.lanes
     spots = hl.Func(f"{name}_spots")
     extents = frames.columns, frames.rows
     usable = frames.mask[own] != 0

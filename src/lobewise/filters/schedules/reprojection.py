@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import halide as hl
 
-from lobewise.filters.history.reprojection_pass import (
-    LANE,
-    VECTOR,
-    PreparationFuncs,
-    ReprojectionFuncs,
-    VectorFuncs,
-    WayFuncs,
-)
+from lobewise.filters.history.reprojection_pass import PreparationFuncs, ReprojectionFuncs, VectorFuncs, WayFuncs
+from lobewise.filters.history.vectors import LANE, VECTOR
 from lobewise.filters.planes import X, Y
 from lobewise.filters.schedules.blocks import spread_pixels
 from lobewise.filters.schedules.rows import keep_rows
@@ -31,12 +25,12 @@ def schedule_preparation(funcs: PreparationFuncs, lanes: int) -> None:
             keep_rows(func.compute_at(out, xo), channels, lanes)
 
 
-def schedule_reprojection(funcs: ReprojectionFuncs, lanes: int) -> None:
-    """Schedule the kernel for processors with vectors of ``lanes`` pixels, or with 1 for graphics cards."""
-    if funcs.pixels is None:
+def schedule_reprojection(funcs: ReprojectionFuncs) -> None:
+    """Schedule the kernel for processors, or for graphics cards if its pixels are not in vectors."""
+    if funcs.domain is None:
         _schedule_gpu(funcs)
     else:
-        _schedule_cpu(funcs, funcs.pixels, lanes)
+        _schedule_cpu(funcs, funcs.domain)
 
 
 def _schedule_gpu(funcs: ReprojectionFuncs) -> None:
@@ -48,15 +42,16 @@ def _schedule_gpu(funcs: ReprojectionFuncs) -> None:
             func.compute_at(funcs.out, thread)
 
 
-def _schedule_cpu(funcs: ReprojectionFuncs, pixels: hl.RDom, lanes: int) -> None:
+def _schedule_cpu(funcs: ReprojectionFuncs, domain: hl.RDom) -> None:
     """Run rows in parallel and columns in vectors. Every value of a vector stays in registers or the nearest cache."""
-    out = funcs.out
+    out, lanes = funcs.out, funcs.pixels.lanes
     # No two vectors of a row differ where they overlap.
-    update = out.update().reorder(pixels.x, pixels.y, Y).allow_race_conditions().vectorize(pixels.x)
+    update = out.update().reorder(domain.x, domain.y, Y).allow_race_conditions().vectorize(domain.x)
     update.parallel(Y, ROWS_PER_TASK, hl.TailStrategy.GuardWithIf).never_partition_all()
     for way in funcs.ways:
-        _schedule_way(out, pixels.y, way, lanes)
-    funcs.found.compute_at(out, pixels.y).bound(LANE, 0, lanes).vectorize(LANE)
+        _schedule_way(out, domain.y, way, lanes)
+    for func in funcs.pixels.once:
+        func.compute_at(out, domain.y).bound(LANE, 0, lanes).vectorize(LANE)
 
 
 def _schedule_way(out: hl.Func, vector: hl.RVar, way: WayFuncs, lanes: int) -> None:
