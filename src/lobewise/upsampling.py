@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.frame import FloatArray, Frame, Result
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
@@ -103,7 +103,7 @@ def upsample(
     plan = plan_upsampling(reach, frame.scale)
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
     images = [output.image for output in outputs]
-    if not bilinear and knows_areas(frame):
+    if not bilinear and knows_areas(frame.radiance, frame.gbuffer):
         named = dict(zip(AREAS, images, strict=False))
         supports = {name: output.weight_sum > 0.0 for name, output in zip(AREAS, outputs, strict=False)}
         images[: len(AREAS)] = composite_areas(frame, named, supports).values()
@@ -133,11 +133,10 @@ def upsample(
     )
 
 
-def knows_areas(frame: SparseFrame) -> bool:
-    """Return whether a frame tells which surfaces share a pixel: coverage, mean albedos, and light split by lobe."""
-    guides = frame.gbuffer
+def knows_areas(radiance: Radiance, guides: GBuffer) -> bool:
+    """Return whether it is known which surfaces share a pixel: coverage, mean albedos, and light split by lobe."""
     needed = (guides.coverage, *(getattr(guides, name) for pair in AREAS.values() for name in pair))
-    return frame.radiance.parts is not None and all(image is not None for image in needed)
+    return radiance.parts is not None and all(image is not None for image in needed)
 
 
 AREAS = {
@@ -150,25 +149,38 @@ MAX_TINT = 4.0
 
 
 def tint_samples(frame: SparseFrame) -> SparseFrame:
-    """Return a frame whose samples have the albedo of the surface at the pixel's centre.
+    """Return a frame whose samples have the albedo of the surface at the pixel's centre; see `tint_radiance`."""
+    return replace(frame, radiance=tint_radiance(frame.radiance, frame.gbuffer, frame.shaded))
 
-    A sample is the radiance of its pixel's area. Where several surfaces share the pixel, the light is the radiance over
-    the mean albedo, and not over the albedo at the centre.
+
+def tint_radiance(radiance: Radiance, guides: GBuffer, where: Any) -> Radiance:
+    """Return the radiance of pixel areas with the albedo of the surface at each pixel's centre.
+
+    Where several surfaces share a pixel, the light is its radiance over the mean albedo, and not over the albedo at the
+    centre. Radiance that is not split by lobe, or whose areas are not known, stays as it is.
+
+    Parameters
+    ----------
+    radiance : Radiance
+    guides : GBuffer
+        Guides of the whole image.
+    where : index
+        The pixels of the image, rows and columns, whose radiance is given; ``image[where]`` has the shape
+        (rows, columns, channels) of the radiance.
     """
-    if not knows_areas(frame):
-        return frame
-    parts = {}
-    for name, (centre, area) in AREAS.items():
-        albedo, mean = (getattr(frame.gbuffer, each)[frame.shaded] for each in (centre, area))
+    if not knows_areas(radiance, guides):
+        return radiance
+    old, parts = radiance.parts, {}
+    assert old is not None
+    for name, part in zip(AREAS, old, strict=True):
+        albedo, mean = (guides.require(each, "compositing")[where] for each in AREAS[name])
         with np.errstate(invalid="ignore"):
             ratio = albedo / np.maximum(mean, np.float32(ALBEDO_FLOOR))
             ratio = np.where((mean > ALBEDO_FLOOR) & (ratio > 0.0), np.minimum(ratio, np.float32(MAX_TINT)), 1.0)
-        parts[name] = (getattr(frame.radiance, name) * ratio).astype(np.float32)
-    old = frame.radiance.parts
-    assert old is not None
+        parts[name] = (part * ratio).astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
-        color = frame.radiance.color - old[0] - old[1] + parts["diffuse"] + parts["specular"]
-    return replace(frame, radiance=replace(frame.radiance, color=color, **parts))
+        color = radiance.color - old[0] - old[1] + parts["diffuse"] + parts["specular"]
+    return replace(radiance, color=color, **parts)
 
 
 def composite_areas(
@@ -179,7 +191,7 @@ def composite_areas(
     Parameters
     ----------
     frame : SparseFrame
-        One that `knows_areas`.
+        One of which `knows_areas` is true.
     parts : mapping of array, shape (height, width, 3)
         Radiance of the layers by name.
     supports : mapping of bool array, shape (height, width)

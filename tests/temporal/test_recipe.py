@@ -141,8 +141,13 @@ class TestStill:
             light = Radiance(frame.radiance.diffuse + specular, diffuse=frame.radiance.diffuse, specular=specular)
             return replace(frame, radiance=light, gbuffer=replace(frame.gbuffer, specular_albedo=albedo))
 
-        results = run([blacken(frame) for frame in frames])
+        active = TemporalFilter()
+        results = [active.add(blacken(frame)) for frame in frames]
         assert (results[3].specular[black] == 0.0).all()
+        # Nothing is gathered there.
+        sums = active.get_state()["sums/specular"]
+        assert (sums[black] == 0.0).all()
+        assert (sums[~black] > 0.0).any()
         assert (results[3].diffuse[black] > 0.0).any()
         assert np.isfinite(results[3].image).all()
         assert results[3].settings["history_share"] == 1.0
@@ -170,6 +175,45 @@ class TestStill:
         with pytest.raises(InputError, match="history of diffuse: expected sums of shape"):
             other.change_sums({"specular": np.zeros_like, "diffuse": lambda sums: sums[1:]})
         assert (other.history_length > 0.0).any()
+
+    def test_results_stay_as_they_are_while_memory_is_used_again(self):
+        active, kept = TemporalFilter(), []
+        for frame in make_still(6, 4):
+            result = active.add(frame)
+            kept.append((result, result.image.copy(), result.weight_sum.copy(), result.variance.copy()))
+        for result, *copies in kept:
+            for found, copied in zip((result.image, result.weight_sum, result.variance), copies, strict=True):
+                assert found.tobytes() == copied.tobytes()
+
+    def test_samples_that_lack_a_part_add_nothing(self):
+        active = TemporalFilter()
+        active.add(make_still(1, 4)[0])
+        before = {name: np.copy(value) for name, value in active.get_state().items()}
+        light = Radiance(np.full((1, 1, 3), 0.8))
+        for lacking in (light, replace(light, diffuse=light.color)):
+            with pytest.raises(InputError, match="radiance: expected"):
+                active.add_samples(np.array([3]), np.array([3]), lacking, np.ones(1, np.float32))
+        for name, value in active.get_state().items():
+            assert value.tobytes() == before[name].tobytes(), name
+
+    def test_samples_of_shared_pixels_are_those_of_their_area(self):
+        frame = make_still(1, 4)[0]
+        guides = frame.gbuffer
+        mean = 0.5 * guides.diffuse_albedo
+        shared = {"mean_diffuse_albedo": mean, "mean_specular_albedo": guides.specular_albedo}
+        cover = np.zeros((*frame.shape, 9), np.float32)
+        cover[..., 4] = 1.0
+        active, plain = TemporalFilter(), TemporalFilter()
+        active.add(replace(frame, gbuffer=replace(guides, coverage=cover, **shared)))
+        plain.add(frame)
+        light = Radiance(np.full((1, 1, 3), 0.8), diffuse=np.full((1, 1, 3), 0.5), specular=np.full((1, 1, 3), 0.3))
+        gained = []
+        for each in (active, plain):
+            before = each.get_state()["sums/diffuse"]
+            each.add_samples(np.array([3]), np.array([3]), light, np.ones(1, np.float32))
+            gained.append((each.get_state()["sums/diffuse"] - before)[3, 3, 0])
+        # Half of the albedo makes twice the light of the same radiance.
+        assert gained[0] == pytest.approx(2.0 * gained[1], rel=1e-4)
 
     def test_variance_tells_the_error(self):
         truth = find_truth()

@@ -40,7 +40,7 @@ from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
 from lobewise.temporal.validation import Guides, find_same_tau
-from lobewise.upsampling import AREAS, DEFAULT_RADIUS, composite_areas, knows_areas, spread, tint_samples
+from lobewise.upsampling import AREAS, DEFAULT_RADIUS, composite_areas, knows_areas, spread, tint_radiance, tint_samples
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -106,6 +106,7 @@ class TemporalFilter:
         require_plain(self._settings or DenoiseSettings(**spatial), "a filter with history")
         self._past: Past | None = None
         self._albedos: dict[str, FloatArray | None] = {}
+        self._is_sparse = False
         self._memory = MemoryPool()
 
     def reset(self) -> None:
@@ -191,6 +192,7 @@ class TemporalFilter:
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
         kept = {name: output.sums for name, output in outputs.items()}
         self._albedos = {name: layer.albedo for name, layer in layers.items() if name not in UNSCATTERED}
+        self._is_sparse = isinstance(frame, SparseFrame)
         self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
         return replace(result, notes=notes)
 
@@ -221,14 +223,18 @@ class TemporalFilter:
         if not all(((each >= 0) & (each < most)).all() for each, most in ((rows, height), (columns, width))):
             expected = f"rows and columns of {width}x{height}"
             raise InputError("pixels", expected=expected, got="others", action="pass pixels of the last frame")
-        for name, albedo in self._albedos.items():
+        for name in self._albedos:
             light = getattr(radiance, name)
             if light is None or light.shape[:2] != (len(rows), 1):
                 expected = f"{name}, one for each of {len(rows)} pixels"
                 action = "pass all parts of the frame"
                 raise InputError("radiance", expected=expected, got=repr(radiance), action=action)
+        # As the samples of the frame were; see `_add`.
+        if self._is_sparse and "diffuse" in self._albedos:
+            radiance = tint_radiance(radiance, self._past.guides.gbuffer, (rows[:, None], columns[:, None]))
+        for name, albedo in self._albedos.items():
             divisor = 1.0 if albedo is None else np.maximum(albedo[rows, columns], np.float32(ALBEDO_FLOOR))
-            means = light[:, 0] / divisor
+            means = getattr(radiance, name)[:, 0] / divisor
             add_to_sums(self._past.sums[name], (rows, columns), means, weights, self.temporal.strictness)
 
     def change_sums(self, changes: Mapping[str, Callable[[FloatArray], FloatArray]]) -> None:
@@ -336,7 +342,7 @@ def _join_sparse(frame: SparseFrame, layers: dict[str, Layer], outputs: dict[str
     """Return the sum of a sparse frame's layers and of the light that it knows exactly."""
     lobes = [layer for name, layer in layers.items() if name not in UNSCATTERED]
     told = list(outputs.values())
-    if knows_areas(frame):
+    if knows_areas(frame.radiance, frame.gbuffer):
         parts = {name: outputs[name].image for name in AREAS}
         supports = {name: outputs[name].weight_sum > 0.0 for name in AREAS}
         areas = composite_areas(frame, parts, supports)
