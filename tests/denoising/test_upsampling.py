@@ -75,6 +75,28 @@ def test_pixels_that_two_surfaces_share_show_both(over_time: bool) -> None:
     np.testing.assert_allclose(result.image, truth, rtol=0.02)
 
 
+@pytest.mark.parametrize("over_time", [False, True])
+def test_areas_of_another_albedo_than_their_centres_keep_their_radiance(over_time: bool) -> None:
+    shape = (16, 32)
+    half, cover = np.full((*shape, 3), 0.5), np.zeros((*shape, 9))
+    cover[..., 4] = 1.0
+    guides = GBuffer(
+        depth=np.full(shape, 4.0),
+        normal=np.broadcast_to([0.0, 0.0, 1.0], (*shape, 3)),
+        alpha_u=np.full(shape, 0.3),
+        diffuse_albedo=half,
+        mean_diffuse_albedo=0.5 * half,
+        specular_albedo=half,
+        mean_specular_albedo=1.5 * half,
+        coverage=cover,
+    )
+    camera = Camera(position=(0, 0, 4), forward=(0, 0, -1), up=(0, 1, 0), fov_y=0.6)
+    frame = Frame(Radiance(3.0 * half, diffuse=half, specular=2.0 * half), guides, camera, spp=4)
+    sparse = make_sparse(frame, 2, (0, 1))
+    result = TemporalFilter(similarity="ggx").add(sparse) if over_time else upsample(sparse, similarity="ggx")
+    np.testing.assert_allclose(result.image, 1.5, rtol=1e-4)
+
+
 def test_samples_are_divided_by_the_albedo_of_their_area() -> None:
     shape = (2, 4)
     albedo, mean = np.full((*shape, 3), 0.8, np.float32), np.full((*shape, 3), 0.8, np.float32)

@@ -130,6 +130,19 @@ def test_vectors_that_move_together_agree_with_oracle(kinds: tuple[str, ...], st
     np.testing.assert_allclose(out, expected, rtol=tolerance, atol=1e-6)
 
 
+@pytest.mark.parametrize("step", [0.0, 0.3])
+def test_vectors_of_which_few_pixels_have_a_place_agree_with_oracle(step: float) -> None:
+    shape = (40, 96)
+    rng = np.random.default_rng(3)
+    past, places = make_past(shape), make_grid(shape) + np.float32(step)
+    # Some move by a pixel, most were nowhere.
+    places += rng.integers(0, 2, (*shape, 1)).astype(np.float32)
+    places[rng.random(shape) < 0.85] = np.nan
+    masks = make_random_mask(shape, 1), make_random_mask(shape, 2)
+    out = run_reprojection(past, places, masks, ([], []))
+    np.testing.assert_allclose(out, reproject_reference(past, places, masks, ([], [])), rtol=1e-5, atol=1e-6)
+
+
 @pytest.mark.parametrize("shape", SIZES, ids=str)
 def test_own_places_give_the_past_back(shape: tuple[int, int]) -> None:
     # These compare differences, so that the logarithm of a pixel with itself is 0 exactly.

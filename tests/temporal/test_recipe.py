@@ -215,6 +215,23 @@ class TestStill:
         # Half of the albedo makes twice the light of the same radiance.
         assert gained[0] == pytest.approx(2.0 * gained[1], rel=1e-4)
 
+    @pytest.mark.parametrize(
+        ("settings", "radius", "share"),
+        [
+            ({}, 2, 0.4),
+            ({"history_radius": 3}, 3, 0.6),
+            ({"radius": 1}, 1, 1.0),
+            ({"radius": 0}, 0, 1.0),
+            ({"screen_sigma": 6.0}, 2, 1.0),
+        ],
+    )
+    def test_the_automatic_screen_distance_shrinks_with_the_radius(self, settings, radius, share):
+        active, frame = TemporalFilter(**settings), make_still(1, 4)[0]
+        chosen = active._resolve(frame)
+        (step,) = active._plan(frame, chosen).steps
+        assert step.known_radius == radius
+        assert (step.known_sigma or chosen.screen_sigma) == pytest.approx(share * chosen.screen_sigma)
+
     def test_variance_tells_the_error(self):
         truth = find_truth()
         results = run(make_still(12))
