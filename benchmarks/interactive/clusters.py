@@ -22,6 +22,7 @@ import numpy as np
 
 import lobewise
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
+from benchmarks.pictures.detail import join
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.interactive import InteractiveSettings, Session
@@ -40,7 +41,6 @@ REFERENCE_SPP = 512
 """Samples of each of the two halves of a reference. The halves tell the error of the reference."""
 SEEDS = 3
 TIMINGS = 24
-GAP = 4
 
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "paths": ("paths", {}),
@@ -180,13 +180,9 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, dict[st
 def write_picture(name: str, pictures: Mapping[str, Mapping[str, FloatArray]]) -> None:
     """Write point lights, clusters, paths and the reference, side by side: not filtered, and below the eighth frame."""
     exposure = choose_exposure(pictures["reference"]["one frame"])
-    rows = []
-    for stage in ("not filtered", "eighth frame"):
-        panels = [map_tones(pictures[key][stage], exposure) for key in ("points", "clusters", "paths", "reference")]
-        gap = np.full((panels[0].shape[0], GAP, 3), 255, dtype=np.uint8)
-        rows.append(np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1))
-    line = np.full((GAP, rows[0].shape[1], 3), 255, dtype=np.uint8)
-    picture = np.concatenate([rows[0], line, rows[1]])
+    shown = ("points", "clusters", "paths", "reference")
+    stages = ("not filtered", "eighth frame")
+    picture = join([join([map_tones(pictures[key][each], exposure) for key in shown], 1) for each in stages], 0)
     target = ROOT / "docs" / "images" / f"virtual-light-clusters-{name.replace(', alpha ', '-').replace('.', '')}.png"
     target.write_bytes(encode_png(np.ascontiguousarray(picture)))
     print(f"{target}: {picture.shape[1]}x{picture.shape[0]}, {target.stat().st_size / 1e3:.0f} kB")

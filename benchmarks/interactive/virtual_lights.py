@@ -24,6 +24,7 @@ import numpy as np
 
 import lobewise
 from benchmarks.common import ROOT, describe_machine, fetch_frame, write_json
+from benchmarks.pictures.detail import join
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.png import encode_png
@@ -44,7 +45,6 @@ SHARP = 0.1
 
 TAUS = (0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
 CROPS = {"showroom": (slice(190, 446), slice(60, 316)), "brushed": (slice(150, 406), slice(120, 376))}
-GAP = 4
 
 PANELS = ("one sample", "sg, default", "sg, limited", "all lights", "paths")
 """Images in the pictures, from left to right."""
@@ -228,9 +228,7 @@ def run_speed() -> dict[str, Any]:
 def write_picture(name: str, images: Mapping[str, FloatArray]) -> None:
     """Write a row of crops: see `PANELS`."""
     exposure = choose_exposure(images["paths"])
-    panels = [map_tones(images[key], exposure)[CROPS[name]] for key in PANELS]
-    gap = np.full((panels[0].shape[0], GAP, 3), 255, dtype=np.uint8)
-    row = np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
+    row = join([map_tones(images[key], exposure)[CROPS[name]] for key in PANELS], 1)
     target = ROOT / "docs" / "images" / f"virtual-lights-{name}.png"
     target.write_bytes(encode_png(np.ascontiguousarray(row)))
     print(f"{target}: {row.shape[1]}x{row.shape[0]}, {target.stat().st_size / 1e3:.0f} kB")

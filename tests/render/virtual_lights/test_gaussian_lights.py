@@ -11,6 +11,7 @@ from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from tests.render.virtual_lights.test_virtual_lights import (
     PATHS_NOISE,
+    assert_nothing_is_compiled_twice,
     expect_one_light,
     find_paths,
     get_image,
@@ -134,23 +135,8 @@ def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
 
 
 def test_nothing_is_compiled_twice(mi: Any) -> None:
-    from lobewise.render.bridge import dr
-
     scene = make_copper_box(mi, 0.1)
-    method = make_clusters(scene, count=256)
-
-    def run(seed: int, samples: int) -> None:
-        method.update()
-        dr.eval(method.shade(view(scene), samples=samples, seed=seed))
-
-    run(0, 1)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        run(1, 2)
-        run(12345, 1)
-        kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
-    assert len(kernels) >= 4
-    assert all(kernel["cache_hit"] for kernel in kernels)
+    assert_nothing_is_compiled_twice(make_clusters(scene, count=256), scene)
 
 
 @pytest.mark.parametrize("bsdf", [{"type": "conductor", "material": "Al"}, {"type": "roughconductor", "alpha": 0.01}])

@@ -362,14 +362,13 @@ def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     assert not np.array_equal(np.array(other.lights.si.p), np.array(method.lights.si.p))
 
 
-def test_nothing_is_compiled_twice(cornell: Any) -> None:
+def assert_nothing_is_compiled_twice(method: Any, scene: Any) -> None:
+    """Shade with other seeds and numbers of samples, after updates."""
     from lobewise.render.bridge import dr
-
-    method = make_lights(cornell, count=256)
 
     def run(seed: int, samples: int) -> None:
         method.update()
-        dr.eval(method.shade(view(cornell), samples=samples, seed=seed))
+        dr.eval(method.shade(view(scene), samples=samples, seed=seed))
 
     run(0, 1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -379,6 +378,10 @@ def test_nothing_is_compiled_twice(cornell: Any) -> None:
         kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert len(kernels) >= 4
     assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+def test_nothing_is_compiled_twice(cornell: Any) -> None:
+    assert_nothing_is_compiled_twice(make_lights(cornell, count=256), cornell)
 
 
 def test_mirrors_show_what_is_lit(mi: Any) -> None:
