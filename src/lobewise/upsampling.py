@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, require_some_good
 from lobewise.denoising.layers import (
     Layer,
     describe_exact_light,
-    find_exact_light,
-    find_support,
-    find_surface,
+    knows_exact_light,
     make_layers,
     make_rest_layers,
 )
@@ -26,7 +24,9 @@ from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
+from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
@@ -35,6 +35,8 @@ from lobewise.sparse_frame import SparseFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+UNSCATTERED = ("rest", "background")
+"""Layers of light that no lobe scattered."""
 DEFAULT_RADIUS = 5
 """Samples from the centre to the edge of the kernel."""
 
@@ -102,34 +104,50 @@ def upsample(
         reach = chosen.radius
     plan = plan_upsampling(reach, frame.scale)
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
-    images = [output.image for output in outputs]
-    if not bilinear and knows_areas(frame.radiance, frame.gbuffer):
-        named = dict(zip(AREAS, images, strict=False))
-        supports = {name: output.weight_sum > 0.0 for name, output in zip(AREAS, outputs, strict=False)}
-        images[: len(AREAS)] = composite_areas(frame, named, supports).values()
-    image = np.asarray(sum(images), dtype=np.float32)
-    exact = None if bilinear else find_exact_light(frame)
-    apart = not bilinear and frame.radiance.parts is not None
-    # Emission and background are compared by place alone, so their support says nothing about lobes.
-    lobes = 2 if apart else 1
-    weight_sum, effective_samples = find_support(layers[:lobes], outputs[:lobes])
-    supported = np.logical_or.reduce([output.weight_sum > 0.0 for output in outputs])
-    image = image if exact is None else image + exact
-    if apart and not any(layer.name == "background" for layer in layers):
-        # Nothing is scattered where there is no surface.
-        supported = supported | ~find_surface(frame)
-    holes = ~supported | ~find_good(image)
-    image = fill_holes(image, holes, frame, chosen.device)
+    joined = join_layers(outputs, [(layers[0].mask, None)]) if bilinear else join_sparse(frame, layers, outputs)
+    diffuse, specular = joined.parts or (None, None)
     return Result(
-        image=image,
-        diffuse=images[0] if apart else None,
-        specular=images[1] if apart else None,
-        weight_sum=weight_sum,
-        effective_samples=effective_samples,
+        image=fill_holes(joined.image, joined.holes, frame, chosen.device),
+        diffuse=diffuse,
+        specular=specular,
+        weight_sum=joined.weight_sum,
+        effective_samples=joined.effective_samples,
         bad_pixels=spread(frame, bad),
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
         seconds=time.perf_counter() - start,
         notes=notes,
+    )
+
+
+def join_sparse(
+    frame: SparseFrame,
+    layers: Sequence[Layer],
+    outputs: Sequence[FilterOutput],
+    variances: Sequence[FloatArray] = (),
+) -> JoinedLayers:
+    """Return the sum of a sparse frame's layers over pixel areas, and of the light that the frame knows exactly.
+
+    Parameters
+    ----------
+    frame : SparseFrame
+    layers, outputs : sequences of equal length
+        Those that lobes scattered come first.
+    variances
+        See `lobewise.filters.history.joining.join_layers`.
+    """
+    # Emission and background are compared by place alone, so their support says nothing about lobes.
+    lobes = [layer for layer in layers if layer.name not in UNSCATTERED]
+    told = list(outputs)
+    if knows_areas(frame.radiance, frame.gbuffer):
+        told[: len(AREAS)] = composite_areas(frame, outputs[: len(AREAS)])
+    # Nothing is scattered where nothing reflects.
+    is_black_beside = frame.radiance.parts is not None and not any(layer.name == "background" for layer in layers)
+    return join_layers(
+        told,
+        [(layer.mask, layer.albedo) for layer in lobes],
+        variances=variances,
+        exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
+        reflecting=np.logical_or.reduce([layer.mask for layer in lobes]) if is_black_beside else None,
     )
 
 
@@ -183,26 +201,18 @@ def tint_radiance(radiance: Radiance, guides: GBuffer, where: Any) -> Radiance:
     return replace(radiance, color=color, **parts)
 
 
-def composite_areas(
-    frame: SparseFrame, parts: Mapping[str, FloatArray], supports: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, FloatArray]:
-    """Return the radiance of every pixel's area from that of the surfaces at pixel centres.
+def composite_areas(frame: SparseFrame, outputs: Sequence[FilterOutput]) -> list[FilterOutput]:
+    """Return diffuse and specular radiance of every pixel's area, from that of the surfaces at pixel centres.
 
-    Parameters
-    ----------
-    frame : SparseFrame
-        One of which `knows_areas` is true.
-    parts : mapping of array, shape (height, width, 3)
-        Radiance of the layers by name.
-    supports : mapping of bool array, shape (height, width)
-        Where each layer is defined.
+    Of ``frame``, `knows_areas` is true.
     """
     guides = frame.gbuffer
     coverage = guides.require("coverage", "compositing")
-    areas = {}
-    for name, part in parts.items():
-        albedo, mean = (guides.require(each, "compositing") for each in AREAS[name])
-        areas[name] = composite_parts(part, supports[name], albedo, mean, coverage)
+    areas = []
+    for output, names in zip(outputs, AREAS.values(), strict=True):
+        albedo, mean = (guides.require(name, "compositing") for name in names)
+        image = composite_parts(output.image, output.weight_sum > 0.0, albedo, mean, coverage)
+        areas.append(replace(output, image=image))
     return areas
 
 

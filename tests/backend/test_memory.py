@@ -75,7 +75,7 @@ def test_memory_that_two_uses_did_not_need_is_freed() -> None:
         pass
     with pool.use():
         pass
-    assert not any(pool._free.values())
+    assert not pool._free
 
 
 def test_outside_of_a_pool_memory_is_not_kept() -> None:

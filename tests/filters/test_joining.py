@@ -38,8 +38,10 @@ def add(images: list[FloatArray]) -> FloatArray:
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_sum_and_support_are_those_of_numpy(count: int) -> None:
     outputs, layers = [make_output(k) for k in range(count)], [make_layer(10 + k) for k in range(min(count, 2))]
-    found = join_layers(outputs, [(layer.mask, layer.albedo) for layer in layers])
+    variances = [output.variance for output in outputs]
+    found = join_layers(outputs, [(layer.mask, layer.albedo) for layer in layers], variances=variances)
     assert found.image.tobytes() == add([output.image for output in outputs]).tobytes()
+    assert found.variance is not None
     assert found.variance.tobytes() == add([output.variance for output in outputs]).tobytes()
     weight, effective = find_support(layers, outputs[: len(layers)])
     np.testing.assert_array_equal(found.weight_sum, weight)
@@ -54,6 +56,7 @@ def test_exact_light_is_added_where_it_is_a_number() -> None:
     output, exact = make_output(1), np.full((*SHAPE, 3), 0.25, np.float32)
     exact[2, 3, 1], exact[4, 5, 0] = np.nan, -1.0
     found = join_layers([output], [(np.ones(SHAPE, bool), None)], exact=exact)
+    assert found.variance is None
     expected = output.image + np.float32(0.25)
     expected[2, 3], expected[4, 5] = output.image[2, 3], output.image[4, 5]
     assert found.image.tobytes() == expected.tobytes()

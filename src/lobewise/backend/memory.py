@@ -58,6 +58,8 @@ class MemoryPool:
             _current.pool = before
             for size, blocks in list(self._free.items()):
                 self._free[size] = [block for block in blocks if block[0] >= self._uses - 1]
+                if not self._free[size]:
+                    del self._free[size]
 
     def clear(self) -> None:
         """Free all memory that is not in use."""

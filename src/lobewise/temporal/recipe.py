@@ -18,7 +18,6 @@ from lobewise.denoising.layers import (
     Support,
     describe_exact_light,
     find_support,
-    knows_exact_light,
     make_layers,
     make_rest_layers,
     split_lobes,
@@ -31,7 +30,7 @@ from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput
-from lobewise.filters.history.joining import JoinedLayers, find_reflecting, join_layers
+from lobewise.filters.history.joining import find_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
@@ -40,15 +39,13 @@ from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
 from lobewise.temporal.validation import Guides, find_same_tau
-from lobewise.upsampling import AREAS, DEFAULT_RADIUS, composite_areas, knows_areas, spread, tint_radiance, tint_samples
+from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread, tint_radiance, tint_samples
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 MAX_OWN_WEIGHT = 1e8
 """Weight of a pixel's own sample where shading has no noise. Beside it, samples of neighbours are lost in rounding."""
-UNSCATTERED = ("rest", "background")
-"""Layers of light that no lobe scattered."""
 BORROWED_ERROR = 0.005
 """Squared relative error of a neighbour's radiance as an estimate of the pixel's own radiance, without noise."""
 
@@ -304,7 +301,8 @@ class TemporalFilter:
     ) -> Result:
         support: Support
         if isinstance(frame, SparseFrame):
-            joined = support = _join_sparse(frame, layers, outputs)
+            variances = [output.variance for output in outputs.values()]
+            joined = support = join_sparse(frame, list(layers.values()), list(outputs.values()), variances)
             image, holes, variance = joined.image, joined.holes, joined.variance
             parts = dict(zip(layers, joined.parts, strict=False))
             bad = spread(frame, bad)
@@ -336,25 +334,6 @@ class Gathered(NamedTuple):
 
     weight_sum: FloatArray
     effective_samples: FloatArray
-
-
-def _join_sparse(frame: SparseFrame, layers: dict[str, Layer], outputs: dict[str, AccumulatedOutput]) -> JoinedLayers:
-    """Return the sum of a sparse frame's layers and of the light that it knows exactly."""
-    lobes = [layer for name, layer in layers.items() if name not in UNSCATTERED]
-    told = list(outputs.values())
-    if knows_areas(frame.radiance, frame.gbuffer):
-        parts = {name: outputs[name].image for name in AREAS}
-        supports = {name: outputs[name].weight_sum > 0.0 for name in AREAS}
-        areas = composite_areas(frame, parts, supports)
-        told[: len(areas)] = (replace(outputs[name], image=area) for name, area in areas.items())
-    # Nothing is scattered where nothing reflects.
-    is_black_beside = frame.radiance.parts is not None and "background" not in layers
-    return join_layers(
-        told,
-        [(layer.mask, layer.albedo) for layer in lobes],
-        exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
-        reflecting=np.logical_or.reduce([layer.mask for layer in lobes]) if is_black_beside else None,
-    )
 
 
 def find_own_weight(frame: AnyFrame) -> float:

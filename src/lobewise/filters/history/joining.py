@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise
+from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
-from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.frame import FloatArray
 
 
@@ -31,8 +31,8 @@ class JoinedLayers:
         The layers that lobes scattered, 0 where a layer is not finite or negative; empty if there is only one.
     weight_sum, effective_samples : array, shape (height, width)
         Those of the least supported layer that reflects anything at a pixel.
-    variance : array, shape (height, width)
-        Sum of the layers' variances.
+    variance : array, shape (height, width), or None
+        Sum of the layers' variances, if they were given.
     holes : bool array, shape (height, width)
         Pixels that no sample supports, or whose sum is not finite or negative.
     """
@@ -41,14 +41,15 @@ class JoinedLayers:
     parts: tuple[FloatArray, ...]
     weight_sum: FloatArray
     effective_samples: FloatArray
-    variance: FloatArray
+    variance: FloatArray | None
     holes: NDArray[np.bool_]
 
 
 def join_layers(
-    outputs: Sequence[AccumulatedOutput],
+    outputs: Sequence[FilterOutput],
     lobes: Sequence[tuple[NDArray[np.bool_], FloatArray | None]],
     *,
+    variances: Sequence[FloatArray] = (),
     exact: FloatArray | None = None,
     reflecting: NDArray[np.bool_] | None = None,
 ) -> JoinedLayers:
@@ -56,10 +57,12 @@ def join_layers(
 
     Parameters
     ----------
-    outputs : sequence of AccumulatedOutput
+    outputs : sequence of FilterOutput
         One for each layer; the layers that lobes scattered come first.
     lobes : sequence of (mask, albedo)
         Pixels that have the light of a layer, and its albedo or None, for each layer that lobes scattered.
+    variances : sequence of array, shape (height, width)
+        Variance of the luminance of each layer; none if it is not known.
     exact : array, shape (height, width, 3), optional
         Light without noise that is added; pixels that are not finite or negative add nothing.
     reflecting : bool array, shape (height, width), optional
@@ -68,13 +71,15 @@ def join_layers(
     images: dict[str, Any] = {"exact": exact, "reflecting": reflecting}
     for number, output in enumerate(outputs):
         images |= give_channels(f"mean{number}", output.image)
-        images |= {f"variance{number}": output.variance, f"weight{number}": output.weight_sum}
+        images |= {f"weight{number}": output.weight_sum}
+    images |= {f"variance{number}": variance for number, variance in enumerate(variances)}
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
         images |= {f"mask{number}": mask, f"albedo{number}": albedo}
-    image, *parts, support, holes = run_pointwise(_define_joined, images, {}, len(outputs), len(lobes))
-    weight_sum, effective, variance = (np.ascontiguousarray(support[..., k]) for k in range(3))
-    return JoinedLayers(image, tuple(parts), weight_sum, effective, variance, holes)
+    told = run_pointwise(_define_joined, images, {}, len(outputs), len(lobes))
+    image, holes, weight_sum, effective, *more = told
+    variance = more.pop(0) if variances else None
+    return JoinedLayers(image, tuple(more), weight_sum, effective, variance, holes)
 
 
 def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: float) -> NDArray[np.bool_]:
@@ -106,9 +111,11 @@ def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
     for mean in means[:lobes] if lobes > 1 else []:
         usable = expressions.is_good(mean)
         parts.append([hl.select(usable, value, zero) for value in mean])
-    support = [*_find_support(grid, weights, lobes), _add([grid.read_one(f"variance{n}") for n in range(layers)])]
     holes = hl.u8(~(supported & expressions.is_good(total)))
-    return [total, *parts, support, [holes]]
+    support = [[value] for value in _find_support(grid, weights, lobes)]
+    if grid.has("variance0"):
+        support.append([_add([grid.read_one(f"variance{number}") for number in range(layers)])])
+    return [total, [holes], *support, *parts]
 
 
 def _add(values: Sequence[hl.Expr]) -> hl.Expr:
