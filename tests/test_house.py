@@ -37,6 +37,7 @@ ROOMS = [
     "upsampling",
     "adaptive",
     "temporal",
+    "windows",
     "streaming",
     "sequence",
     "mitsuba",

@@ -58,6 +58,7 @@ def make_arguments(folder: Path) -> dict[Callable[..., Any], dict[str, Any]]:
         lobewise.denoise: {"frame": frame, "quality": "fast", "radius": 2, "beta": 3.0, "similarity": "ggx"},
         lobewise.upsample: {"frame": sparse, "radius": 2},
         lobewise.TemporalFilter: {"radius": 2, "memory": 0.9},
+        lobewise.WindowFilter: {"reach": 2, "quality": "fast"},
         lobewise.read_frame: {"path": path},
         lobewise.make_sparse: {"frame": frame, "scale": 2, "place": (0, 0)},
         lobewise.write_sparse_frame: {"path": other, "frame": sparse},
@@ -104,6 +105,15 @@ def test_methods_of_a_filter_with_history(method: str) -> None:
         with pytest.raises(LobewiseError, match="expected"):
             getattr(filtering, method)(value)
         assert filtering.history_length is None
+
+
+@pytest.mark.parametrize("method", ["join", "denoise"])
+def test_methods_of_a_filter_of_windows(method: str, tmp_path: Path) -> None:
+    frame = make_arguments(tmp_path)[lobewise.denoise]["frame"]
+    for value in WRONG.values():
+        for arguments in ((value, 0), ([value], 0), ([frame], value)):
+            with pytest.raises(LobewiseError, match="expected"):
+                getattr(lobewise.WindowFilter(1), method)(*arguments)
 
 
 def test_everything_public_is_tried(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ and no shader AOV of the roughness, which only a material's author can make.
 Files are named ``SCENE_SPP_SEED.exr``; the reference comes in two halves of different seeds,
 ``SCENE_reference_1.exr`` and ``SCENE_reference_2.exr``, so that its own noise is known, and never denoised.
 ``--frames N`` renders frames 1 to N of a scene that moves, ``SCENE_SPP_SEED.0001.exr`` and on, each with a seed of its
-own. All passes lie in one part, as Blender writes them up to 4.5; from 5.0 on its default is a part for each, which
-``--multipart`` keeps.
+own, and the reference of each. All passes lie in one part, as Blender writes them up to 4.5; from 5.0 on its default is
+a part for each, which ``--multipart`` keeps.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import time
 from pathlib import Path
 
 import bpy
+from blender_films import FILMS
 from blender_parts import clear
 from blender_scenes import SCENES
 from blender_shots import SHOTS
@@ -43,7 +44,7 @@ PASSES = {
     ),
 }  # fmt: skip
 EVERY = "every"
-KINDS = {**SCENES, **SHOTS}
+KINDS = {**SCENES, **SHOTS, **FILMS}
 
 
 def set_up(width: int, height: int, passes: str) -> None:
@@ -90,13 +91,14 @@ def render(path: Path, spp: int, seed: int, *, depth: str = "16", denoise: bool 
     print(f"wrote {path}, {time.process_time() - start:.1f} s of CPU", flush=True)
 
 
-def render_frames(path: Path, spp: int, seed: int, count: int, *, denoise: bool) -> None:
+def render_frames(path: Path, spp: int, seed: int, count: int, *, depth: str = "16", denoise: bool = False) -> None:
     """Render frames 1 to ``count`` beside a path, with seeds of their own; leave the scene where it was."""
     scene = bpy.context.scene
     before = scene.frame_current
     for frame in range(1, count + 1):
         scene.frame_set(frame)
-        render(path.with_name(f"{path.stem}.{frame:04d}.exr"), spp, 100 * seed + frame, denoise=denoise)
+        number = f"{path.stem}.{frame:04d}.exr"
+        render(path.with_name(number), spp, 100 * seed + frame, depth=depth, denoise=denoise)
     scene.frame_set(before)
 
 
@@ -134,7 +136,11 @@ def main() -> None:
                     render(path, int(spp), int(seed), denoise=asked.denoise)
         if asked.reference:
             for half in (1, 2):
-                render(asked.folder / f"{name}_reference_{half}.exr", asked.reference // 2, 7776 + half, depth="32")
+                path, spp, seed = asked.folder / f"{name}_reference_{half}.exr", asked.reference // 2, 7776 + half
+                if asked.frames:
+                    render_frames(path, spp, seed, asked.frames, depth="32")
+                else:
+                    render(path, spp, seed, depth="32")
 
 
 if __name__ == "__main__":

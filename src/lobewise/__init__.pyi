@@ -25,5 +25,6 @@ from .streaming import DenoisedFile as DenoisedFile
 from .streaming import denoise_file as denoise_file
 from .temporal import TemporalFilter as TemporalFilter
 from .upsampling import upsample as upsample
+from .windows import WindowFilter as WindowFilter
 
 __version__: str

@@ -38,7 +38,7 @@ def test_denoising_a_sequence_is_the_filter_frame_by_frame(folder: Path, tmp_pat
     # The note is printed once, before the first frame, and names the alternative.
     assert told.err.startswith("--temporal filters with the quality 'fast'")
     assert told.err.count("--temporal filters") == 1
-    assert "leave --temporal out" in " ".join(told.err.split())
+    assert "--window 2 also uses the frames after" in " ".join(told.err.split())
     active = TemporalFilter()
     for k in range(1, COUNT + 1):
         expected = active.add(read_frame(folder / f"d.{k:04d}.exr")).image

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +15,7 @@ from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.reading import PassReading, find_counterpart
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
+from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, require_window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
 from lobewise.cli.running import FilterAlone, Job, run_filter
 from lobewise.cli.terminal.help import FILTER_DETAILS
@@ -31,11 +32,12 @@ if TYPE_CHECKING:
     from lobewise.sparse_frame import AnyFrame, SparseFrame
     from lobewise.streaming import DenoisedFile
     from lobewise.temporal import TemporalFilter
+    from lobewise.windows import WindowFilter
 
 OVER_TIME_NOTE = (
     "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
-    "passes. It reduces flicker at few samples. With moderate noise, measured renders had less error frame by frame: "
-    "leave --temporal out."
+    "passes. It is made for frames that are filtered as they come. For files on disk, --window 2 also uses the frames "
+    "after each frame, in any quality."
 )
 
 
@@ -61,6 +63,7 @@ def denoise(
         ),
     ] = None,
     reshading: Reshading,
+    window: Window = 0,
     over_time: OverTime,
     bands: Bands = "auto",
     reading: PassReading,
@@ -77,9 +80,10 @@ def denoise(
     shade = reshading.plan()
     tables = [read_lobe_table(path) for path in material] if material else None
     job = Job.plan(source, output, picture, telling)
-    over_time.require_sequence(source)
+    require_window(window, source, over_time)
     needs_whole = {
         "--temporal": over_time.temporal,
+        "--window": window > 0,
         "--adaptive": reshading.share > 0.0,
         "--with-oidn": settings["with_oidn"] is True,
     }
@@ -91,12 +95,14 @@ def denoise(
         whole_option=next(filter(None, given), ""),
         tables=tables,
         over_time=over_time,
+        window=window,
         reading=reading,
         writing=writing,
         shade=shade,
     )
     options = {
         **settings,
+        "window": window,
         "material": [str(path) for path in material or []],
         "adaptive": [reshading.adaptive, reshading.scene],
         "reading": [reading.preset, reading.maps, str(reading.camera), str(reading.half), reading.also],
@@ -117,41 +123,62 @@ class _Denoiser:
     """Name of the first option that needs whole frames, empty for none."""
     tables: Sequence[LobeTable] | None
     over_time: OverTime
+    window: int
+    """Frames before and after that every frame uses; 0 for none."""
     reading: PassReading
     writing: Writing
     shade: Callable[[Result, AnyFrame], Result]
 
-    def read(self, path: Path) -> Imported | FileInBands:
-        """Return the frame of a file, or for a file that is denoised in bands its name."""
+    def read(self, path: Path) -> Imported | FileInBands | FileInWindow:
+        """Return the frame of a file, for a file that is denoised in bands its name, with a window all its frames."""
         job = self.job
         if self.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
         if choose_bands(path, self.bands, self.settings, self.whole_option):
             target = find_counterpart(path, job.source, job.output)
             return FileInBands(path, target, self.bands, self.tables, self.settings)
-        return self.reading.read(
-            path, job.source, job.remarks, tables=self.tables, light_passes=not self.over_time.temporal
-        )
+        if self.window:
+            return self._window_reader.read(path)
+        return self._read_frame(path)
 
-    def make_filter(self) -> SequenceFilter[Imported | FileInBands, Result | DenoisedFile]:
+    def _read_frame(self, path: Path) -> Imported:
+        job, passes = self.job, not self.over_time.temporal
+        return self.reading.read(path, job.source, job.remarks, tables=self.tables, light_passes=passes)
+
+    @cached_property
+    def _window_reader(self) -> WindowReader:
+        return WindowReader(self.job.source, self.window, self._read_frame)
+
+    @cached_property
+    def _window_filter(self) -> WindowFilter:
+        from lobewise.windows import WindowFilter
+
+        return WindowFilter(self.window, **self.settings)
+
+    def make_filter(self) -> SequenceFilter[Imported | FileInBands | FileInWindow, Result | DenoisedFile]:
         """Return a filter of frames, each by itself or over time."""
         from lobewise.temporal import TemporalFilter
 
         changes = self.over_time.extend(self.settings)
         return FilterAlone(self._filter_one) if changes is None else _FilterOverTime(TemporalFilter(**changes))
 
-    def _filter_one(self, found: Imported | FileInBands) -> Result | DenoisedFile:
+    def _filter_one(self, found: Imported | FileInBands | FileInWindow) -> Result | DenoisedFile:
         from lobewise.denoising import denoise as denoise_frame
         from lobewise.io.sequence import is_pattern
 
         if isinstance(found, FileInBands):
             # A sequence shows how many files are done instead.
             return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
+        if isinstance(found, FileInWindow):
+            return self._window_filter.denoise(found.frames, found.index)
         return denoise_frame(found.frame, **self.settings)
 
-    def write(self, target: Path, result: Result | DenoisedFile, found: Imported | FileInBands) -> None:
+    def write(self, target: Path, result: Result | DenoisedFile, found: Imported | FileInBands | FileInWindow) -> None:
         """Write a result, unless it was written in bands, and its picture."""
         from lobewise.frame import Result
+
+        if isinstance(found, FileInWindow):
+            found = found.found
 
         pictures = self.job.pictures
         if isinstance(found, FileInBands) or not isinstance(result, Result):
@@ -171,10 +198,10 @@ class _FilterOverTime:
         self._over_time = over_time
         self.get_state, self.set_state = over_time.get_state, over_time.set_state
 
-    def add(self, frame: Imported | FileInBands, *, cut: bool = False) -> Result:
+    def add(self, frame: Imported | FileInBands | FileInWindow, *, cut: bool = False) -> Result:
         """Return the result of the next frame."""
-        # The option --temporal needs whole frames.
-        assert not isinstance(frame, FileInBands)
+        # The option --temporal needs whole frames, and takes no window.
+        assert not isinstance(frame, (FileInBands, FileInWindow))
         return self._over_time.add(frame.frame, cut=cut)
 
 

@@ -122,7 +122,9 @@ def can_mix(frame: Frame) -> bool:
     return bool(name_oidn_guides(frame))
 
 
-def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "") -> str:
+def describe_method(
+    settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "", why_alone: str = ""
+) -> str:
     """Return a sentence without a full stop: the filters and networks that make the image.
 
     Parameters
@@ -135,6 +137,8 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
         Result of `can_mix`.
     why_ours : str
         Result of `lobewise.denoising.automatic.explain_ours`.
+    why_alone : str
+        Why the image of Open Image Denoise is not mixed with ours, where it could be; empty where it is.
     """
     ours = "lobewise's own filters"
     if settings.similarity != "auto":
@@ -144,9 +148,9 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"
-    if mixes:
+    if mixes and not why_alone:
         return f"{told}, mixed pixel by pixel with {ours}"
-    return f"{told}, alone, because the frame has neither albedo nor normals"
+    return f"{told}, alone, because {why_alone or 'the frame has neither albedo nor normals'}"
 
 
 class Shares(NamedTuple):

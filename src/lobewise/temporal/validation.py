@@ -111,6 +111,8 @@ def make_validation_features(
     allowance: FloatArray | None,
     apart: bool,
     lobes: SplitField | None = None,
+    *,
+    spread: bool = False,
 ) -> dict[str, ValidationFeatures]:
     """Return the features of all layers: ``diffuse`` and ``specular``, or ``color``; ``rest`` and ``background``.
 
@@ -128,6 +130,8 @@ def make_validation_features(
         Whether diffuse and specular radiance are split.
     lobes : SplitField, optional
         The lobes for the band-limit of `find_same_tau`, if they were made beforehand.
+    spread : bool
+        Whether lobes are as wide as what a pixel's area reflects; see `lobewise.guides.lobe_fields.spread_lobes`.
     """
     frame = guides.frame
     surface = find_surface(frame)
@@ -148,9 +152,9 @@ def make_validation_features(
         tau=find_same_tau(guides, guides.shape[0], settings),
         hit_distance=can_use_hits(frame),
     )
-    if lobes is None:
+    if lobes is None and not spread:
         lobes = split_lobes(frame, settings.similarity, same.tau)
-    alike, mask = make_specular_features(frame, same, surface, apart, lobes=lobes)
+    alike, mask = make_specular_features(frame, same, surface, apart, spread=spread, lobes=lobes)
     # Track reflections only where they are split from diffuse light, which moves with the surface.
     virtual = (*alike, *_make_hit_features(guides)) if apart and same.hit_distance else ()
     validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual)

@@ -29,7 +29,7 @@ class OverTime:
 
     temporal: Annotated[
         bool,
-        sequence_option("--temporal", help="With a sequence: let every frame use the frames before it (quality fast)."),
+        sequence_option("--temporal", help="Let every frame use the frames before it."),
     ] = False
     memory: Annotated[
         float, sequence_detail(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")

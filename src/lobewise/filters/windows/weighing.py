@@ -1,0 +1,131 @@
+"""Find the error that the samples of another frame would bring in.
+
+Light changes from frame to frame, reflections move, motion vectors are wrong: the samples of another frame have a bias.
+Two tests find it. The first compares the samples: noise is independent from pixel to pixel, bias is not, so it is what
+the mean difference of a neighbourhood has beyond its standard error. The second compares pilots, the frames after a
+first denoising, in which little noise is left: it sees small things as well, but also the errors of the pilots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
+from lobewise.frame import FloatArray
+
+LEVELS = 2
+"""Widths at which differences of samples are averaged: standard deviations of 1 and 2.2 pixels."""
+MAX_RELATIVE_DIFFERENCE = 6.0
+"""Largest difference, over the local light, that counts: few bright samples must not decide about a neighbourhood."""
+MIN_RELATIVE_VARIANCE = 1e-6
+"""Smallest variance of a difference of samples, over the squared local light."""
+MIN_RELATIVE_NOISE = 1e-6
+"""Smallest variance of samples, over the squared local light."""
+MIN_LIGHT = 1e-4
+"""Smallest local light, over the mean light of the image."""
+
+
+def find_noise(samples: FloatArray, pilot: FloatArray) -> FloatArray:
+    """Return the variance of samples, the mean over the channels and over pixels nearby, (height, width), > 0.
+
+    Parameters
+    ----------
+    samples, pilot : array, shape (height, width, 3)
+        Samples, and what a first denoising made of them; finite.
+    """
+    floor = np.float32(min(max(MIN_LIGHT * float(np.mean(pilot, dtype=np.float64)), 1e-16), 1e16))
+    (squares,) = run_pointwise(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": floor})
+    for level in (1, 2):
+        squares = blur_image(squares, level)
+    return squares
+
+
+def _define_noise(grid: Grid) -> list[Vector]:
+    light = average_light(grid, "pilot") + grid.get("floor")[0]
+    apart = [p - q for p, q in zip(grid.read("samples"), grid.read("pilot"), strict=True)]
+    square = add_channels([value * value for value in apart]) * hl.f32(1.0 / 3.0)
+    return [[hl.max(square, hl.f32(MIN_RELATIVE_NOISE) * light * light)]]
+
+
+def compare_pilots(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
+    """Return the squared difference of two pilots, the mean over channels and pixels nearby, (height, width), >= 0.
+
+    Parameters
+    ----------
+    own, other : array, shape (height, width, 3)
+        Pilots of the frame, and of the other frame at the pixels of this one; finite.
+    agreement : array, shape (height, width)
+        How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
+    """
+    (squares,) = run_pointwise(_define_pilots, {"own": own, "other": other, "agreement": agreement}, {})
+    squares = blur_image(squares, 1)
+    (bias,) = run_pointwise(_define_mean, {"squares": squares}, {})
+    return np.asarray(bias)
+
+
+def _define_pilots(grid: Grid) -> list[Vector]:
+    weight = grid.read_one("agreement")
+    apart = [p - q for p, q in zip(grid.read("own"), grid.read("other"), strict=True)]
+    square = add_channels([value * value for value in apart]) * hl.f32(1.0 / 3.0)
+    return [[hl.select(weight > hl.f32(0.0), weight * square, hl.f32(0.0)), weight]]
+
+
+def _define_mean(grid: Grid) -> list[Vector]:
+    square, weight = grid.read("squares")
+    return [[square / hl.max(weight, hl.f32(1e-6))]]
+
+
+def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
+    """Return the squared bias of the samples of another frame over their variance, (height, width), >= 0.
+
+    Parameters
+    ----------
+    own, other : array, shape (height, width, 3)
+        Samples of the frame, and of the other frame at the pixels of this one; finite.
+    agreement : array, shape (height, width)
+        How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
+    """
+    mean = float(np.mean(own, dtype=np.float64))
+    floor = np.float32(min(max(MIN_LIGHT * mean, 1e-24), 1e30))
+    images = {"own": own, "other": other, "agreement": agreement}
+    sums, squares = run_pointwise(_define_differences, images, {"floor": floor})
+    found = np.zeros(agreement.shape, np.float32)
+    for level in range(LEVELS):
+        sums, squares = (blur_image(image, 2**level) for image in (sums, squares))
+        images = {"sums": sums, "squares": squares, "before": found}
+        (found,) = run_pointwise(_define_relative, images, {"count": np.float32(count_weights(level))})
+    return found
+
+
+def _define_differences(grid: Grid) -> list[Vector]:
+    """Return weighted relative differences, and weighted squares with the weight."""
+    light = average_light(grid, "own") + grid.get("floor")[0]
+    weight = grid.read_one("agreement")
+    most = hl.f32(MAX_RELATIVE_DIFFERENCE)
+    apart = [hl.clamp((q - p) / light, -most, most) for p, q in zip(grid.read("own"), grid.read("other"), strict=True)]
+    seen = weight > hl.f32(0.0)
+    sums = [hl.select(seen, weight * value, hl.f32(0.0)) for value in apart]
+    squares = [hl.select(seen, weight * value * value, hl.f32(0.0)) for value in apart]
+    return [sums, [*squares, weight]]
+
+
+def _define_relative(grid: Grid) -> list[Vector]:
+    one, zero = hl.f32(1.0), hl.f32(0.0)
+    *squares, weight = grid.read("squares")
+    total = hl.max(weight, hl.f32(1e-6))
+    # Fewer pixels with a match make the average less certain.
+    count = hl.max(grid.get("count")[0] * weight, hl.f32(1.5))
+    bias: Sequence[hl.Expr] = ()
+    noise: Sequence[hl.Expr] = ()
+    for value, square in zip(grid.read("sums"), squares, strict=True):
+        mean = value / total
+        spread = hl.max(square / total - mean * mean, hl.f32(MIN_RELATIVE_VARIANCE)) * count / (count - one)
+        bias = [*bias, hl.max(mean * mean - spread / count, zero)]
+        noise = [*noise, spread]
+    # The variance of a difference is that of two frames.
+    ratio = hl.f32(2.0) * add_channels(bias) / add_channels(noise)
+    return [[hl.max(grid.read_one("before"), ratio)]]

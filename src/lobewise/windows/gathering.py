@@ -1,0 +1,169 @@
+"""Bring the images of another frame to the pixels of a frame, where surface and lobe are recognised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.history.reprojection import reproject
+from lobewise.filters.history.reprojection_pass import AGREEMENT
+from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
+from lobewise.filters.windows.sampling import sample_cubic
+from lobewise.frame import FloatArray
+from lobewise.windows.layers import LayerImages
+from lobewise.windows.places import find_reflections, make_grid
+from lobewise.windows.shots import Shot
+
+MIN_AGREEMENT = 0.02
+"""Agreement below which a pixel counts as not found."""
+SHARP_AGREEMENT = 0.8
+"""Agreement above which a reflection is sampled without blurring it: most of the pixels around the place match."""
+SURFACE = "rest"
+"""Kind of light whose features compare place and normal alone."""
+_FIRST = tuple(Sums._fields.index(name) for name in ("red", "green", "blue"))
+_SECOND = tuple(Sums._fields.index(name) for name in ("weight", "moment", "frames"))
+"""Channels of a history that `reproject` reads alike: two images are gathered at once."""
+
+
+class Neighbour:
+    """Another frame of a window, seen from the frame that is filtered.
+
+    Parameters
+    ----------
+    shot, other : Shot
+        The frame, and the other one.
+    places : array, shape (height, width, 2)
+        Where the pixels' surface points are in the other frame.
+    """
+
+    def __init__(self, shot: Shot, other: Shot, places: FloatArray) -> None:
+        self._shot = shot
+        self._other = other
+        self._places = places
+
+    @cached_property
+    def surface_agreement(self) -> FloatArray:
+        """How well the surfaces match, (height, width), 0 to 1."""
+        black = np.zeros((*self._shot.frame.shape, 3), np.float32)
+        _, agreement = self._gather([black], SURFACE)
+        return agreement
+
+    @cached_property
+    def front_places(self) -> FloatArray:
+        """Places by the motion of the surface that is in front at each pixel, (height, width, 2)."""
+        grid = make_grid(self._shot.frame.shape)
+        _, rows, columns = self._shot.edges
+        return grid + (self._places - grid)[rows, columns]
+
+    @cached_property
+    def guide_places(self) -> FloatArray:
+        """Where guides are sampled, (height, width, 2)."""
+        edge, _, _ = self._shot.edges
+        return np.where(edge[..., None], self.front_places, self._places)
+
+    @cached_property
+    def reflections(self) -> FloatArray | None:
+        """Where reflections are in the other frame, (height, width, 2); None without cameras."""
+        return find_reflections(self._shot, self._other)
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether a tenth of the pixels, or more, lie between the pixels of the other frame."""
+        apart = np.abs(self._places - np.rint(self._places)).max(axis=-1) > 0.01
+        return bool(np.mean(apart[self.surface_agreement > MIN_AGREEMENT]) > 0.1)
+
+    def gather_layer(self, layer: LayerImages, slots: Sequence[str]) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return images of a layer of the other frame at the pixels of this frame, and how well the pixels match.
+
+        Images are radiance over albedo, and radiance at edges.
+
+        Parameters
+        ----------
+        layer : LayerImages
+            The layer in the other frame.
+        slots : sequence of str
+            Names of the wanted images.
+
+        Returns
+        -------
+        dict of array, shape (height, width, 3)
+        array, shape (height, width)
+            Agreement, 0 to 1.
+        """
+        light = {slot: np.maximum(np.nan_to_num(layer.images[slot]), np.float32(0.0)) for slot in slots}
+        even = [divide(image, layer.albedo) for image in light.values()]
+        found, agreement = self._gather(even, layer.kind)
+        if layer.kind == "specular":
+            # A mirror that moves shows other things, and nobody knows how fast they pass.
+            agreement = np.where(self._shot.moves, np.float32(0.0), agreement)
+            found = self._sharpen(even, found, agreement)
+        edge, rows, columns = self._shot.edges
+        if edge.any():
+            inside = edge & ~self._shot.moving_edges
+            at_edges = []
+            for image in light.values():
+                values, known = sample_cubic(image, self.front_places)
+                at_edges.append(np.maximum(values, np.float32(0.0)))
+                inside = inside & known
+            found = [np.where(edge[..., None], new, old) for old, new in zip(found, at_edges, strict=True)]
+            agreement = np.where(edge, np.where(inside, agreement[rows, columns], np.float32(0.0)), agreement)
+        return dict(zip(slots, found, strict=True)), agreement
+
+    def gather_guide(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a guide of the other frame at the pixels of this frame, and how well the surfaces match."""
+        values, known = sample_cubic(image, self.guide_places)
+        edge, rows, columns = self._shot.edges
+        agreement = np.where(edge, self.surface_agreement[rows, columns], self.surface_agreement)
+        return values, np.where(known, agreement, np.float32(0.0))
+
+    def _gather(self, images: Sequence[FloatArray], kind: str) -> tuple[list[FloatArray], FloatArray]:
+        """Return images at bilinear places, of the pixels that match, and the agreement."""
+        now, before = self._shot.features[kind], self._other.features[kind]
+        places, virtual = self._places, None
+        if kind == "specular" and self.reflections is not None:
+            known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
+            places = np.where(known[..., None], np.float32(np.nan), places)
+            virtual = self.reflections, len(now.surface) - 1
+        found: list[FloatArray] = []
+        agreement = np.zeros(self._shot.frame.shape, np.float32)
+        for start in range(0, len(images), 2):
+            past = np.zeros((*agreement.shape, HISTORY_CHANNELS), np.float32)
+            for channels, image in zip((_FIRST, _SECOND), images[start : start + 2], strict=False):
+                past[..., channels] = image
+            gathered = reproject(past, places, before.pixels, now.pixels, virtual=virtual, memory=1.0)
+            agreement = np.clip(gathered[..., AGREEMENT], np.float32(0.0), np.float32(1.0))
+            seen = agreement > MIN_AGREEMENT
+            inverse = np.divide(np.float32(1.0), gathered[..., AGREEMENT], out=np.zeros_like(agreement), where=seen)
+            for channels, _ in zip((_FIRST, _SECOND), images[start : start + 2], strict=False):
+                found.append(gathered[..., channels] * inverse[..., None])
+        return found, np.where(agreement > MIN_AGREEMENT, agreement, np.float32(0.0))
+
+    def _sharpen(
+        self, images: Sequence[FloatArray], found: Sequence[FloatArray], agreement: FloatArray
+    ) -> list[FloatArray]:
+        """Return gathered reflections, sampled without blur where the whole neighbourhood matches."""
+        places = self._places
+        if self.reflections is not None:
+            known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
+            places = np.where(known[..., None], self.reflections, places)
+        sharp = []
+        for image, blurred in zip(images, found, strict=True):
+            values, inside = sample_cubic(image, places)
+            use = inside & (agreement > SHARP_AGREEMENT)
+            sharp.append(np.where(use[..., None], np.maximum(values, np.float32(0.0)), blurred))
+        return sharp
+
+
+def divide(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
+    """Return radiance over albedo, (height, width, 3)."""
+    if albedo is None:
+        return image
+    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(ALBEDO_FLOOR)), np.float32)
+
+
+def multiply(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
+    """Return what `divide` took as radiance."""
+    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(ALBEDO_FLOOR))

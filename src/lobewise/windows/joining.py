@@ -1,0 +1,243 @@
+"""Join the samples of a frame with those of the frames before and after it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.bad_pixels import find_good
+from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
+from lobewise.frame import FloatArray, Frame
+from lobewise.windows.gathering import Neighbour, divide, multiply
+from lobewise.windows.layers import ALBEDOS, PILOT, RADIANCE, LayerImages, put_back
+from lobewise.windows.places import find_places
+from lobewise.windows.shots import Shot
+
+MIN_SHARE_FOUND = 0.4
+"""Share of the surface pixels that another frame must show; below it there is a cut between the frames."""
+FOUND_AGREEMENT = 0.1
+"""Agreement above which a pixel counts as shown."""
+PILOT_NOISE = 0.2
+"""Squared difference of two pilots without bias, over the variance of the samples that they were made of."""
+BIAS_FACTOR = 3.0
+"""Weight of the bias beside the noise. The frames of a window share their bias, so it does not fall as they are joined,
+and a denoiser does not remove it."""
+
+
+@dataclass(frozen=True)
+class JoinedFrame:
+    """A frame with the samples of its neighbours in time.
+
+    Parameters
+    ----------
+    frame : Frame
+        With less noise; everything else is as before.
+    frames : array, shape (height, width)
+        Effective number of frames that were joined at each pixel, >= 1: the mean over the layers.
+    used : tuple of int
+        The neighbours that took part, as numbers of frames relative to the frame.
+    """
+
+    frame: Frame
+    frames: FloatArray
+    used: tuple[int, ...]
+
+
+def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
+    """Return a frame with the samples of all shots that show its surfaces.
+
+    Parameters
+    ----------
+    shots : mapping of int to Shot
+        Consecutive frames by number.
+    index : int
+        Number of the frame.
+    """
+    shot = shots[index]
+    near = find_neighbours(shots, index)
+    own = list(shot.layers.values())
+    if not near:
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), ())
+    named = {number: shots[number].layers for number in near}
+    guides = _Guides(shot, shots, near)
+    found = [_join_layer(shot, layer, near, named, guides) for layer in own]
+    joined = [each.layer for each in found]
+    shares = {layer.name: each.share for layer, each in zip(own, found, strict=True)}
+    albedos = {name: guides.join(name) for name in ALBEDOS if getattr(shot.frame.gbuffer, name) is not None}
+    frame = put_back(shot.frame, own, joined, albedos, shares)
+    effective = np.asarray(np.mean([1.0 / share for share in shares.values()], axis=0, dtype=np.float32))
+    changes: dict[str, Any] = {"noise_is_shared": frame.noise_is_shared or any(each.moves for each in near.values())}
+    if frame.spp is not None:
+        changes["spp"] = max(round(frame.spp * float(np.median(effective))), frame.spp)
+    if frame.also:
+        changes["also"] = _join_also(shot, shots, near, found, frame)
+    return JoinedFrame(frame.with_changes(**changes), effective, tuple(number - index for number in near))
+
+
+def find_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:
+    """Return the other frames that continue a frame, by number; none behind a cut."""
+    shot = shots[index]
+    found: dict[int, Neighbour] = {}
+    for step in (-1, 1):
+        number = index + step
+        while number in shots and shots[number].frame.shape == shot.frame.shape:
+            places = find_places(shots, index, number)
+            if places is None:
+                break
+            neighbour = Neighbour(shot, shots[number], places)
+            surface = shot.features["rest"].mask
+            shown = neighbour.surface_agreement[surface] > FOUND_AGREEMENT
+            if surface.any() and np.mean(shown) < MIN_SHARE_FOUND:
+                break
+            found[number] = neighbour
+            number += step
+    return dict(sorted(found.items()))
+
+
+class _Guides:
+    """Joins guides over time: at edges of textures they have the noise of the pixel's samples."""
+
+    def __init__(self, shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour]) -> None:
+        self._shot = shot
+        self._shots = shots
+        self._near = near
+        self._done: dict[int, FloatArray] = {}
+
+    def join(self, name: str) -> FloatArray:
+        """Return a guide of the G-buffer, joined."""
+        image: FloatArray = getattr(self._shot.frame.gbuffer, name)
+        others = {number: getattr(self._shots[number].frame.gbuffer, name) for number in self._near}
+        return self.join_image(image, others)
+
+    def join_image(self, image: FloatArray, others: Mapping[int, FloatArray | None]) -> FloatArray:
+        """Return an image of the frame joined with those of its neighbours, in [0, 1]."""
+        if id(image) in self._done:
+            return self._done[id(image)]
+        total, weight = np.nan_to_num(image), np.ones(image.shape[:2], np.float32)
+        for number, neighbour in self._near.items():
+            other = others.get(number)
+            if other is not None:
+                values, agreement = neighbour.gather_guide(np.nan_to_num(other))
+                total = total + values * agreement[..., None]
+                weight = weight + agreement
+        joined: FloatArray = np.clip(total / weight[..., None], np.float32(0.0), np.float32(1.0))
+        self._done[id(image)] = joined
+        return joined
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """A layer after joining, the weight of every neighbour, and the factor of the variance."""
+
+    layer: LayerImages
+    weights: Mapping[int, FloatArray]
+    own_weight: FloatArray
+    share: FloatArray
+
+
+def _join_layer(
+    shot: Shot,
+    layer: LayerImages,
+    near: Mapping[int, Neighbour],
+    named: Mapping[int, Mapping[str, LayerImages]],
+    guides: _Guides,
+) -> _Joined:
+    edge, _, _ = shot.edges
+    others = {number: layers[layer.name] for number, layers in named.items() if layer.name in layers}
+    slots = [slot for slot in layer.images if all(slot in other.images for other in others.values())]
+    good = find_good(layer.images[RADIANCE])
+    own = {slot: _even_out(layer.images[slot], layer.albedo, edge, good) for slot in slots}
+    weight = good.astype(np.float32)
+    totals = {slot: image * weight[..., None] for slot, image in own.items()}
+    squares, weights = weight.copy(), {}
+    noise = find_noise(own[RADIANCE], own[PILOT])
+    for number, other in others.items():
+        images, agreement = near[number].gather_layer(other, slots)
+        bias = find_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
+        seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise
+        bias = np.maximum(bias, seen - np.float32(PILOT_NOISE))
+        each = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
+        totals = {slot: totals[slot] + image * each[..., None] for slot, image in images.items()}
+        squares = squares + each * each
+    total = good + sum(weights.values(), np.zeros_like(weight))
+    known = total > 0.0
+    albedo = layer.albedo
+    if albedo is not None:
+        albedo = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
+    inverse = np.divide(np.float32(1.0), total, out=np.zeros_like(weight), where=known)[..., None]
+    joined = {}
+    for slot in slots:
+        mean = totals[slot] * inverse
+        light = np.where(edge[..., None], mean, multiply(mean, albedo))
+        joined[slot] = np.where(known[..., None], light, layer.images[slot])
+    share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)
+    return _Joined(layer.with_images(albedo, joined), weights, good.astype(np.float32), share)
+
+
+def _even_out(
+    image: FloatArray, albedo: FloatArray | None, edge: NDArray[np.bool_], good: NDArray[np.bool_]
+) -> FloatArray:
+    """Return radiance over albedo, and radiance at edges; 0 at bad pixels."""
+    clean = np.where(good[..., None], np.nan_to_num(image), np.float32(0.0))
+    return np.where(edge[..., None], clean, divide(clean, albedo))
+
+
+def _join_also(
+    shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour], found: Sequence[_Joined], frame: Frame
+) -> dict[str, FloatArray]:
+    """Return the images that belong to the total, joined with the mean weights of the layers.
+
+    Images that summed to the total before still do.
+    """
+    own = shot.frame
+    albedos = {number: _add_albedos(shots[number].layers) for number in near}
+    albedo = _add_albedos({each.layer.name: each.layer for each in found})
+    light = [np.mean(each.layer.images[RADIANCE], axis=-1) for each in found]
+    lit = np.maximum(np.sum(light, axis=0), np.float32(1e-12))
+    totals: dict[str, FloatArray] = {}
+    before = _add_albedos(shot.layers)
+    edge, _, _ = shot.edges
+    good = np.logical_and.reduce([find_good(image) for image in own.also.values()])
+    total = good.astype(np.float32)
+    for name, image in own.also.items():
+        totals[name] = _even_out(image, before, edge, good) * total[..., None]
+    for number, neighbour in near.items():
+        others = shots[number].frame.also
+        if any(name not in others for name in own.also):
+            continue
+        layer = LayerImages("also", "rest", albedos[number], {name: others[name] for name in own.also})
+        images, agreement = neighbour.gather_layer(layer, list(own.also))
+        shares = [part * each.weights.get(number, np.zeros_like(part)) for part, each in zip(light, found, strict=True)]
+        weight = np.where(agreement > 0.0, np.sum(shares, axis=0) / lit, np.float32(0.0))
+        totals = {name: totals[name] + image * weight[..., None] for name, image in images.items()}
+        total = total + weight
+    known = total > 0.0
+    inverse = np.divide(np.float32(1.0), total, out=np.zeros_like(total), where=known)[..., None]
+    joined = {}
+    for name, image in own.also.items():
+        mean = totals[name] * inverse
+        joined[name] = np.where(known[..., None], np.where(edge[..., None], mean, multiply(mean, albedo)), image)
+    return _keep_sum(own, frame, joined)
+
+
+def _add_albedos(layers: Mapping[str, LayerImages]) -> FloatArray | None:
+    """Return the sum of the layers' albedos; None if one has none."""
+    albedos = [layer.albedo for layer in layers.values() if layer.albedo is not None]
+    if len(albedos) < len(layers):
+        return None
+    return np.asarray(np.sum(albedos, axis=0, dtype=np.float32))
+
+
+def _keep_sum(own: Frame, frame: Frame, joined: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return images scaled so that they sum to the total of ``frame``, if they did in ``own``."""
+    color = np.nan_to_num(own.radiance.color)
+    before = np.sum([np.nan_to_num(image) for image in own.also.values()], axis=0, dtype=np.float32)
+    if not bool((np.abs(before - color) <= np.float32(2e-3) * np.abs(color) + np.float32(1e-6)).all()):
+        return dict(joined)
+    after = np.sum([np.nan_to_num(image) for image in joined.values()], axis=0, dtype=np.float32)
+    ratio = np.divide(frame.radiance.color, after, out=np.ones_like(after), where=after > 0.0)
+    return {name: image * ratio for name, image in joined.items()}

@@ -1,0 +1,133 @@
+"""A frame of a sequence, with what its neighbours in time compare: places, lobes, hits, edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.denoising import denoise
+from lobewise.denoising.automatic import resolve_settings
+from lobewise.filters.windows.edges import find_edges
+from lobewise.frame import FloatArray, Frame
+from lobewise.guides.places import estimate_curvature, find_surface_places
+from lobewise.guides.screen_hits import find_screen_hits
+from lobewise.settings import DenoiseSettings, Quality, Similarity, TemporalSettings
+from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
+from lobewise.windows.layers import LayerImages, list_layers
+
+PILOT_QUALITY: Quality = "balanced"
+"""Quality of the first denoising, by which frames are compared."""
+MIN_OWN_MOTION_PIXELS = 0.1
+"""Distance between the motion of a surface and the motion of the camera. Below it the surface stands still: the places
+of still surfaces are computed from the cameras, without the errors of motion vectors."""
+MAX_STEP_SHARE = 0.25
+"""Longest own motion between two frames, as a share of the image's longer side."""
+MIN_PASSING_PIXELS = 0.5
+"""Own motion of a surface above which what it covers changes visibly from frame to frame."""
+
+
+class Shot:
+    """A frame, prepared once for all windows in which it takes part.
+
+    Parameters
+    ----------
+    frame : Frame
+        With guides that `lobewise.guides.usable.check_guides` has seen.
+    previous : Camera, optional
+        Camera of the frame before; tells which surfaces move by themselves.
+    similarity : str
+        How lobes are compared.
+    reach : int
+        Frames to each side of a window.
+    """
+
+    def __init__(self, frame: Frame, previous: Camera | None, similarity: Similarity, reach: int) -> None:
+        self.frame = frame
+        self.guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
+        self._previous = previous
+        self._similarity = similarity
+        self._reach = reach
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether camera and surface points are known."""
+        return self.frame.is_placed
+
+    @cached_property
+    def own_motion(self) -> FloatArray:
+        """Distance in pixels that surfaces moved in addition to the camera's motion, (height, width)."""
+        motion, camera = self.frame.gbuffer.motion, self.frame.camera
+        if motion is None or camera is None or self._previous is None or not self.is_placed:
+            return np.zeros(self.frame.shape, np.float32)
+        _, distance = find_surface_places(camera, self._previous, self.guides.places, motion)
+        assert distance is not None
+        # At a cut the camera jumps, and motion vectors know nothing of it.
+        return np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Where surfaces move by themselves, (height, width)."""
+        return self.own_motion > MIN_OWN_MOTION_PIXELS
+
+    @cached_property
+    def features(self) -> dict[str, ValidationFeatures]:
+        """What recognises the pixels of each kind of light; see `make_validation_features`."""
+        settings = resolve_settings(self.frame, DenoiseSettings(similarity=self._similarity), spp=1.0)
+        allowance = np.float32(self._reach) * self.own_motion if self.is_placed else None
+        apart = self.frame.radiance.parts is not None
+        return make_validation_features(self.guides, settings, TemporalSettings(), allowance, apart, spread=True)
+
+    @cached_property
+    def layers(self) -> dict[str, LayerImages]:
+        """The layers of the frame by name, with their pilots: what a first denoising makes of them."""
+        return list_layers(self.frame, denoise(self.frame, quality=PILOT_QUALITY, with_oidn=False))
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """Curvature of the surfaces, 1/world unit, (height, width)."""
+        normal = self.frame.gbuffer.require("normal", "reflections over time")
+        return estimate_curvature(self.guides.places[0], normal)
+
+    @cached_property
+    def hits(self) -> FloatArray:
+        """Distances to the reflected surfaces, (height, width), 0 where unknown: the frame's, or from the screen."""
+        position, depth = self.guides.places
+        camera = self.guides.require_camera("reflections over time")
+        normal = self.frame.gbuffer.require("normal", "reflections over time")
+        found = find_screen_hits(camera, position, depth, normal, self.curvature)
+        told = self.frame.gbuffer.hit_distance
+        return found if told is None else np.where(told > 0.0, told, found)
+
+    @cached_property
+    def edges(self) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
+        """Pixels at edges, (height, width), and row and column of the surface in front at each pixel."""
+        height, width = self.frame.shape
+        rows, columns = np.indices((height, width))
+        if not self.is_placed:
+            return np.zeros((height, width), np.bool_), rows, columns
+        position, depth = self.guides.places
+        normal = self.frame.gbuffer.require("normal", "edges")
+        angle = self.guides.require_camera("edges").get_pixel_angle(height)
+        edge, way = find_edges(position, depth, normal, self.frame.gbuffer.object_share, angle)
+        rows = np.clip(rows + way[..., 1].astype(np.intp), 0, height - 1)
+        columns = np.clip(columns + way[..., 0].astype(np.intp), 0, width - 1)
+        return edge, rows, columns
+
+    @cached_property
+    def moving_edges(self) -> NDArray[np.bool_]:
+        """Edges between surfaces of which one moves by itself, (height, width): there the background changes."""
+        edge, _, _ = self.edges
+        moves = np.pad(self.own_motion > MIN_PASSING_PIXELS, 1)
+        height, width = edge.shape
+        near = [moves[row : row + height, column : column + width] for row in range(3) for column in range(3)]
+        return np.asarray(edge & np.logical_or.reduce(near))
+
+
+def extrapolate_camera(camera: Camera, following: Camera) -> Camera:
+    """Return the camera of the frame before, if the camera moves on evenly to the ``following`` frame."""
+    back = {name: 2.0 * getattr(camera, name) - getattr(following, name) for name in ("position", "forward", "up")}
+    return replace(camera, **back)

@@ -1,0 +1,231 @@
+"""WindowFilter on scenes whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lobewise import WindowFilter
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.metrics import rel_mse
+from lobewise.radiance import RadianceLayer
+from tests.temporal.scenes import SIZE, make_camera, make_frame
+
+NOISE = 0.3
+"""Relative variance of every sample's light."""
+STILL = make_camera()
+
+
+def make_still(count: int = 5, **options: object) -> list[Frame]:
+    """Return frames of one camera that differ in their noise alone."""
+    return [make_frame(STILL, STILL if k else None, noise=NOISE, seed=k, **options) for k in range(count)]
+
+
+def make_moving(count: int = 5, **options: object) -> list[Frame]:
+    """Return frames of a camera that moves and turns."""
+    cameras = [make_camera(0.01 * k, 0.03 * k) for k in range(count)]
+    return [
+        make_frame(camera, cameras[max(k - 1, 0)], noise=NOISE, seed=k, **options) for k, camera in enumerate(cameras)
+    ]
+
+
+def make_truth(frame: Frame, **options: object) -> np.ndarray:
+    assert frame.camera is not None
+    return make_frame(frame.camera, **options).radiance.color
+
+
+def split(frame: Frame) -> Frame:
+    """Return a frame whose light is in two named layers, with light of two lamps beside it."""
+    diffuse, specular = frame.radiance.parts or ()
+    layers = (
+        RadianceLayer("first", "diffuse", diffuse, frame.gbuffer.diffuse_albedo, parts={"lamp": 0.25 * diffuse}),
+        RadianceLayer("second", "glossy", specular, frame.gbuffer.specular_albedo),
+    )
+    color = frame.radiance.color
+    return frame.with_changes(layers=layers, also={"one": 0.3 * color, "two": 0.7 * color})
+
+
+def join(frames: list[Frame], index: int = 2, reach: int = 2):
+    return WindowFilter(reach).join(frames, index)
+
+
+class TestJoining:
+    def test_still_frames_become_their_mean(self):
+        frames = make_still()
+        joined = join(frames)
+        assert joined.used == (-2, -1, 1, 2)
+        assert joined.frames.mean() > 4.0
+        ratio = rel_mse(joined.frame.radiance.color, make_truth(frames[2]))
+        ratio /= rel_mse(frames[2].radiance.color, make_truth(frames[2]))
+        assert ratio < 0.26
+        assert joined.frame.spp == round(4 * float(np.median(joined.frames)))
+        assert not joined.frame.noise_is_shared
+
+    def test_a_moving_camera_is_followed(self):
+        frames = make_moving()
+        joined = join(frames)
+        truth = make_truth(frames[2])
+        assert rel_mse(joined.frame.radiance.color, truth) < 0.35 * rel_mse(frames[2].radiance.color, truth)
+        assert joined.frame.noise_is_shared
+
+    def test_a_moving_card_is_followed_and_leaves_no_ghost(self):
+        at = [-0.3 + 0.05 * k for k in range(5)]
+        frames = [
+            make_frame(STILL, STILL, card=at[k], card_before=at[max(k - 1, 0)], noise=NOISE, seed=k) for k in range(5)
+        ]
+        truth = make_frame(STILL, card=at[2]).radiance.color
+        joined = join(frames).frame.radiance.color
+        clean = join([f.with_changes(radiance=make_frame(STILL, card=at[k]).radiance) for k, f in enumerate(frames)])
+        # Without noise every frame shows the same light at each point: what differs are ghosts.
+        assert rel_mse(clean.frame.radiance.color, truth) < 2e-4
+        assert rel_mse(joined, truth) < 0.4 * rel_mse(frames[2].radiance.color, truth)
+
+    def test_light_that_changes_does_not_lag(self):
+        frames = [make_frame(STILL, STILL, noise=NOISE, seed=k, light=1.0 if k < 3 else 4.0) for k in range(6)]
+        for index in (2, 3):
+            truth = make_frame(STILL, light=1.0 if index < 3 else 4.0).radiance.color
+            joined = join(frames, index).frame.radiance.color
+            assert abs(joined.mean() / truth.mean() - 1.0) < 0.06
+            assert rel_mse(joined, truth) < 0.6 * rel_mse(frames[index].radiance.color, truth)
+
+    def test_a_cut_ends_the_window(self):
+        far = make_camera(0.0, 40.0)
+        frames = [*make_still(3), *(make_frame(far, far, noise=NOISE, seed=9 + k) for k in range(2))]
+        assert join(frames).used == (-2, -1)
+        assert join(frames, 3).used == (1,)
+
+    def test_frames_of_another_size_end_the_window(self):
+        frames = make_still(3)
+        small = Frame(Radiance(np.ones((8, 8, 3))), GBuffer(normal=np.broadcast_to((0.0, 0.0, 1.0), (8, 8, 3))))
+        assert join([small, *frames], 1).used == (1, 2)
+
+    def test_a_bad_pixel_is_taken_from_the_neighbours(self):
+        frames = make_still()
+        broken = frames[2].radiance
+        images = {name: getattr(broken, name).copy() for name in ("color", "diffuse", "specular")}
+        for image in images.values():
+            image[20, 30] = np.nan
+        frames[2] = frames[2].with_changes(radiance=Radiance(**images))
+        joined = join(frames).frame.radiance
+        truth = make_truth(frames[2])
+        assert np.isfinite(joined.specular[20, 30]).all()
+        assert abs(joined.diffuse[20, 30].mean() / (0.4 * truth[20, 30].mean()) - 1.0) < 1.0
+
+    def test_halves_keep_their_mean_and_stay_independent(self):
+        pairs = [(make_still(5), [make_frame(STILL, STILL, noise=NOISE, seed=50 + k) for k in range(5)])][0]
+        frames = []
+        for a, b in zip(*pairs, strict=True):
+            mean = Radiance(
+                **{name: 0.5 * (getattr(a.radiance, name) + getattr(b.radiance, name)) for name in a.radiance.names}
+            )
+            frames.append(a.with_changes(radiance=mean, half_a=a.radiance, half_b=b.radiance, variance=None))
+        joined = join(frames).frame
+        assert joined.half_a is not None
+        assert joined.half_b is not None
+        mean = 0.5 * (joined.half_a.color + joined.half_b.color)
+        np.testing.assert_allclose(mean, joined.radiance.color, rtol=1e-3, atol=1e-4)
+        truth = make_truth(frames[2])
+        correlation = np.corrcoef((joined.half_a.color - truth).ravel(), (joined.half_b.color - truth).ravel())[0, 1]
+        assert abs(correlation) < 0.1
+
+    def test_layers_parts_and_passes_keep_their_sums(self):
+        joined = join([split(frame) for frame in make_moving()]).frame
+        total = sum(layer.radiance for layer in joined.layers)
+        np.testing.assert_allclose(total, joined.radiance.color, rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(joined.layers[0].radiance, joined.radiance.diffuse, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(sum(joined.also.values()), joined.radiance.color, rtol=1e-3, atol=1e-4)
+        lamp = joined.layers[0].parts["lamp"]
+        np.testing.assert_allclose(lamp, 0.25 * joined.layers[0].radiance, rtol=1e-3, atol=1e-4)
+
+    def test_color_alone_is_joined_too(self):
+        frames = make_still(apart=False)
+        truth = make_truth(frames[2])
+        joined = join(frames).frame.radiance.color
+        assert rel_mse(joined, truth) < 0.3 * rel_mse(frames[2].radiance.color, truth)
+
+    def test_the_variance_falls_with_the_frames(self):
+        frames = make_still()
+        joined = join(frames)
+        assert joined.frame.variance is not None
+        assert frames[2].variance is not None
+        ratio = joined.frame.variance.diffuse.mean() / frames[2].variance.diffuse.mean()
+        assert ratio == pytest.approx(0.2, abs=0.05)
+
+    def test_motion_vectors_alone_are_enough(self):
+        frames = make_moving()
+        bare = [
+            frame.with_changes(camera=None, gbuffer=replace(frame.gbuffer, position=None, depth=None))
+            for frame in frames
+        ]
+        truth = make_truth(frames[2])
+        joined = join(bare)
+        assert joined.used == (-2, -1, 1, 2)
+        assert rel_mse(joined.frame.radiance.color, truth) < 0.5 * rel_mse(frames[2].radiance.color, truth)
+
+
+class TestFilter:
+    def test_the_result_has_less_error_than_the_frame_alone(self):
+        frames = make_moving()
+        truth = make_truth(frames[2])
+        window = WindowFilter(2, quality="balanced")
+        result = window.denoise(frames, 2)
+        alone = window.denoise([frames[2]], 0)
+        assert rel_mse(result.image, truth) < 0.8 * rel_mse(alone.image, truth)
+        assert result.settings["window"] == 2
+        assert result.settings["joined"] == (-2, -1, 1, 2)
+        assert "motion" not in result.unused
+
+    def test_named_layers_and_passes_are_filtered(self):
+        result = WindowFilter(1, quality="balanced").denoise([split(frame) for frame in make_still(3)], 1)
+        assert set(result.layers) == {"first", "second"}
+        assert set(result.also) == {"one", "two", "first/lamp"}
+
+    def test_frames_are_prepared_once_and_let_go(self):
+        frames = make_still(8)
+        window = WindowFilter(1)
+        first = [window.join(frames, index).frame.radiance.color for index in range(8)]
+        again = [WindowFilter(1).join(frames[max(k - 2, 0) : k + 3], min(k, 2)).frame.radiance.color for k in range(8)]
+        assert len(window._kept) <= 3
+        for one, other in zip(first, again, strict=True):
+            assert np.array_equal(one, other)
+
+    def test_a_single_frame_is_denoised_alone(self):
+        frames = make_still(1)
+        result = WindowFilter(2, quality="fast").denoise(frames, 0)
+        assert result.settings["joined"] == ()
+        assert not any("other frame" in note for note in result.notes)
+
+    def test_frames_without_motion_and_camera_are_named(self):
+        frames = [
+            frame.with_changes(camera=None, gbuffer=replace(frame.gbuffer, position=None, depth=None, motion=None))
+            for frame in make_still(3)
+        ]
+        result = WindowFilter(1, quality="fast").denoise(frames, 1)
+        assert any("neither motion vectors nor a camera" in note for note in result.notes)
+
+    def test_a_cut_on_both_sides_is_named(self):
+        away = make_camera(0.0, 40.0)
+        frames = [make_frame(away, away, noise=NOISE), *make_still(1), make_frame(away, away, noise=NOISE)]
+        result = WindowFilter(1, quality="fast").denoise(frames, 1)
+        assert any("none of them shows the surfaces" in note for note in result.notes)
+
+    @pytest.mark.parametrize("reach", [0, -1, 9, 1.5, "2"])
+    def test_a_reach_out_of_range_is_refused(self, reach):
+        with pytest.raises(InputError, match="window"):
+            WindowFilter(reach)
+
+    def test_wrong_arguments_are_refused(self):
+        with pytest.raises(InputError, match="index"):
+            WindowFilter().join(make_still(2), 2)
+        with pytest.raises(InputError, match="frame"):
+            WindowFilter().join(["frame.exr"], 0)
+        with pytest.raises(InputError, match="setting"):
+            WindowFilter(2, colour=3)
+
+    def test_frames_without_normals_are_refused(self):
+        frames = [Frame(Radiance(np.ones((*SIZE, 3)))) for _ in range(3)]
+        with pytest.raises(MissingChannelError):
+            WindowFilter(1).join(frames, 1)
