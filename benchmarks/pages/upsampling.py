@@ -13,6 +13,8 @@ TITLES = {
     **{f"{name} (tuned)": f"`{name}`, tuned" for name in ("sg", "sg_mixture", "asg", "ggx")},
     "ggx (tuned) with hits": "`ggx`, tuned, with hit distances",
 }
+MIN_GAIN, MAX_REPEATS_PERCENT = 8.0, 30.0
+"""Goals: error of pixels before they are shaded again over that after, and pixels that are chosen twice in turn."""
 LOBES = ("sg", "sg_mixture", "asg", "ggx")
 MAX_RATIO_INDIRECT = 0.6
 """Goal: largest error of the best lobes over that of tuned normals, indirect light."""
@@ -154,16 +156,26 @@ def make_sky_figures(skies: dict[str, Any]) -> dict[str, str]:
         [name, *(f"{cells['errors'][method]['lamps and sky']:.4f}" for method in methods)]
         for name, cells in scenes.items()
     ]
-    again = []
+    again, by_spp = [], []
     for name, cells in scenes.items():
         held = cells["shaded again"]
         shares = (f"{100.0 * held[key]:.0f} %" for key in ("share of the error", "repeats", "repeats, kept"))
         share, *repeats = shares
-        again.append([name, share, f"{held['error before']:.4f}", f"{held['error after']:.4f}", *repeats])
-    header = ["5 % shaded again", "of the error", "before", "after", "repeats", "repeats, kept"]
+        before, after = held["error before"], held["error after"]
+        lower = f"{before / after:.1f} ({judge(before / after >= MIN_GAIN)})"
+        again.append([name, share, f"{before:.4f}", f"{after:.4f}", lower, *repeats])
+        tried = held["error after, by spp"]
+        by_spp.append([name, *(f"{before / error:.1f}" for error in tried.values())])
+    header = ["5 % shaded again", "of the error", "before", "after", f"times lower (goal {MIN_GAIN:g})"]
+    header += ["repeats", f"repeats, kept (goal {MAX_REPEATS_PERCENT:g} %)"]
+    each = skies["shaded again"]["share"]
     return {
         "sky-errors": make_table(["all pixels", *methods], errors),
         "sky-lamps": make_table(["lamps and sky", *methods], shining),
         "sky-again": make_table(header, again),
+        "sky-spp": make_table(
+            ["samples of each pixel", *tried],
+            [["for the whole image", *(f"{each * int(spp):g}" for spp in tried)], *by_spp],
+        ),
         "sky-run": list_facts({"Machine": describe_run(skies)}),
     }

@@ -6,6 +6,7 @@ Five scenes are made in code: Mitsuba's Cornell box with glossy boxes, and balls
 and glass on tiles under a sky with clouds and a sun. One of 4x4 pixels has radiance of 4 samples, all have guides; the
 camera moves by half a degree a frame. The last of eight frames is compared with its reference: pixels that show more
 unscattered than scattered light, and all others. Frames and references are rendered on first use, in some minutes.
+Pixels that are shaded again are rendered anew, with other random numbers than those of the frames.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 import lobewise
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.pictures.detail import join
+from lobewise.adaptive import Shade, choose_spp
+from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.io.exr import read_image, write_image
 from lobewise.io.png import encode_png
@@ -30,8 +33,11 @@ from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 
 Item = dict[str, Any]
 SIZE_PIXELS, FRAMES, SPP, SCALE, DEGREES = 256, 8, 4, 4, 0.5
-REFERENCE_SPP, REFERENCE_SEED = 2048, 999
+REFERENCE_SPP, REFERENCE_SEED, AGAIN_SEED = 2048, 999, 5000
 BUDGET = 0.05
+AGAIN_SPP, PARTS = choose_spp(BUDGET), 8
+"""Samples of each pixel that is shaded again, and the parts of these samples."""
+TRIED_SPP = (4, 16, 32, 64, 128, 256)
 BRUSHED = (0.05, 0.25)
 """Alpha along and across the brush."""
 PICTURE = ROOT / "docs" / "images" / "skies.png"
@@ -122,16 +128,29 @@ SCENES: dict[str, Callable[[Any], Any]] = {
 
 @dataclass(frozen=True)
 class Shot:
-    """The frames of a scene, and the reference of the last."""
+    """The frames of a scene with their cameras, and the reference of the last."""
 
     frames: list[Frame]
     reference: FloatArray
+    scene: Any
+    cameras: list[Camera]
 
     @property
     def sparse(self) -> list[SparseFrame]:
         """The frames, each shaded at another pixel of every block."""
         places = list_places(SCALE)
         return [make_sparse(frame, SCALE, places[k % len(places)]) for k, frame in enumerate(self.frames)]
+
+    def make_shade(self, number: int, spp: int) -> Shade:
+        """Return what renders pixels of a frame, by its number."""
+        from lobewise.render import render_pixels, set_camera
+
+        def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
+            set_camera(self.scene, self.cameras[number])
+            seed = AGAIN_SEED + number % FRAMES
+            return render_pixels(self.scene, rows, columns, spp=spp, seed=seed, parts=min(PARTS, spp))
+
+        return shade
 
 
 def load_shot(folder: Path, name: str) -> Shot:
@@ -149,16 +168,17 @@ def load_shot(folder: Path, name: str) -> Shot:
     stem = folder / name.replace(" ", "-")
     paths = [stem.with_name(f"{stem.name}-{k}.exr") for k in range(FRAMES)]
     reference = stem.with_name(f"{stem.name}-reference.exr")
+    scene = SCENES[name](load_mitsuba())
+    path = make_orbit(get_camera(scene), find_orbit_centre(scene), frames=FRAMES, degrees_per_frame=DEGREES)
     if not (reference.exists() and all(path.exists() for path in paths)):
         folder.mkdir(parents=True, exist_ok=True)
-        scene = SCENES[name](load_mitsuba())
-        path = make_orbit(get_camera(scene), find_orbit_centre(scene), frames=FRAMES, degrees_per_frame=DEGREES)
         for target, frame in zip(paths, render_sequence(scene, path, spp=SPP, seed=1), strict=True):
             assert isinstance(frame, Frame)
             lobewise.write_frame(target, frame)
         set_camera(scene, path[-1])
         write_image(reference, render_reference(scene, spp=REFERENCE_SPP, seed=REFERENCE_SEED).radiance.color)
-    return Shot([lobewise.read_frame(path, light_passes=False) for path in paths], read_image(reference))
+    frames = [lobewise.read_frame(path, light_passes=False) for path in paths]
+    return Shot(frames, read_image(reference), scene, path)
 
 
 def run_over_time(shot: Shot, **settings: Any) -> Result:
@@ -168,17 +188,12 @@ def run_over_time(shot: Shot, **settings: Any) -> Result:
 
 
 def shade_again(
-    shot: Shot, result: Result, number: int = -1, history: lobewise.TemporalFilter | None = None
+    shot: Shot, result: Result, number: int = -1, history: lobewise.TemporalFilter | None = None, spp: int = AGAIN_SPP
 ) -> tuple[Result, NDArray[np.bool_]]:
-    """Return a result whose most uncertain pixels have radiance of a whole frame, by its number, and these pixels."""
-    frame, light = shot.sparse[number], shot.frames[number].radiance
-
-    def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
-        names = ("color", "diffuse", "specular")
-        return Radiance(*(getattr(light, name)[rows, columns][:, None] for name in names))
-
+    """Return a result whose most uncertain pixels were rendered again, and these pixels; ``number`` is its frame's."""
+    frame, shade = shot.sparse[number], shot.make_shade(number, spp)
     chosen = lobewise.find_unsupported(result, frame=frame, budget=BUDGET)
-    again = lobewise.recompute(result, shade, samples=1.0, frame=frame, budget=BUDGET, history=history)
+    again = lobewise.recompute(result, shade, samples=spp / SPP, frame=frame, budget=BUDGET, history=history)
     return again, chosen
 
 
@@ -227,10 +242,17 @@ def measure_shot(shot: Shot) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         "share of the error": _round(apart[chosen].sum() / apart.sum()),
         "error before": _round(apart[chosen].mean()),
         "error after": _round(measure_error(again.image, reference)[chosen].mean()),
+        "error after, by spp": {str(spp): measure_after(shot, over_time, chosen, spp) for spp in TRIED_SPP},
         "repeats": _round(repeats),
         "repeats, kept": _round(fewer),
     }
     return {"errors": cells, "shaded again": held, "share of lamps and sky": _round(shining.mean())}, images
+
+
+def measure_after(shot: Shot, result: Result, chosen: NDArray[np.bool_], spp: int) -> float:
+    """Return the error of the chosen pixels of the last frame after they are shaded again."""
+    again, _ = shade_again(shot, result, spp=spp)
+    return _round(measure_error(again.image, shot.reference)[chosen].mean())
 
 
 def measure_error(image: FloatArray, reference: FloatArray) -> FloatArray:
@@ -257,7 +279,8 @@ def main() -> None:
         shown = [*(images[each] for each in SHOWN), shot.reference]
         rows.append(join([map_tones(image, exposure) for image in shown], 1))
     PICTURE.write_bytes(encode_png(np.ascontiguousarray(join(rows, 0))))
-    write_json(asked.output, {"scenes": scenes, "machine": describe_machine()})
+    again = {"share": BUDGET, "spp": AGAIN_SPP, "parts": PARTS}
+    write_json(asked.output, {"scenes": scenes, "shaded again": again, "machine": describe_machine()})
 
 
 if __name__ == "__main__":

@@ -285,6 +285,10 @@ class TestUpsample:
             (["--scale", "2", "--place", "0,2"], "place: expected row and column from 0 to 1"),
             (["--scale", "2", "--adaptive", "5%"], "--adaptive: expected --scene beside it"),
             (["--scale", "2", "--adaptive", "many"], "--adaptive: expected 0% to 100%, got 'many'"),
+            (
+                ["--scale", "2", "--adaptive", "5%", "--scene", "showroom", "--adaptive-spp", "0"],
+                "--adaptive-spp: expected 1 to 65536, or \"auto\", got '0'",
+            ),
         ],
     )
     def test_mistakes(self, words, told, frame_file, tmp_path, capsys):
@@ -303,6 +307,8 @@ def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
     line = ["upsample", str(sparse), "-o", str(out), "--radius", "2"]
     assert run([*line, "--adaptive", "10%", "--scene", "showroom", "--adaptive-spp", "2"]) == 0
     assert re.search(r"Shaded \d+ pixels again, 2 spp\.", capsys.readouterr().out)
+    assert run([*line, "--adaptive", "10%", "--scene", "showroom"]) == 0
+    assert re.search(r"Shaded \d+ pixels again, 32 spp\.", capsys.readouterr().out)
     assert read_image(out).shape == (20, 24, 3)
     assert np.isfinite(read_image(out)).all()
 

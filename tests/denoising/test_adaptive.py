@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.adaptive import find_unsupported, recompute
+from lobewise.adaptive import choose_spp, find_unsupported, recompute
+from lobewise.adaptive.merging import MAX_KEPT_RATIO
+from lobewise.adaptive.recomputing import KEPT_WORTH
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
 from lobewise.frame import Radiance, Result
@@ -200,3 +202,112 @@ def test_a_new_pixel_without_a_like_counts_as_it_is() -> None:
     np.testing.assert_allclose(together.image[mask], alone.image[mask], rtol=1e-3)
     bad = recompute(result, lambda rows, columns: Radiance(np.full((1, 1, 3), np.nan)), **options)
     np.testing.assert_array_equal(bad.image, result.image)
+
+
+def mend_grey(parts: Any, **options: Any) -> Any:
+    """Return the new radiance of a pixel that was 2, from the luminances of its parts."""
+    weight = np.full(SHAPE, 10.0)
+    weight[1, 2] = 0.5
+    color = np.repeat(np.asarray(parts, np.float32)[None, :, None], 3, axis=-1)
+    return recompute(make_result(weight), lambda rows, columns: Radiance(color), samples=4.0, **options).image[1, 2]
+
+
+def test_parts_that_agree_count_fully() -> None:
+    np.testing.assert_allclose(mend_grey([8.0] * 4), 8.0, rtol=1e-5)
+
+
+def test_the_share_of_parts_is_that_of_the_least_squared_error() -> None:
+    # Here the error of the old radiance is 10 % of its square, and the light below which it is absolute is 1 % of 2.
+    parts = np.array([2.0, 3.0, 5.0, 6.0])
+    old, noise = 0.1 * 2.0**2 + 0.02**2, parts.var(ddof=1) / 4.0
+    shares = np.linspace(0.0, 1.0, 100001)
+    share = shares[np.argmin((1.0 - shares) ** 2 * old + shares**2 * noise)]
+    np.testing.assert_allclose(mend_grey(parts), 2.0 + share * (parts.mean() - 2.0), rtol=1e-4)
+
+
+def test_a_firefly_in_one_part_hardly_counts() -> None:
+    calm, fireflies = mend_grey([2.0, 2.1, 1.9, 2.0]), mend_grey([2.0, 2.1, 1.9, 5000.0])
+    assert np.abs(fireflies - calm).max() < 0.01
+
+
+def test_bad_parts_are_left_out() -> None:
+    good = mend_grey([3.0, 3.5, 2.5])
+    for bad in (np.nan, np.inf, -1.0):
+        np.testing.assert_allclose(mend_grey([3.0, bad, 3.5, 2.5]), good, rtol=1e-5)
+        np.testing.assert_allclose(mend_grey([bad, bad, 9.0, bad]), 2.0)
+        np.testing.assert_allclose(mend_grey([bad] * 4), 2.0)
+
+
+def test_parts_have_less_error_than_one_noisy_mean() -> None:
+    frame, truth = make_clean_frame()
+    result = upsample(make_sparse(frame, 4))
+    options: dict[str, Any] = {"samples": 16.0, "budget": 0.3, "frame": frame}
+    mask = find_unsupported(result, budget=0.3, frame=frame)
+
+    def shade(count: int) -> Any:
+        def shade_parts(rows: Any, columns: Any) -> Radiance:
+            rng = np.random.default_rng(5)
+            noise = rng.gamma(0.5, 2.0, (len(rows), 4, 1))
+            # Some samples see a small lamp.
+            noise[rng.random(noise.shape) < 0.01] = 300.0
+            color = truth[rows, columns][:, None] * (noise if count == 4 else noise.mean(axis=1, keepdims=True))
+            return Radiance(color, diffuse=np.zeros_like(color), specular=color)
+
+        return shade_parts
+
+    one, four = (recompute(result, shade(count), **options) for count in (1, 4))
+    assert rel_mse(four.image, truth, mask) < 0.5 * rel_mse(one.image, truth, mask)
+    np.testing.assert_allclose(four.image, four.diffuse + four.specular, atol=1e-5)
+    np.testing.assert_array_equal(four.image[~mask], result.image[~mask])
+
+
+def test_a_history_gets_bounded_light_that_counts_twice() -> None:
+    frame, truth = make_clean_frame()
+    result, kept = upsample(make_sparse(frame, 4)), []
+
+    class History:
+        def add_samples(self, rows: Any, columns: Any, radiance: Radiance, weights: Any) -> None:
+            kept.append((rows, columns, radiance, weights))
+
+    def shade(rows: Any, columns: Any) -> Radiance:
+        color = np.repeat(truth[rows, columns][:, None], 4, axis=1)
+        # A single pixel of light that the filter spreads among its neighbours.
+        color[0] *= 200.0
+        return Radiance(color, diffuse=np.zeros_like(color), specular=color)
+
+    again = recompute(result, shade, samples=4.0, budget=0.3, frame=frame, history=History())
+    rows, columns, light, weights = kept[0]
+    gathered = again.weight_sum[rows, columns] - result.weight_sum[rows, columns]
+    np.testing.assert_allclose(weights, KEPT_WORTH * gathered, rtol=1e-4)
+    assert light.color[0].max() < again.image[rows[0], columns[0]].max() / MAX_KEPT_RATIO
+    np.testing.assert_allclose(light.color[1:, 0], again.image[rows[1:], columns[1:]], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("budget", "spp"), [(0.05, 64), (0.001, 256), (0.1, 32), (1.0, 16)])
+def test_few_pixels_get_many_samples(budget: float, spp: int) -> None:
+    assert choose_spp(budget) == spp
+    assert choose_spp(0.05, 6.4) == 128
+
+
+@pytest.mark.parametrize("numbers", [(0.0,), (1.5,), (float("nan"),), (0.05, 0.0)])
+def test_samples_are_chosen_for_a_share(numbers: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match=r"(budget|image_spp): expected above 0"):
+        choose_spp(*numbers)
+
+
+def test_a_firefly_in_one_part_hardly_reaches_other_pixels() -> None:
+    frame, truth = make_clean_frame()
+    result = upsample(make_sparse(frame, 4))
+    options: dict[str, Any] = {"samples": 4.0, "budget": 0.3, "frame": frame}
+    middle = int(0.3 * result.weight_sum.size) // 2
+
+    def shade(light: float) -> Any:
+        def shade_parts(rows: Any, columns: Any) -> Radiance:
+            color = np.repeat(truth[rows, columns][:, None], 4, axis=1)
+            color[middle, 2] *= light
+            return Radiance(color, diffuse=np.zeros_like(color), specular=color)
+
+        return shade_parts
+
+    calm, firefly = (recompute(result, shade(light), **options).image for light in (1.0, 1e4))
+    assert 0.0 < np.abs(firefly - calm).max() < 1.0

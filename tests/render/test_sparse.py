@@ -54,6 +54,23 @@ def test_single_pixels_have_the_bits_of_the_whole_frame(scene, whole):
         np.testing.assert_array_equal(getattr(some, name)[:, 0], getattr(whole.radiance, name)[rows, columns])
 
 
+def test_parts_of_single_pixels_are_independent(scene, whole):
+    rows, columns = np.array([0, 28, 13, 5]), np.array([36, 0, 5, 7])
+    parts = render_pixels(scene, rows, columns, spp=8, seed=3, parts=4)
+    assert parts.color.shape == (4, 4, 3)
+    assert parts.diffuse.shape == (4, 4, 3)
+    for name in ("color", "diffuse", "specular", "direct", "indirect"):
+        np.testing.assert_array_equal(getattr(parts, name)[:, 0], getattr(whole.radiance, name)[rows, columns])
+    luminance = parts.color.sum(axis=-1)
+    assert len(np.unique(luminance)) == luminance.size
+
+
+@pytest.mark.parametrize("parts", [0, 3, 9])
+def test_parts_divide_the_samples(scene, parts):
+    with pytest.raises(InputError, match="parts: expected a divisor of 8 spp"):
+        render_pixels(scene, [0], [0], spp=8, parts=parts)
+
+
 @pytest.mark.parametrize(("rows", "columns"), [([29], [0]), ([0], [-1]), ([], []), ([1, 2], [1]), ([0.5], [1.0])])
 def test_pixels_outside_are_refused(scene, rows, columns):
     with pytest.raises(InputError, match="rows and columns"):

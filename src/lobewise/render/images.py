@@ -6,7 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.render.tracing.samples import Lobes, Squares, Sums, Totals
 
@@ -91,3 +93,17 @@ def join(tiles: list[dict[str, FloatArray]], width: int, height: int) -> dict[st
 def select(images: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
     """Return the images whose path begins with a prefix, by the rest of the path."""
     return {name.split(".", 1)[1]: value for name, value in images.items() if name.startswith(prefix + ".")}
+
+
+def number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint32]:
+    """Return the row-major numbers of pixels of an image of a size (width, height); InputError if some lie outside."""
+    where, (width, height) = (rows, columns), size
+    whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
+    if not whole or rows.size != columns.size:
+        shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
+        raise InputError("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
+    if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
+        expected = f"pixels of an image of {width}x{height}"
+        got = f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}"
+        raise InputError("rows and columns", expected=expected, got=got, action="count both from 0")
+    return np.asarray(rows * width + columns, dtype=np.uint32)

@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, require_choice, require_integer
+from lobewise.errors import InputError, name_value, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_camera, get_image_size, has_lens
 from lobewise.render.coverage import trace_coverage
 from lobewise.render.gbuffer import Moves, move_back, trace_guides
-from lobewise.render.images import finish_guides, finish_radiance, join, select, to_image
+from lobewise.render.images import finish_guides, finish_radiance, join, number_pixels, select, to_image
 from lobewise.render.integrators import LIGHTS, Light, check_scene, plan_light, plan_pixels
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.own_light import check_own, forget_lobes_of_media, render_lens_guides, render_own, sample_pixels
@@ -32,6 +32,9 @@ TILE_PIXELS = 1 << 20
 
 CHUNK_SAMPLES = 1 << 22
 """Samples per launch. A launch takes some seconds, so that progress is reported and interrupts are handled."""
+
+PART_STEP = 0x9E3779B1
+"""Step of the seed from part to part of a pixel's samples: 2^32 over the golden ratio."""
 
 GUIDE_SAMPLES = 32
 """Largest number of samples per pixel for the guides if the scene's own integrator renders the light."""
@@ -324,6 +327,7 @@ def render_pixels(
     max_depth: int | None = None,
     light: str = "all",
     integrator: str = "auto",
+    parts: int = 1,
 ) -> Radiance:
     """Render the radiance of single pixels, for `lobewise.recompute`.
 
@@ -333,40 +337,32 @@ def render_pixels(
         See `render_sparse_frame`. The same seed gives the same bits.
     rows, columns : array_like of int, shape (count,)
         The pixels, at least one.
-    spp : int
-        Samples per pixel.
+    spp, parts : int
+        Samples per pixel, and the number of images that they are divided among, a divisor of ``spp``.
 
     Returns
     -------
     Radiance
-        Images of shape (count, 1), one row per pixel: color, diffuse, specular, direct, indirect.
+        Images of shape (count, parts), one row per pixel: color, diffuse, specular, direct, indirect.
 
     Raises
     ------
     InputError
         If a number is out of range, the light is unknown, or a pixel lies outside the image.
     """
+    if parts < 1 or spp % parts:
+        raise InputError("parts", expected=f"a divisor of {spp} spp", got=name_value(parts), action="pass another")
     plan = plan_pixels(scene, "single pixels", integrator, max_depth)
-    listed = _number_pixels(np.asarray(rows), np.asarray(columns), get_image_size(scene))
-    if plan.own is not None:
-        return Radiance(sample_pixels(scene, plan, listed, spp=spp, seed=seed, light=light).color[:, None])
-    run = _Pass(scene, spp=spp, seed=seed, max_depth=plan.max_depth, light=light)
-    images = run.run(1, len(listed), run.finish_radiance, listed=mi.UInt32(listed))
-    return Radiance(**select(images, "radiance"))
-
-
-def _number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint32]:
-    """Return the row-major numbers of pixels."""
-    where, (width, height) = (rows, columns), size
-    whole = all(each.ndim == 1 and each.size and each.dtype.kind in "iu" for each in where)
-    if not whole or rows.size != columns.size:
-        shapes = f"{rows.dtype} of shape {rows.shape} and {columns.dtype} of shape {columns.shape}"
-        raise InputError("rows and columns", expected="as many whole numbers", got=shapes, action="pass np.nonzero")
-    if not ((rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)).all():
-        expected = f"pixels of an image of {width}x{height}"
-        got = f"rows {rows.min()} to {rows.max()}, columns {columns.min()} to {columns.max()}"
-        raise InputError("rows and columns", expected=expected, got=got, action="count both from 0")
-    return np.asarray(rows * width + columns, dtype=np.uint32)
+    listed = number_pixels(np.asarray(rows), np.asarray(columns), get_image_size(scene))
+    images = []
+    for part in range(parts):
+        drawn: dict[str, Any] = {"spp": spp // parts, "seed": (seed + part * PART_STEP) % (1 << 32), "light": light}
+        if plan.own is not None:
+            images.append({"color": sample_pixels(scene, plan, listed, **drawn).color[:, None]})
+            continue
+        run = _Pass(scene, max_depth=plan.max_depth, **drawn)
+        images.append(select(run.run(1, len(listed), run.finish_radiance, listed=mi.UInt32(listed)), "radiance"))
+    return Radiance(**{name: np.concatenate([each[name] for each in images], axis=1) for name in images[0]})
 
 
 def render_reference(

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from lobewise.frame import Result
     from lobewise.sparse_frame import AnyFrame
 
+PARTS = 8
+"""Parts of a pixel's samples, whose differences tell the noise."""
+MAX_SPP = 1 << 16
+"""Largest number of samples of a pixel."""
+
 
 @dataclass(frozen=True)
 class Reshading:
@@ -28,7 +33,13 @@ class Reshading:
         str | None,
         shading_option(metavar="SCENE", help="With --adaptive: the scene that was rendered.", show_default=False),
     ] = None
-    adaptive_spp: Annotated[int, shading_option(metavar="N", help="With --adaptive: samples of each pixel.")] = 64
+    adaptive_spp: Annotated[
+        str,
+        shading_option(
+            metavar="N|auto",
+            help="With --adaptive: samples of each pixel; auto costs 3.2 samples per pixel of the whole image.",
+        ),
+    ] = "auto"
     light: Annotated[
         str, shading_option(metavar="all|indirect", help="With --adaptive: the light that was rendered.")
     ] = "all"
@@ -44,6 +55,23 @@ class Reshading:
             return percent / 100.0
         raise InputError("--adaptive", expected="0% to 100%", got=repr(self.adaptive), action="5% is usual")
 
+    def choose_spp(self) -> int:
+        """Return the samples of each pixel that is shaded again, at least 1; ask only if some are.
+
+        Raises
+        ------
+        InputError
+            If the samples are no whole number.
+        """
+        from lobewise.adaptive import choose_spp
+
+        if self.adaptive_spp == "auto":
+            return choose_spp(self.share)
+        if self.adaptive_spp.isdecimal() and 1 <= int(self.adaptive_spp) <= MAX_SPP:
+            return int(self.adaptive_spp)
+        expected, got = f'1 to {MAX_SPP}, or "auto"', repr(self.adaptive_spp)
+        raise InputError("--adaptive-spp", expected=expected, got=got, action='"auto" is usual')
+
     def plan(self) -> Callable[[Result, AnyFrame], Result]:
         """Return a function that shades the least supported pixels of a result again.
 
@@ -54,7 +82,9 @@ class Reshading:
             return lambda result, frame: result
         if self.scene is None:
             raise InputError("--adaptive", expected="--scene beside it", got="none", action="name the scene")
-        scene, spp, loaded = self.scene, self.adaptive_spp, list[Any]()
+        scene, loaded, light = self.scene, list[Any](), self.light
+        spp = self.choose_spp()
+        parts = next(parts for parts in range(min(PARTS, spp), 0, -1) if spp % parts == 0)
 
         def improve(result: Result, frame: AnyFrame) -> Result:
             from lobewise.adaptive import recompute
@@ -67,7 +97,9 @@ class Reshading:
                 set_camera(loaded[0], frame.camera)
             better = recompute(
                 result,
-                lambda rows, columns: render_pixels(loaded[0], rows, columns, spp=spp, seed=1, light=self.light),
+                lambda rows, columns: render_pixels(
+                    loaded[0], rows, columns, spp=spp, seed=1, light=light, parts=parts
+                ),
                 samples=spp / (frame.spp or 1),
                 frame=frame,
                 budget=budget,

@@ -1,0 +1,123 @@
+"""New light of pixels that were shaded again: its noise, and its mix with the light that these pixels had before.
+
+All light has the shape (count, parts, 3) or (count, 1, 3), with one row for each pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lobewise.denoising.bad_pixels import find_good
+from lobewise.frame import FloatArray, Radiance
+from lobewise.lobes.vectors import LUMINANCE
+
+MIN_PRIOR_ERROR = 0.05
+"""Relative squared error that the mean of the old and the filtered radiance of a pixel has at least."""
+SINGLE_PRIOR_ERROR = 0.1
+"""Relative squared error that the old radiance of a pixel has where new radiance is not filtered."""
+DARK_LIGHT = 0.01
+"""Light over the image's median, below which errors are no longer relative."""
+FIRST_PART_RATIO, MAX_PART_RATIO = 2.0, 3.0
+"""Light of one part of a pixel's samples over the mean of the pixel's other parts, before the light around the pixel is
+known, and over the larger one of both. A firefly in one part is more."""
+MAX_KEPT_RATIO = 2.0
+"""Radiance that enters the history, over the filtered radiance: a firefly would stay for many frames."""
+
+
+def merge_by_weight(old: Radiance, new: Radiance, weight: FloatArray, worth: FloatArray) -> Radiance:
+    """Return the mean of old and new light of pixels (count, 1, 3), with weights ``weight`` and ``worth``, (count,)."""
+    old_weight = weight[:, None, None]
+    merged = {}
+    for name in _list_shared(old, new):
+        before, fresh = getattr(old, name), getattr(new, name)
+        good = find_good(fresh)[..., None]
+        n = np.where(good, worth[:, None, None], np.float32(0.0))
+        total = old_weight + n
+        blend = (old_weight * before + n * np.where(good, fresh, np.float32(0.0))) / np.maximum(total, 1e-12)
+        # A pixel without weight whose new sample is bad keeps its old value.
+        merged[name] = np.where(total > 0.0, blend, before)
+    return Radiance(**merged)
+
+
+def bound_parts(shaded: Radiance, dark: float, near: Radiance | None = None) -> Radiance:
+    """Return parts (count, parts) without fireflies.
+
+    ``near`` is the light around each pixel, (count, 1), if it is known. No part is bounded to less than ``dark``.
+    """
+    light, least = _find_luminance(shaded.color), np.float32(0.0)
+    good = np.isfinite(light) & (light >= least)
+    light, count = np.where(good, light, least), good.sum(axis=1, keepdims=True)
+    most = (light.sum(axis=1, keepdims=True) - light) / np.maximum(count - 1, 1).astype(np.float32)
+    if near is None:
+        most *= np.float32(FIRST_PART_RATIO)
+    else:
+        most = np.float32(MAX_PART_RATIO) * np.fmax(most, _find_luminance(near.color))
+    share = np.minimum((most + np.float32(dark)) / np.maximum(light, np.float32(1e-30)), np.float32(1.0))
+    return Radiance(**{name: share * getattr(shaded, name) for name in _list_shared(shaded)})
+
+
+def join_parts(shaded: Radiance) -> tuple[Radiance, FloatArray]:
+    """Return the mean over the parts of each pixel, (count, 1), and its variance (count, 1, 1).
+
+    The variance is the mean of those of the three channels, infinite where fewer than two parts are finite and not
+    negative. A pixel without any such part is NaN.
+    """
+    names = _list_shared(shaded)
+    good = np.logical_and.reduce([find_good(getattr(shaded, name)) for name in names])[..., None]
+    count = good.sum(axis=1, keepdims=True).astype(np.float32)
+
+    def average(values: FloatArray) -> FloatArray:
+        total = np.where(good, values, np.float32(0.0)).sum(axis=1, keepdims=True)
+        return np.asarray(np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan), np.float32)
+
+    means = {name: average(getattr(shaded, name)) for name in names}
+    spread = average((shaded.color - means["color"]) ** 2).mean(axis=-1, keepdims=True)
+    variance = np.where(count > 1.0, spread / np.maximum(count - 1.0, 1.0), np.float32(np.inf))
+    return Radiance(**means), variance
+
+
+def merge_by_variance(
+    old: Radiance, support: FloatArray, mean: Radiance, variance: FloatArray, filtered: Radiance | None, dark: float
+) -> Radiance:
+    """Return new light of pixels, of less error than its mean over the parts; see `recompute`. Shapes (count, 1, 3).
+
+    ``dark`` is the light below which errors are no longer relative.
+    """
+    names = _list_shared(old, mean)
+    fills = old if filtered is None else filtered
+    prior, apart = {}, {}
+    old_share = (support / (np.float32(1.0) + support))[:, None, None]
+    for name in names:
+        first, second = getattr(old, name), getattr(fills, name)
+        second = np.where(find_good(second)[..., None], second, first)
+        prior[name] = second + old_share * (first - second)
+        apart[name] = np.float32(0.5) * (first - second)
+    least = MIN_PRIOR_ERROR if filtered is not None else SINGLE_PRIOR_ERROR
+    relative = np.float32(least) * _find_luminance(prior["color"]) ** 2
+    error = np.maximum(relative, _find_luminance(apart["color"]) ** 2) + np.float32(dark**2 + 1e-30)
+    share = error / (error + variance)
+    known = find_good(mean.color)[..., None]
+    own = {name: np.where(known, getattr(mean, name), prior[name]) for name in names}
+    return Radiance(**{name: prior[name] + share * (own[name] - prior[name]) for name in names})
+
+
+def bound_light(light: Radiance, other: Radiance) -> Radiance:
+    """Return light whose parts have at most `MAX_KEPT_RATIO` times the luminance of another estimate."""
+    bounded = {}
+    for name in _list_shared(light, other):
+        value = getattr(light, name)
+        own, most = (np.maximum(_find_luminance(each), 0.0) for each in (value, getattr(other, name)))
+        share = np.minimum(np.float32(MAX_KEPT_RATIO) * most / np.maximum(own, 1e-30), np.float32(1.0))
+        bounded[name] = value * share
+    return Radiance(**bounded)
+
+
+def _find_luminance(light: FloatArray) -> FloatArray:
+    """Return the luminance of light (..., 3), of shape (..., 1)."""
+    return np.asarray(light @ np.array(LUMINANCE, np.float32))[..., None]
+
+
+def _list_shared(*lights: Radiance) -> list[str]:
+    """Return the names of the images that all of some lights have, "color" first."""
+    names = ("color", "diffuse", "specular")
+    return [name for name in names if all(getattr(light, name) is not None for light in lights)]
